@@ -24,6 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="folder for the event logs of executions (default: runs, in the served folder)",
     )
+    parser.add_argument(
+        "--edit",
+        action="store_true",
+        help="let the operator change the plans of the folder in the page, and make new ones",
+    )
     add_address_arguments(parser)
 
 
@@ -86,7 +91,9 @@ def run(args: argparse.Namespace) -> int:
     if first is not None and not folder.kind(first):
         raise InputError("neither a net, a plan nor a recorded run", file=args.path)
     runs = args.record or os.path.join(folder.root, RUNS)
-    project = Project(folder, lambda document: StandaloneRun(document, runs), first, runs)
+    project = Project(
+        folder, lambda document: StandaloneRun(document, runs), first, runs, args.edit
+    )
     if first is not None:
         project.open(first)  # report errors here, not in the browser
     return serve(project, args)

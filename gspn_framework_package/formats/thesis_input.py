@@ -79,6 +79,11 @@ def net_from_thesis(data: Mapping[str, Any], path: str) -> ThesisNet:
     return ThesisNet(net, tuple(notes + reader.notes))
 
 
+def net_file(data: Mapping[str, Any], path: str) -> str:
+    """Return the path of the file of the net. :raises PlanError: there is none."""
+    return _net_file(_Reader(data, path, ("gspn",)), "project_path" in data)
+
+
 def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
     """Return the plan of an input file of the thesis. Such a file does not name the robots, so they
     are assigned to the action places by the initial marking, in the order of ``places_tuple``. The
@@ -120,9 +125,11 @@ def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
 
 
 def _read_net(reader: _Reader, in_project: bool) -> Tuple[Net, List[str]]:
-    return read_net_with_notes(
-        reader.existing(reader.text("gspn"), beside=reader.project() if in_project else "")
-    )
+    return read_net_with_notes(_net_file(reader, in_project))
+
+
+def _net_file(reader: _Reader, in_project: bool) -> str:
+    return reader.existing(reader.text("gspn"), beside=reader.project() if in_project else "")
 
 
 def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy:

@@ -23,7 +23,14 @@ from gspn_framework_package.model.errors import GspnError, InputError, UsageErro
 from gspn_framework_package.visualizer.activity import whole_number
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
-from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
+from gspn_framework_package.visualizer.editing import routes as editing
+from gspn_framework_package.visualizer.guard import (
+    OPERATOR,
+    SECURITY_HEADERS,
+    Guard,
+    LoginError,
+    is_loopback,
+)
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.optimise_form import FormError
 from gspn_framework_package.visualizer.optimised import ROWS, ExistsError
@@ -69,6 +76,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         if verdict.refusal is not None:
             return {"error": verdict.refusal.reason}, verdict.refusal.status
         flask.g.role = verdict.role
+        if editing.is_editing(request.path):
+            refusal = editing.refusal(project, verdict.role)
+            if refusal is not None:
+                return {"error": refusal.reason}, refusal.status
         return None
 
     @app.after_request
@@ -136,7 +147,13 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/hello")
     def hello() -> Dict[str, Any]:
-        return {"version": __version__, "role": flask.g.role, **project.to_json()}
+        edits = project.edits and flask.g.role == OPERATOR
+        return {
+            "version": __version__,
+            "role": flask.g.role,
+            "edits": edits,
+            **project.to_json(),
+        }
 
     # -- opening -----------------------------------------------------------------------------------
 
@@ -255,6 +272,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         path = jobs.save(job, fields.get("name"), fields.get("overwrite") is True)
         return {"name": os.path.basename(path), "path": project.path_of(path)}
 
+    editing.add_routes(app, project, _body)
     return app
 
 
@@ -262,6 +280,8 @@ def body_limit(path: str) -> int:
     """Largest body, in bytes, of a request to ``path``."""
     if not path.startswith("/api/"):
         return 0
+    if editing.is_editing(path):
+        return editing.DOCUMENT_BYTES
     return {"/api/upload": UPLOAD_BYTES, "/api/login": LOGIN_BYTES}.get(path, COMMAND_BYTES)
 
 
@@ -273,6 +293,10 @@ def too_large_text(path: str) -> str:
         )
     if path == "/api/login":
         return "that is too large for a token"
+    if editing.is_editing(path):
+        return "that is too large: a plan of up to %d MB can be edited" % (
+            editing.DOCUMENT_BYTES // 1_000_000
+        )
     return "that is too large: a command has up to %d MB" % (COMMAND_BYTES // 1_000_000)
 
 

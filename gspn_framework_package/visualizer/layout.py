@@ -138,14 +138,14 @@ def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
     points = {node.name: node.position for node in nodes if node.position is not None}
     if len(points) < len(nodes):
         return None
-    nearest = _nearest_distance(list(points.values()))
+    nearest = nearest_distance(list(points.values()))
     if nearest < 1.0:
         return None
     scale = min(max(0.3, NEAREST / nearest), 8.0)
     return {name: (x * scale, y * scale) for name, (x, y) in points.items()}
 
 
-def _nearest_distance(points: List[Point]) -> float:
+def nearest_distance(points: List[Point]) -> float:
     """Distance between the two nearest points, by a sweep over x."""
     best = math.inf
     points = sorted(points)

@@ -27,6 +27,7 @@ class Project:
     :param start_execution: starts the execution of an executable plan.
     :param first: path (in the folder) of the document that the page shows first.
     :param runs: the folder of the recorded runs, which is searched for runs that were cut off.
+    :param edits: whether the operator may change the plans of the folder in the page.
     """
 
     def __init__(
@@ -35,8 +36,10 @@ class Project:
         start_execution: Optional[ActivityMaker] = None,
         first: Optional[str] = None,
         runs: Optional[str] = None,
+        edits: bool = False,
     ) -> None:
         self.sessions = Sessions()
+        self.edits = edits and folder is not None
         self._folder = folder
         self._start_execution = start_execution
         self._first = (
@@ -45,6 +48,11 @@ class Project:
         self._server = secrets.token_hex(8)
         self._runs = runs
         self._cut = cut_runs(runs) if runs is not None else []
+
+    @property
+    def folder(self) -> Optional[Folder]:
+        """The served folder, None if there is none."""
+        return self._folder
 
     def show(self, session: Session) -> None:
         """Make the page open with this session."""

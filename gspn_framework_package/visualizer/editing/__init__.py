@@ -1,0 +1,1 @@
+"""Editing of plans in the page: the server's side. It is off unless the operator asks for it."""
