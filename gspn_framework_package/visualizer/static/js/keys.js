@@ -1,6 +1,7 @@
 // The keyboard shortcuts of the page, and their table.
 
 import { $, h, ask, attempt, dialogOpen } from "./dom.js";
+import { EDIT_KEYS } from "./edit/edit_keys.js";
 
 /** The tabs of the details, in their order. */
 export const TABS = ["inspector", "robots", "analysis", "optimise"];
@@ -37,7 +38,8 @@ const SYMBOLS = [
   ["number on an arc", "its weight, where it is not 1"],
 ];
 
-export function showHelp() {
+/** Show the keys of the page, or those of its editor. */
+export function showHelp(editing = false) {
   return ask(
     "Keys and symbols",
     [
@@ -47,7 +49,7 @@ export function showHelp() {
         h(
           "tbody",
           {},
-          TABLE.map(([key, says]) =>
+          (editing ? EDIT_KEYS : TABLE).map(([key, says]) =>
             h("tr", {}, h("td", {}, h("kbd", { text: key })), h("td", { text: says })),
           ),
         ),
@@ -88,7 +90,7 @@ export function bindKeys(page) {
 
 function actionOf(event, page) {
   const { model, tools, view } = page;
-  if (event.key === "?") return showHelp;
+  if (event.key === "?") return () => showHelp(Boolean(page.editor.mode));
   if (!model || !model.board) return null;
   const simulating = model.mode === "SIMULATE";
   switch (event.key) {

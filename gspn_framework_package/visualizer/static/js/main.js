@@ -595,6 +595,10 @@ class Page {
     });
     $("skip").onclick = (event) => {
       event.preventDefault();
+      if (this.editor.mode) {
+        $("ed-list").focus();
+        return;
+      }
       if (!this.model) {
         document.querySelector("#opening button")?.focus();
         return;
@@ -602,7 +606,7 @@ class Page {
       this.panels.open("left");
       $("list-search").focus();
     };
-    $("help").onclick = () => showHelp();
+    $("help").onclick = () => showHelp(Boolean(this.editor.mode));
     $("theme").onclick = () => {
       const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
       localStorage.setItem("gspn-theme", next);

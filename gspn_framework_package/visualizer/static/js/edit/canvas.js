@@ -28,7 +28,8 @@ function spreadOf(positions) {
 
 /** Fires "frame" after drawing. Keys of elements are those of the selection: "place:NAME", "arc:FROM>TO". */
 export class Canvas extends EventTarget {
-  constructor(container, document) {
+  /** `scale`: how far the document's positions are spread; without it, as far as they need. */
+  constructor(container, document, scale = null) {
     super();
     this.container = container;
     this.document = document;
@@ -52,7 +53,7 @@ export class Canvas extends EventTarget {
       sheet("over", this.layer.over),
     );
     this.moving = Object.values(this.layer);
-    this.measure();
+    this.measure(scale);
     this.show();
     this.labels = new Labels(this);
     this.camera = new Camera(this);
@@ -63,10 +64,11 @@ export class Canvas extends EventTarget {
   // -- positions -----------------------------------------------------------------------------------
 
   /** Find the scale of the document's positions, and a grid for nodes without any. */
-  measure() {
+  measure(scale) {
     const { places, transitions } = this.document.net;
     const nodes = [...places, ...transitions];
-    this.scale = spreadOf(nodes.filter((node) => node.position).map((node) => node.position));
+    this.scale =
+      scale || spreadOf(nodes.filter((node) => node.position).map((node) => node.position));
     const bare = nodes.filter((node) => !node.position);
     const across = Math.ceil(Math.sqrt(bare.length * 1.6)) || 1;
     const below = Math.max(

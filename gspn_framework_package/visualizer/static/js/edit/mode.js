@@ -1,9 +1,16 @@
 // The mode EDIT: its part of the page, and what its parts share. Each panel and each tool is a part of its own.
 
-import { $, h, announce, ask } from "../dom.js";
+import { $, h, announce, ask, attempt } from "../dom.js";
 import { post } from "../api.js";
+import { Actions, WORDS } from "./actions.js";
+import { ARRANGEMENTS } from "./arrange.js";
 import { Canvas } from "./canvas.js";
+import { CanvasPointer } from "./canvas_pointer.js";
+import { bindEditKeys } from "./edit_keys.js";
+import { ElementList } from "./element_list.js";
+import { problemOfArc } from "./net_edits.js";
 import { PlanDocument } from "./plan_document.js";
+import { Witness } from "./witness.js";
 
 /** The parts of the editor, made in this order, each with the mode. A part may have `close()`. */
 const PARTS = [];
@@ -23,8 +30,18 @@ export class EditMode extends EventTarget {
     this.document = kept || new PlanDocument(opened.document);
     this.selection = new Set();
     this.panels = new Map(); // name -> {tab, panel}
+    this.tool = null; // "place", "timed", "immediate" or "arc": what the pointer does
+    this.arcStart = this.arcEnd = null; // keys of the nodes of the arc that is being made
+    this.panning = false; // whether the pointer drags the view
+    this.witness = null; // the sequence that is being played
+    this.files = null; // the part that saves
     this.build(crumbs);
-    this.canvas = new Canvas($("ed-net"), this.document);
+    this.canvas = new Canvas($("ed-net"), this.document, opened.scale);
+    this.actions = new Actions(this);
+    this.pointer = new CanvasPointer(this);
+    this.list = new ElementList(this);
+    this.bound = new AbortController();
+    bindEditKeys(this, this.bound.signal);
     this.canvas.addEventListener("frame", () => this.dispatchEvent(new CustomEvent("frame")));
     this.changed = () => this.refresh();
     this.document.addEventListener("change", this.changed);
@@ -192,9 +209,20 @@ export class EditMode extends EventTarget {
     this.canvas.mark(marks);
   }
 
+  /** Play a firing sequence (names of transitions) on the drawing, from the initial marking. */
+  play(transitions) {
+    this.witness?.end();
+    this.witness = new Witness(this, transitions);
+  }
+
+  async save() {
+    if (this.files) await this.files.save();
+  }
+
   // -- the tool bar --------------------------------------------------------------------------------
 
   buttons() {
+    const { actions } = this;
     this.undoButton = this.button("history", {
       id: "ed-undo",
       label: "Undo",
@@ -207,14 +235,254 @@ export class EditMode extends EventTarget {
       key: "Ctrl+Y",
       onclick: () => this.redo(),
     });
+    // with the pointer, the next click puts the node; by key, it is put at once
+    const add = (what, label, key) =>
+      this.button("add", {
+        id: `ed-add-${what}`,
+        label,
+        title: `Add a ${WORDS[what]}`,
+        key,
+        "aria-pressed": "false",
+        onclick: (event) => {
+          if (event.detail) this.setTool(this.tool === what ? null : what);
+          else actions.addHere(what);
+        },
+      });
+    this.toolButtons = {
+      place: add("place", "Place", "P"),
+      timed: add("timed", "Timed", "T"),
+      immediate: add("immediate", "Immediate", "I"),
+      arc: this.button("add", {
+        id: "ed-arc",
+        label: "Arc",
+        title: "Draw an arc",
+        key: "A",
+        "aria-pressed": "false",
+        onclick: () => (this.tool === "arc" ? this.setTool(null) : this.beginArc()),
+      }),
+    };
+    const change = (id, label, title, key, onclick) =>
+      this.button("change", { id, label, title, key, onclick });
+    change("ed-delete", "Delete", "Delete what is chosen", "Delete", () => actions.remove());
+    change("ed-more", "+", "More tokens, or a higher weight", "+", () => actions.count(1));
+    change("ed-less", "−", "Fewer tokens, or a lower weight", "−", () => actions.count(-1));
+    change("ed-inhibit", "Inhibit", "Make the chosen arcs inhibitor arcs, and back", "H", () =>
+      actions.toggleInhibitor(),
+    );
+    change("ed-timed", "Timed ↔ immediate", "The other kind of transition", "X", () =>
+      actions.toggleTimed(),
+    );
+    this.arrangeMenu();
+    this.zoomButtons();
+  }
+
+  arrangeMenu() {
+    const MORE = [
+      ["copy", "Copy", () => this.toClipboard(this.actions.copy())],
+      ["cut", "Cut", () => this.toClipboard(this.actions.cut())],
+      ["paste", "Paste", () => this.actions.paste()],
+      ["duplicate", "Duplicate", () => this.actions.duplicate()],
+      ["layout", "Lay the net out", () => this.actions.layOut()],
+    ];
+    const acts = new Map([
+      ...MORE.map(([word, , act]) => [word, act]),
+      ...ARRANGEMENTS.map(([word, title]) => [word, () => this.actions.arrange(word, title)]),
+    ]);
+    const option = ([value, text]) => h("option", { value, text });
+    const menu = h(
+      "select",
+      {
+        id: "ed-arrange",
+        "aria-label": "Copy and arrange",
+        onchange: () => {
+          const act = acts.get(menu.value);
+          menu.value = "";
+          attempt(act);
+        },
+      },
+      h("option", { value: "", text: "More …" }),
+      MORE.map(option),
+      ARRANGEMENTS.map(option),
+    );
+    $("ed-group-arrange").append(menu);
+    $("ed-group-arrange").hidden = false;
+  }
+
+  /** Put a text on the system's clipboard, where the browser allows it. */
+  async toClipboard(text) {
+    if (text) await navigator.clipboard?.writeText(text).catch(() => {});
+  }
+
+  zoomButtons() {
+    const { camera } = this.canvas;
+    const button = (id, text, title, onclick) =>
+      h("button", { id, class: "icon", text, title, "aria-label": title, onclick });
+    $("ed-zoom").append(
+      button("ed-zoom-in", "+", "Zoom in", () => camera.zoom(1.25)),
+      button("ed-zoom-out", "−", "Zoom out", () => camera.zoom(0.8)),
+      button("ed-fit", "F", "Fit the net (F)", () => camera.fit()),
+    );
+  }
+
+  setTool(tool) {
+    this.tool = tool;
+    if (tool !== "arc") this.aimFrom(null);
+    for (const [name, button] of Object.entries(this.toolButtons))
+      button.setAttribute("aria-pressed", name === tool);
+    this.canvas.container.classList.toggle("adding", Boolean(tool));
+    if (tool && tool !== "arc")
+      this.say(`Click where the ${WORDS[tool]} goes (Shift: several; Esc: none).`);
+  }
+
+  // -- an arc by keys ------------------------------------------------------------------------------
+
+  /** Begin an arc at the chosen node; without one, the first node that is clicked is its start. */
+  beginArc() {
+    const start = [...this.selection].filter((key) => this.canvas.byKey.has(key));
+    this.setTool("arc");
+    if (start.length === 1) this.aimFrom(start[0]);
+    else this.say("Click the node that the arc comes from, then the one it leads to.");
+  }
+
+  aimFrom(key) {
+    this.arcStart = key;
+    this.arcEnds = [];
+    this.aim(null);
+    if (!key) return;
+    const from = this.canvas.byKey.get(key);
+    const apart = (node) => Math.hypot(node.x - from.x, node.y - from.y);
+    this.arcEnds = this.canvas.nodes
+      .filter((node) => !problemOfArc(this.document.net, key, node.key))
+      .sort((a, b) => apart(a) - apart(b))
+      .map((node) => node.key);
+    this.say(
+      `An arc from ${from.name}: choose where it leads with ← and → or in the list, then press Enter.`,
+    );
+  }
+
+  /** Let the arc that is being made end at a node. */
+  aim(key) {
+    this.canvas.byKey.get(this.arcEnd)?.element.classList.remove("aimed");
+    this.arcEnd = key;
+    const node = this.canvas.byKey.get(key);
+    if (node) {
+      node.element.classList.add("aimed");
+      this.flyTo(key);
+      const problem = problemOfArc(this.document.net, this.arcStart, key);
+      const from = this.canvas.byKey.get(this.arcStart).name;
+      this.say(problem || `An arc from ${from} to ${node.name}: Enter makes it.`);
+    }
+    this.list?.mark();
+  }
+
+  aimNext(step) {
+    const { arcEnds } = this;
+    if (!arcEnds.length) {
+      this.say("No node is left that an arc from here may lead to.");
+      return;
+    }
+    const at = arcEnds.indexOf(this.arcEnd);
+    const next = at < 0 ? 0 : (at + step + arcEnds.length) % arcEnds.length;
+    this.aim(arcEnds[next]);
+  }
+
+  /** A node was chosen while an arc is being made: its start, or its end. */
+  arcTo(key) {
+    if (!this.arcStart) this.aimFrom(key);
+    else if (this.actions.connect(this.arcStart, key)) this.setTool(null);
+  }
+
+  /** Choose the nearest node in a direction. */
+  chooseBeside(dx, dy) {
+    const from = this.canvas.byKey.get([...this.selection].pop()) || this.canvas.nodes[0];
+    if (!from) return;
+    let [best, least] = [null, Infinity];
+    for (const node of this.canvas.nodes) {
+      const [x, y] = [node.x - from.x, node.y - from.y];
+      const along = x * dx + y * dy;
+      const aside = Math.abs(x * dy - y * dx);
+      if (along <= 0 || along + 2 * aside >= least) continue;
+      [best, least] = [node, along + 2 * aside];
+    }
+    if (!best && this.selection.size) return;
+    this.choose([(best || from).key]);
+    this.flyTo((best || from).key);
+    this.say(`${(best || from).name} chosen`);
+  }
+
+  escape() {
+    if (this.pointer.gesture) this.pointer.cancel();
+    else if (this.tool) {
+      this.setTool(null);
+      this.say("");
+    } else if (this.witness) this.witness.end();
+    else this.choose([]);
+  }
+
+  // -- renaming in place ---------------------------------------------------------------------------
+
+  /** Edit the name of a node, or the weight of an arc, where it is drawn. */
+  beginRename(key) {
+    this.endRename(true);
+    const { canvas, actions } = this;
+    const node = canvas.byKey.get(key);
+    const arc = canvas.arcsByKey.get(key)?.[0];
+    if (!node && !arc) return;
+    const [x, y] = node ? [node.x, node.y] : arc.middle;
+    const { k, x: x0, y: y0 } = canvas.camera.now;
+    const field = h("input", {
+      id: "ed-name",
+      class: "ed-name",
+      type: "text",
+      value: node ? node.name : String(arc.data.weight ?? 1),
+      "aria-label": node
+        ? `Name of ${node.name}`
+        : `Weight of the arc ${arc.data.from} → ${arc.data.to}`,
+      autocomplete: "off",
+      spellcheck: "false",
+      onkeydown: (event) => {
+        if (event.key === "Enter") this.endRename(true, true);
+        else if (event.key === "Escape") this.endRename(false);
+        else return;
+        event.preventDefault();
+        event.stopPropagation();
+      },
+      onblur: () => this.endRename(true),
+    });
+    const { width, height } = canvas.container.getBoundingClientRect();
+    field.style.left = `${Math.max(4, Math.min(width - 190, x * k + x0 - 90))}px`;
+    field.style.top = `${Math.max(4, Math.min(height - 36, y * k + y0 + (node ? 24 * k : -14)))}px`;
+    const put = (text) => (node ? actions.rename(key, text.trim()) : actions.setWeight(key, text));
+    this.renaming = { field, put };
+    $("ed-frame").append(field);
+    field.focus();
+    field.select();
+  }
+
+  /** End it; `keep`: with what is in the field. A name that cannot be is told; it is then asked for again if
+   * `insist`. */
+  endRename(keep, insist = false) {
+    const { renaming } = this;
+    if (!renaming) return;
+    const problem = keep ? renaming.put(renaming.field.value) : "";
+    if (problem) this.say(`${problem[0].toUpperCase()}${problem.slice(1)}.`);
+    if (problem && insist) {
+      renaming.field.setAttribute("aria-invalid", "true");
+      return;
+    }
+    this.renaming = null;
+    renaming.field.remove();
+    this.canvas.container.focus({ preventScroll: true });
   }
 
   undo() {
+    this.witness?.end();
     const edit = this.document.undo();
     this.say(edit ? `Undone: ${edit.label}` : "There is nothing to undo.");
   }
 
   redo() {
+    this.witness?.end();
     const edit = this.document.redo();
     this.say(edit ? `Done again: ${edit.label}` : "There is nothing to do again.");
   }
@@ -234,7 +502,11 @@ export class EditMode extends EventTarget {
 
   close() {
     this.closed = true;
+    this.endRename(false);
+    this.bound.abort();
     for (const part of this.parts) part.close?.();
+    this.witness?.end();
+    this.list.close();
     this.document.removeEventListener("change", this.changed);
     this.document.removeEventListener("saved", this.changed);
     this.canvas.close();

@@ -1,0 +1,374 @@
+// What the user can do to the net, by pointer, key or button: each is one edit of the document.
+
+import { attempt, plural } from "../dom.js";
+import { post } from "../api.js";
+import { GRID, arranged } from "./arrange.js";
+import { copied, fitted, parsed } from "./clipboard.js";
+import { changed } from "./plan_document.js";
+import { renamed, without, problemOfName } from "./rename.js";
+import {
+  addParts,
+  arcKey,
+  changeArcs,
+  changeNodes,
+  findNode,
+  freeName,
+  moveNodes,
+  nodeKey,
+  otherKind,
+  problemOfArc,
+} from "./net_edits.js";
+
+const FIRST = { place: "P1", timed: "T1", immediate: "t1" };
+export const WORDS = {
+  place: "place",
+  timed: "timed transition",
+  immediate: "immediate transition",
+};
+const NEXT = 100; // px from a node to one that is added after it
+
+let kept = ""; // what was copied last, where the system's clipboard cannot be read
+
+export class Actions {
+  constructor(mode) {
+    this.mode = mode;
+    this.after = "timed"; // the kind of transition that is added after a place
+  }
+
+  get net() {
+    return this.mode.document.net;
+  }
+
+  /** The chosen keys of one kind: "place", "transition" or "arc". */
+  chosen(...kinds) {
+    return [...this.mode.selection].filter((key) =>
+      kinds.some((kind) => key.startsWith(`${kind}:`)),
+    );
+  }
+
+  edit(label, change, merge = null) {
+    this.mode.witness?.end();
+    const done = this.mode.document.edit(label, change, merge);
+    if (done) this.mode.say(label);
+    return done;
+  }
+
+  /** Change the net, and give all nodes positions if one has got one. */
+  placed(net, positions = new Map()) {
+    return moveNodes(net, positions, this.mode.canvas.positions());
+  }
+
+  // -- adding --------------------------------------------------------------------------------------
+
+  /** A node of the kind "place", "timed" or "immediate" that is new. */
+  fresh(what, x, y, taken = new Set()) {
+    const position = this.mode.canvas.toDocument(x, y);
+    const name = freeName(this.net, FIRST[what], taken);
+    if (what === "place") return { name, position };
+    this.after = what;
+    return what === "timed" ? { name, timed: true, rate: 1, position } : { name, position };
+  }
+
+  /** Add a node at a point of the drawing, with an arc from the node `from` or to it (`back`). Returns its key. */
+  add(what, x, y, from = null, back = false) {
+    const { mode } = this;
+    const node = this.fresh(what, x, y);
+    const place = what === "place";
+    const parts = place ? { places: [node] } : { transitions: [node] };
+    let label = `Add the ${WORDS[what]} ${node.name}`;
+    if (from) {
+      const other = findNode(this.net, from);
+      if ((other.kind === "place") === place) {
+        mode.say(`An arc joins a place and a transition; both of these are ${other.kind}s.`);
+        return null;
+      }
+      const [a, b] = back ? [node.name, other.data.name] : [other.data.name, node.name];
+      parts.arcs = [{ from: a, to: b }];
+      label = `${label}, with an arc from ${a} to ${b}`;
+    }
+    this.edit(label, ({ net }) => ({ net: this.placed(addParts(net, parts)) }));
+    const key = nodeKey(place ? "place" : "transition", node.name);
+    mode.choose([key]);
+    return key;
+  }
+
+  /** The kind of node that follows another one. */
+  kindAfter(key) {
+    return key.startsWith("place:") ? this.after : "place";
+  }
+
+  /** Add a node by key: where the pointer is, or after the chosen node (`joined`: with an arc), or in the middle. */
+  addHere(what, joined = false) {
+    const { canvas, selection } = this.mode;
+    const from = [...selection].find((key) => canvas.byKey.has(key));
+    if (joined && !from) {
+      this.mode.say("Choose the node that the arc comes from.");
+      return;
+    }
+    const at = canvas.byKey.get(from);
+    const pointer = !joined && this.mode.pointer.here;
+    const [x, y] = pointer || (at ? canvas.freeSpot(at.x + NEXT, at.y) : canvas.freeSpot());
+    const spot = pointer ? canvas.freeSpot(...pointer) : [x, y];
+    const key = this.add(what, ...spot, joined ? from : null);
+    if (key) canvas.flyTo(key);
+  }
+
+  /** Make an arc between two nodes; says why not. */
+  connect(from, to) {
+    const problem = problemOfArc(this.net, from, to);
+    if (problem) {
+      this.mode.say(problem);
+      return false;
+    }
+    const arc = { from: findNode(this.net, from).data.name, to: findNode(this.net, to).data.name };
+    this.edit(`Add an arc from ${arc.from} to ${arc.to}`, ({ net }) => ({
+      net: addParts(net, { arcs: [arc] }),
+    }));
+    this.mode.choose([arcKey(arc)]);
+    return true;
+  }
+
+  // -- changing ------------------------------------------------------------------------------------
+
+  remove() {
+    const { mode } = this;
+    const keys = [...mode.selection];
+    if (!keys.length) return;
+    const { state, said } = without(mode.document.state, keys);
+    const text = `Delete ${this.listed(keys)}`;
+    this.edit(text, () => state);
+    if (said.length) mode.say(`${text}; with it went ${said.join(", ")}.`);
+    mode.choose([]);
+  }
+
+  listed(keys) {
+    return keys.length === 1
+      ? keys[0].slice(keys[0].indexOf(":") + 1).replace(">", " → ")
+      : plural(keys.length, "element");
+  }
+
+  /** Add tokens to the chosen places, and weight to the chosen arcs. Returns whether any are chosen. */
+  count(by) {
+    const places = this.chosen("place");
+    const arcs = this.chosen("arc");
+    if (!places.length && !arcs.length) return false;
+    const keys = [...places, ...arcs];
+    const what = places.length ? (arcs.length ? "Tokens and weights" : "Tokens") : "Weight";
+    this.edit(
+      `${what} of ${this.listed(keys)} ${by > 0 ? "+" : "−"}${Math.abs(by)}`,
+      ({ net }) => {
+        const nodes = changeNodes(net, places, (place) => {
+          const before = place.tokens ?? 0;
+          const tokens = Math.max(0, before + by);
+          if (tokens === before) return place;
+          return changed(place, { tokens: tokens || undefined });
+        });
+        return {
+          net: changeArcs(nodes, arcs, (arc) => this.weighing(arc, (arc.weight ?? 1) + by)),
+        };
+      },
+      `count:${keys.join()}`,
+    );
+    return true;
+  }
+
+  weighing(arc, weight) {
+    const wanted = Math.max(1, weight);
+    if (wanted === (arc.weight ?? 1)) return arc;
+    return changed(arc, { weight: wanted === 1 ? undefined : wanted });
+  }
+
+  /** Set the weight of an arc. Returns why not, or "". */
+  setWeight(key, text) {
+    const weight = Number(text);
+    if (!Number.isSafeInteger(weight) || weight < 1) return "a weight is a whole number from 1 on";
+    this.edit(`Weight ${weight} of ${this.listed([key])}`, ({ net }) => ({
+      net: changeArcs(net, [key], (arc) => this.weighing(arc, weight)),
+    }));
+    return "";
+  }
+
+  toggleInhibitor() {
+    const arcs = this.chosen("arc");
+    const places = new Set(this.net.places.map(({ name }) => name));
+    const fit = this.net.arcs.filter((arc) => arcs.includes(arcKey(arc)) && places.has(arc.from));
+    if (!fit.length) {
+      this.mode.say("Choose arcs from a place to a transition: only those can inhibit.");
+      return;
+    }
+    const on = fit.some((arc) => !arc.inhibitor);
+    const keys = fit.map(arcKey);
+    this.edit(
+      on ? `Let ${this.listed(keys)} inhibit` : `Make ${this.listed(keys)} an ordinary arc`,
+      ({ net }) => ({
+        net: changeArcs(net, keys, (arc) =>
+          Boolean(arc.inhibitor) === on ? arc : changed(arc, { inhibitor: on || undefined }),
+        ),
+      }),
+    );
+  }
+
+  toggleTimed() {
+    const keys = this.chosen("transition");
+    if (!keys.length) {
+      this.mode.say("Choose transitions, to make them timed or immediate.");
+      return;
+    }
+    const timed = keys.some((key) => !findNode(this.net, key).data.timed);
+    this.edit(`Make ${this.listed(keys)} ${timed ? "timed" : "immediate"}`, ({ net }) => ({
+      net: changeNodes(net, keys, (t) => (Boolean(t.timed) === timed ? t : otherKind(t))),
+    }));
+  }
+
+  /** Rename a node. Returns why not, or "". */
+  rename(key, name) {
+    const { document } = this.mode;
+    const { kind, data } = findNode(this.net, key);
+    if (name === data.name) return "";
+    const problem = problemOfName(document.state, name, data.name);
+    if (problem) return problem;
+    this.edit(`Rename ${data.name} to ${name}`, (state) => renamed(state, kind, data.name, name));
+    this.mode.choose([nodeKey(kind, name)]);
+    return "";
+  }
+
+  // -- moving --------------------------------------------------------------------------------------
+
+  /** The drawn nodes that are chosen. */
+  chosenNodes() {
+    const { canvas, selection } = this.mode;
+    return [...selection].map((key) => canvas.byKey.get(key)).filter(Boolean);
+  }
+
+  /** Put nodes where they are drawn now, or at the given points of the drawing: name -> [x, y]. */
+  move(label, points, merge = null) {
+    const { canvas } = this.mode;
+    const positions = new Map([...points].map(([name, [x, y]]) => [name, canvas.toDocument(x, y)]));
+    this.edit(label, ({ net }) => ({ net: this.placed(net, positions) }), merge);
+  }
+
+  nudge(dx, dy) {
+    const nodes = this.chosenNodes();
+    if (!nodes.length) return false;
+    const keys = nodes.map(({ key }) => key);
+    this.move(
+      `Move ${this.listed(keys)}`,
+      new Map(nodes.map(({ name, x, y }) => [name, [x + dx * GRID, y + dy * GRID]])),
+      `nudge:${keys.join()}`,
+    );
+    return true;
+  }
+
+  arrange(how, title) {
+    const nodes = this.chosenNodes();
+    if (nodes.length < 2) {
+      this.mode.say("Choose at least two nodes.");
+      return;
+    }
+    this.move(title, arranged(how, nodes));
+  }
+
+  async layOut() {
+    const { mode } = this;
+    const { state } = mode.document;
+    const layout = await attempt(() => post("edit/layout", { document: state }, { id: mode.id }));
+    if (!layout || mode.closed) return;
+    const { scale } = mode.canvas;
+    const points = new Map(
+      Object.entries({ ...layout.places, ...layout.transitions }).map(([name, [x, y]]) => [
+        name,
+        [x * scale, y * scale],
+      ]),
+    );
+    this.move("Lay the net out", points);
+    mode.canvas.camera.fit();
+  }
+
+  // -- selecting, copying --------------------------------------------------------------------------
+
+  selectAll() {
+    const { canvas } = this.mode;
+    this.mode.choose([...canvas.byKey.keys(), ...canvas.arcsByKey.keys()]);
+    this.mode.say(`${plural(this.mode.selection.size, "element")} chosen`);
+  }
+
+  /** The text of what is chosen; it is also kept here. */
+  copy() {
+    const { mode } = this;
+    const text = copied(mode.document.state, mode.selection, mode.canvas.positions());
+    if (!text) {
+      mode.say("Choose places or transitions to copy.");
+      return "";
+    }
+    kept = text;
+    mode.say(`${plural(this.chosenNodes().length, "node")} copied`);
+    return text;
+  }
+
+  cut() {
+    const text = this.copy();
+    if (text) this.remove();
+    return text;
+  }
+
+  /** Paste a text, or what was copied last. */
+  paste(text = kept) {
+    const part = parsed(text) || parsed(kept);
+    if (part) this.insert(part, "Paste");
+    else this.mode.say("The clipboard holds no part of a net.");
+  }
+
+  duplicate() {
+    const { mode } = this;
+    const text = copied(mode.document.state, mode.selection, mode.canvas.positions());
+    if (text) this.insert(parsed(text), "Duplicate");
+    else mode.say("Choose places or transitions to duplicate.");
+  }
+
+  insert(part, word) {
+    const { canvas } = this.mode;
+    const nodes = [...part.places, ...part.transitions];
+    const { scale } = canvas;
+    const drawn = nodes.map(({ position: [x, y] }) => [x * scale, y * scale]);
+    // beside the original, farther where something is already
+    let shift = 0;
+    const taken = (d) =>
+      drawn.some(([x, y]) =>
+        canvas.nodes.some((node) => Math.hypot(node.x - x - d, node.y - y - d) < 15),
+      );
+    while (taken(shift)) shift += 40;
+    const moved = (x, y) => canvas.toDocument(x * scale + shift, y * scale + shift);
+    const copy = fitted(part, this.net, moved);
+    this.edit(`${word} ${plural(nodes.length, "node")}`, ({ net, plan }) => {
+      const values = {};
+      if (Object.keys(copy.actions).length) values.actions = { ...plan?.actions, ...copy.actions };
+      if (copy.resources.length)
+        values.resource_places = [...(plan?.resource_places || []), ...copy.resources];
+      return {
+        net: this.placed(addParts(net, copy)),
+        plan: Object.keys(values).length ? { ...plan, ...values } : plan,
+      };
+    });
+    this.mode.choose([
+      ...copy.places.map(({ name }) => nodeKey("place", name)),
+      ...copy.transitions.map(({ name }) => nodeKey("transition", name)),
+    ]);
+  }
+
+  // -- subnets -------------------------------------------------------------------------------------
+
+  /** Open the file of the subnet that a place stands for. Returns whether it stands for one. */
+  openSubnet(key) {
+    const { canvas, opened, page } = this.mode;
+    const node = canvas.byKey.get(key);
+    const file = node?.type === "place" ? canvas.subnetOf(node.name) : null;
+    if (!file) return false;
+    const parts = opened.path.split("/");
+    if (parts[parts.length - 1].includes(".")) parts.pop(); // a file; otherwise a folder with a plan
+    for (const part of file.split("/"))
+      if (part === "..") parts.pop();
+      else if (part !== "." && part !== "") parts.push(part);
+    page.editor.enter(`file-${parts.join("/")}`);
+    return true;
+  }
+}

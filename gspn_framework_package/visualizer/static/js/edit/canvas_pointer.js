@@ -1,0 +1,348 @@
+// Gestures on the drawing: choosing, moving, the rubber band, and arcs that are drawn from the handles of a node. A
+// gesture changes the document once, when it ends; until then only the drawing shows it.
+
+import { s } from "../dom.js";
+import { RADIUS, BAR } from "../geometry.js";
+import { AGAIN, Pointer, STILL } from "../net_pointer.js";
+import { at } from "../net_nodes.js";
+import { snapped } from "./arrange.js";
+import { problemOfArc } from "./net_edits.js";
+
+const HANDLE = 36; // px from the centre of a node to its handles
+const REACH = 58; // px around a node within which its handles stay
+const ARC = 7; // px from the pointer within which an arc is hit
+const SIDES = [
+  [1, 0],
+  [0, 1],
+  [-1, 0],
+  [0, -1],
+];
+
+/** Distance of a point from a line between two points. */
+function distance([px, py], [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay];
+  const t = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(px - ax - t * dx, py - ay - t * dy);
+}
+
+export class CanvasPointer extends Pointer {
+  constructor(mode) {
+    super(mode.canvas);
+    this.mode = mode;
+    this.here = null; // the pointer in the drawing, while it is over it
+    this.layer = this.view.layer.over;
+    this.handles = s("g", { class: "handles" });
+    this.band = s("rect", { class: "band", visibility: "hidden" });
+    this.ghost = s("g", { class: "ghost" });
+    this.guides = s("g", { class: "guides" });
+    this.layer.append(this.guides, this.band, this.ghost, this.handles);
+    this.handled = null; // the node whose handles are shown
+    const { container } = this.view;
+    container.onpointerleave = () => {
+      this.here = null;
+      if (!this.gesture) this.showHandles(null);
+    };
+    this.view.addEventListener("frame", () => this.followHandles());
+  }
+
+  // -- what is where -------------------------------------------------------------------------------
+
+  drawing(event) {
+    return this.view.toDrawing(...this.point(event));
+  }
+
+  /** The node at a point of the drawing, `slack` px larger than it is drawn. */
+  nodeAt([x, y], slack = 4) {
+    let [best, least] = [null, Infinity];
+    for (const node of this.view.nodes) {
+      const [dx, dy] = [Math.abs(node.x - x), Math.abs(node.y - y)];
+      const [w, h] = node.type === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
+      if (dx > w + slack + 6 || dy > h + slack) continue;
+      const apart = Math.hypot(dx, dy);
+      if (apart < least) [best, least] = [node, apart];
+    }
+    return best;
+  }
+
+  arcAt(point) {
+    let [best, least] = [null, ARC / this.view.camera.now.k];
+    for (const arc of this.view.arcs.all)
+      for (let i = 1; i < arc.points.length; i++) {
+        const apart = distance(point, arc.points[i - 1], arc.points[i]);
+        if (apart < least) [best, least] = [arc, apart];
+      }
+    return best;
+  }
+
+  // -- handles -------------------------------------------------------------------------------------
+
+  showHandles(node) {
+    if (node === this.handled) return;
+    this.handled = node;
+    this.handles.replaceChildren(
+      ...(node
+        ? SIDES.map(([x, y], i) =>
+            s(
+              "g",
+              {
+                class: "handle",
+                "data-handle": i,
+                transform: at({ x: x * HANDLE, y: y * HANDLE }),
+              },
+              s("circle", { r: 8.5 }),
+              s("path", { d: "M-4 0h8M0 -4v8" }),
+            ),
+          )
+        : []),
+    );
+    this.followHandles();
+  }
+
+  followHandles() {
+    if (this.handled && !this.view.byKey.has(this.handled.key)) this.showHandles(null);
+    if (this.handled) this.handles.setAttribute("transform", at(this.handled));
+  }
+
+  hover(event) {
+    if (event.pointerType === "touch" || this.mode.tool) return;
+    const point = this.drawing(event);
+    const { handled } = this;
+    const over = this.nodeAt(point);
+    if (over) this.showHandles(over);
+    else if (handled && Math.hypot(handled.x - point[0], handled.y - point[1]) > REACH)
+      this.showHandles(null);
+  }
+
+  // -- gestures ------------------------------------------------------------------------------------
+
+  down(event) {
+    if (event.button !== 0 && event.button !== 1) return;
+    const { view, mode } = this;
+    view.camera.stop();
+    mode.endRename(true);
+    view.container.focus({ preventScroll: true });
+    const point = this.drawing(event);
+    const handle = event.target.closest("[data-handle]");
+    const node = handle ? this.handled : this.nodeAt(point);
+    const looks = event.button === 1 || mode.panning || event.pointerType === "touch";
+    const kind = looks
+      ? "pan"
+      : handle || (mode.tool === "arc" && node)
+        ? "arc"
+        : node
+          ? "move"
+          : mode.tool && mode.tool !== "arc"
+            ? "place"
+            : "band";
+    this.gesture = {
+      kind,
+      node,
+      arc: node ? null : this.arcAt(point),
+      at: this.point(event),
+      from: point,
+      camera: { ...view.camera.now },
+      moved: false,
+    };
+    view.container.setPointerCapture(event.pointerId);
+    event.preventDefault();
+  }
+
+  move(event) {
+    this.here = this.drawing(event);
+    const { gesture, view } = this;
+    if (!gesture) {
+      this.hover(event);
+      return;
+    }
+    const [x, y] = this.point(event);
+    const [dx, dy] = [x - gesture.at[0], y - gesture.at[1]];
+    if (!gesture.moved && Math.hypot(dx, dy) < STILL) return;
+    if (!gesture.moved) {
+      gesture.moved = true;
+      view.container.classList.toggle("dragging", gesture.kind === "pan");
+      if (gesture.kind === "move") this.take(event);
+      if (gesture.kind !== "pan") this.showHandles(null);
+    }
+    if (gesture.kind === "pan") this.pan(gesture.camera, dx, dy);
+    else if (gesture.kind === "move") this.drag();
+    else if (gesture.kind === "arc") this.draw();
+    else if (gesture.kind === "band") this.stretch();
+  }
+
+  /** Begin to move: the chosen nodes, or the one under the pointer. */
+  take(event) {
+    const { mode, gesture } = this;
+    if (!mode.selection.has(gesture.node.key))
+      mode.choose(event.shiftKey ? [...mode.selection, gesture.node.key] : [gesture.node.key]);
+    gesture.nodes = mode.actions.chosenNodes();
+    gesture.starts = gesture.nodes.map(({ x, y }) => [x, y]);
+    const moving = new Set(gesture.nodes);
+    gesture.others = this.view.nodes.filter((node) => !moving.has(node));
+    gesture.home = [gesture.node.x, gesture.node.y];
+  }
+
+  drag() {
+    const { gesture, view, here } = this;
+    const [x0, y0] = gesture.home;
+    const { k } = view.camera.now;
+    const { x, y, guides } = snapped(
+      x0 + here[0] - gesture.from[0],
+      y0 + here[1] - gesture.from[1],
+      gesture.others,
+      k,
+    );
+    gesture.nodes.forEach((node, i) => {
+      const [sx, sy] = gesture.starts[i];
+      view.moveTo(node, sx + x - x0, sy + y - y0);
+    });
+    this.showGuides(guides);
+  }
+
+  showGuides(guides) {
+    const { view } = this;
+    const { width, height } = view.container.getBoundingClientRect();
+    const [x0, y0] = view.toDrawing(0, 0);
+    const [x1, y1] = view.toDrawing(width, height);
+    this.guides.replaceChildren(
+      ...guides.map(([axis, value]) =>
+        s("path", {
+          d: axis === "x" ? `M${value} ${y0}V${y1}` : `M${x0} ${value}H${x1}`,
+        }),
+      ),
+    );
+  }
+
+  /** Where an arc that is being drawn would end: {node, x, y, problem}. */
+  target() {
+    const { gesture, view, here, mode } = this;
+    const node = this.nodeAt(here, 10);
+    if (node && node !== gesture.node) {
+      const problem = problemOfArc(mode.document.net, gesture.node.key, node.key);
+      return { node, x: node.x, y: node.y, problem };
+    }
+    const { x, y } = snapped(here[0], here[1], view.nodes, view.camera.now.k);
+    return { node: null, x, y, problem: "" };
+  }
+
+  draw() {
+    const { gesture, mode } = this;
+    const { node, x, y, problem } = this.target();
+    const what = mode.actions.kindAfter(gesture.node.key);
+    const [w, h] = BAR[what] || [0, 0];
+    const parts = [s("path", { d: `M${gesture.node.x} ${gesture.node.y}L${x} ${y}` })];
+    if (!node)
+      parts.push(
+        what === "place"
+          ? s("circle", { cx: x, cy: y, r: RADIUS })
+          : s("rect", { x: x - w, y: y - h, width: 2 * w, height: 2 * h }),
+      );
+    else parts.push(s("circle", { class: "goal", cx: x, cy: y, r: RADIUS + 7 }));
+    if (problem) parts.push(s("text", { x, y: y - RADIUS - 14, text: problem }));
+    this.ghost.setAttribute("class", problem ? "ghost wrong" : "ghost");
+    this.ghost.replaceChildren(...parts);
+  }
+
+  stretch() {
+    const { gesture, here, view } = this;
+    const [x0, y0] = gesture.from;
+    const box = [
+      Math.min(x0, here[0]),
+      Math.min(y0, here[1]),
+      Math.max(x0, here[0]),
+      Math.max(y0, here[1]),
+    ];
+    for (const [name, value] of Object.entries({
+      x: box[0],
+      y: box[1],
+      width: box[2] - box[0],
+      height: box[3] - box[1],
+      visibility: "visible",
+    }))
+      this.band.setAttribute(name, value);
+    gesture.inside = view.nodes.filter(
+      (node) => node.x >= box[0] && node.x <= box[2] && node.y >= box[1] && node.y <= box[3],
+    );
+  }
+
+  clear() {
+    this.gesture = null;
+    this.view.container.classList.remove("dragging");
+    this.band.setAttribute("visibility", "hidden");
+    this.ghost.replaceChildren();
+    this.guides.replaceChildren();
+  }
+
+  /** End a gesture without an edit: everything is shown where the document has it. */
+  cancel() {
+    for (const node of this.gesture?.nodes || []) this.view.place(node);
+    this.clear();
+  }
+
+  up(event) {
+    const { gesture, mode } = this;
+    if (!gesture) return;
+    if (event.type !== "pointerup") {
+      this.cancel();
+      return;
+    }
+    this.here = this.drawing(event);
+    const end = gesture.kind === "arc" && gesture.moved ? this.target() : null;
+    this.clear();
+    if (!gesture.moved) this.click(event, gesture);
+    else if (gesture.kind === "move") {
+      const points = new Map(gesture.nodes.map(({ name, x, y }) => [name, [x, y]]));
+      mode.actions.move(`Move ${mode.actions.listed(gesture.nodes.map(({ key }) => key))}`, points);
+    } else if (gesture.kind === "arc") this.join(gesture.node, end);
+    else if (gesture.kind === "band") {
+      const keys = (gesture.inside || []).map(({ key }) => key);
+      mode.choose(event.shiftKey ? [...mode.selection, ...keys] : keys);
+    }
+  }
+
+  join(from, { node, x, y, problem }) {
+    const { mode } = this;
+    if (problem) mode.say(problem);
+    else if (node) mode.actions.connect(from.key, node.key);
+    else mode.actions.add(mode.actions.kindAfter(from.key), x, y, from.key);
+    mode.setTool(null);
+  }
+
+  click(event, { kind, node, arc, from }) {
+    const { mode, view } = this;
+    if (kind === "place") {
+      const { x, y } = snapped(from[0], from[1], view.nodes, view.camera.now.k);
+      mode.actions.add(mode.tool, x, y);
+      if (!event.shiftKey) mode.setTool(null);
+      return;
+    }
+    if (mode.tool === "arc") {
+      if (node) mode.arcTo(node.key);
+      return;
+    }
+    const key = node?.key || arc?.key;
+    const now = performance.now();
+    const again = this.lastClick && now - this.lastClick.at < AGAIN && this.lastClick.key === key;
+    this.lastClick = { at: now, key };
+    if (again) {
+      this.lastClick = null;
+      this.twice(event, key, from);
+    } else if (event.shiftKey && key) {
+      const keys = new Set(mode.selection);
+      if (!keys.delete(key)) keys.add(key);
+      mode.choose(keys);
+    } else if (key || !event.shiftKey) mode.choose(key ? [key] : []);
+    if (node && event.pointerType !== "touch") this.showHandles(node);
+  }
+
+  twice(event, key, [x, y]) {
+    const { mode, view } = this;
+    if (key) {
+      if (!mode.actions.openSubnet(key)) mode.beginRename(key);
+      return;
+    }
+    if (event.pointerType === "touch") return; // fingers only look
+    const spot = snapped(x, y, view.nodes, view.camera.now.k);
+    const what = event.shiftKey ? "timed" : event.altKey ? "immediate" : "place";
+    mode.actions.add(what, spot.x, spot.y);
+  }
+}

@@ -1,0 +1,142 @@
+// The keys of the mode EDIT, and their table.
+
+import { attempt, dialogOpen } from "../dom.js";
+
+/** What the help says: [keys, what they do]. */
+export const EDIT_KEYS = [
+  ["P  T  I", "add a place, a timed or an immediate transition, where the pointer is"],
+  ["Shift + P  T  I", "the same, with an arc from the chosen node"],
+  ["A", "an arc from the chosen node: ← → or the list choose its end, Enter makes it"],
+  ["F2, Enter", "rename the chosen node; the weight of the chosen arc"],
+  ["+  −", "tokens of the chosen places, weight of the chosen arcs; else zoom"],
+  ["H", "make the chosen arcs inhibitor arcs, and back"],
+  ["X", "make the chosen transitions timed or immediate"],
+  ["← → ↑ ↓", "move what is chosen (with Shift: farther)"],
+  ["Ctrl + ← → ↑ ↓", "choose the next node in that direction"],
+  ["Delete", "delete what is chosen"],
+  ["Ctrl + A", "choose everything"],
+  ["Ctrl + C  X  V  D", "copy, cut, paste, duplicate"],
+  ["Ctrl + Z,  Ctrl + Y", "undo, redo (also Ctrl + Shift + Z)"],
+  ["Ctrl + S", "save"],
+  ["Ctrl + Enter", "open the subnet of the chosen place"],
+  ["Space + drag", "move the view (also the middle button, or a finger)"],
+  ["F", "fit the net"],
+  ["/", "search the list"],
+  ["Esc", "end a tool, clear the selection"],
+];
+
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+const ADDS = { p: "place", t: "timed", i: "immediate" };
+const FAR = 5; // steps of the grid that Shift and an arrow move
+
+const isField = (target) =>
+  target.matches?.("input:not([type=checkbox]):not([type=radio]), textarea, select") ||
+  target.isContentEditable;
+
+/** Bind the keys of the editor until `signal` aborts. */
+export function bindEditKeys(mode, signal) {
+  const free = (event) =>
+    !dialogOpen() && !isField(event.target) && document.getSelection().isCollapsed;
+  document.addEventListener(
+    "keydown",
+    (event) => {
+      if (dialogOpen()) return;
+      const saves = (event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "s";
+      if (isField(event.target) && !saves) return;
+      if (event.key === " " && event.target === mode.canvas.container) {
+        event.preventDefault();
+        mode.panning = true;
+        return;
+      }
+      const action = event.ctrlKey || event.metaKey ? withControl(event, mode) : alone(event, mode);
+      if (!action) return;
+      event.preventDefault();
+      attempt(action);
+    },
+    { signal },
+  );
+  document.addEventListener("keyup", () => (mode.panning = false), { signal });
+  const clip = (name, take) =>
+    document.addEventListener(
+      name,
+      (event) => {
+        if (!free(event)) return;
+        event.preventDefault();
+        take(event.clipboardData);
+      },
+      { signal },
+    );
+  const put = (data, text) => text && data.setData("text/plain", text);
+  clip("copy", (data) => put(data, mode.actions.copy()));
+  clip("cut", (data) => put(data, mode.actions.cut()));
+  clip("paste", (data) => mode.actions.paste(data.getData("text/plain") || undefined));
+}
+
+function withControl(event, mode) {
+  const { actions } = mode;
+  const step = ARROWS[event.key];
+  if (step) return () => mode.chooseBeside(...step);
+  switch (event.key.toLowerCase()) {
+    case "z":
+      return () => (event.shiftKey ? mode.redo() : mode.undo());
+    case "y":
+      return () => mode.redo();
+    case "s":
+      return () => mode.save();
+    case "a":
+      return () => actions.selectAll();
+    case "d":
+      return () => actions.duplicate();
+    case "enter":
+      return () => mode.selection.size === 1 && actions.openSubnet([...mode.selection][0]);
+    default:
+      return null;
+  }
+}
+
+function alone(event, mode) {
+  if (event.altKey) return null;
+  const { actions, canvas, selection } = mode;
+  const target = event.target;
+  const onButton = target.matches("button, summary, [role=tab], [role=separator], a");
+  if (onButton && ["Enter", " "].includes(event.key)) return null;
+  const step = ARROWS[event.key];
+  if (step) {
+    if (target.matches("[role=tab]")) return null;
+    if (mode.tool === "arc" && mode.arcStart) return () => mode.aimNext(step[0] + step[1]);
+    if (!selection.size) return null;
+    const by = event.shiftKey ? FAR : 1;
+    return () => actions.nudge(step[0] * by, step[1] * by);
+  }
+  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  if (ADDS[key]) return () => actions.addHere(ADDS[key], event.shiftKey);
+  switch (key) {
+    case "a":
+      return () => mode.beginArc();
+    case "h":
+      return () => actions.toggleInhibitor();
+    case "x":
+      return () => actions.toggleTimed();
+    case "+":
+    case "=":
+      return () => actions.count(1) || canvas.camera.zoom(1.25);
+    case "-":
+      return () => actions.count(-1) || canvas.camera.zoom(0.8);
+    case "f":
+      return () => canvas.camera.fit();
+    case "/":
+      return () => mode.list.search.focus();
+    case "Delete":
+    case "Backspace":
+      return () => actions.remove();
+    case "Enter":
+      if (mode.tool === "arc" && mode.arcEnd) return () => mode.arcTo(mode.arcEnd);
+      return selection.size === 1 ? () => mode.beginRename([...selection][0]) : null;
+    case "F2":
+      return selection.size === 1 ? () => mode.beginRename([...selection][0]) : null;
+    case "Escape":
+      return () => mode.escape();
+    default:
+      return null;
+  }
+}

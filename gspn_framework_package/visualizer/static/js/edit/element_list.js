@@ -1,0 +1,182 @@
+// The list beside the drawing: the places, transitions and arcs of the document, searchable. It shows what is chosen
+// and chooses; everything that can be done to the drawing can be done from here with keys.
+
+import { h, $, isPressed, natural, LIST_STEPS } from "../dom.js";
+import { arcKey, nodeKey } from "./net_edits.js";
+
+const ROW = 26; // px, as in panels.css
+const ROWS_DRAWN = 150; // more are found by searching
+const PAUSE = 120; // ms after an edit before the list is drawn again
+
+export class ElementList {
+  constructor(mode) {
+    this.mode = mode;
+    this.items = [];
+    this.search = h("input", {
+      id: "ed-search",
+      type: "search",
+      placeholder: "Search  ( / )",
+      "aria-label": "Search the elements of the net",
+      autocomplete: "off",
+      spellcheck: "false",
+      oninput: () => this.update(),
+      onkeydown: (event) => {
+        if (event.key === "ArrowDown" || event.key === "Enter") {
+          event.preventDefault();
+          if (this.items.length) this.choose(this.items[0].key);
+          this.list.focus();
+        } else if (event.key === "Escape") {
+          this.search.value = "";
+          this.update();
+          this.list.focus();
+        }
+      },
+    });
+    this.list = h("ul", {
+      id: "ed-list",
+      class: "node-list",
+      role: "listbox",
+      tabindex: "0",
+      "aria-multiselectable": "true",
+      "aria-label": "Places, transitions and arcs",
+      onkeydown: (event) => this.key(event),
+      onclick: (event) => {
+        const row = event.target.closest("li[data-key]");
+        if (row) this.choose(row.dataset.key, event.shiftKey || event.ctrlKey || event.metaKey);
+      },
+    });
+    $("ed-list-box").append(h("div", { class: "find" }, this.search), this.list);
+    this.changed = ({ detail }) => {
+      if (detail.before.net !== mode.document.net || detail.before.plan !== mode.document.plan)
+        this.later();
+    };
+    mode.document.addEventListener("change", this.changed);
+    mode.addEventListener("select", () => this.mark());
+    this.update();
+  }
+
+  later() {
+    if (!this.timer) this.timer = setTimeout(() => this.update(), PAUSE);
+  }
+
+  update() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    if (isPressed(this.list)) {
+      this.later();
+      return;
+    }
+    const { net } = this.mode.document;
+    const wanted = this.search.value.trim().toLowerCase();
+    const found = (items) =>
+      items
+        .filter((item) => !wanted || item.name.toLowerCase().includes(wanted))
+        .sort((a, b) => natural(a.name, b.name));
+    const places = found(
+      net.places.map((place) => ({
+        key: nodeKey("place", place.name),
+        name: place.name,
+        sign: this.mode.canvas.classOf("place", place) === "resource" ? "resource" : "place",
+        says: `, place, ${place.tokens || 0} tokens`,
+        count: place.tokens,
+      })),
+    );
+    const transitions = found(
+      net.transitions.map((t) => ({
+        key: nodeKey("transition", t.name),
+        name: t.name,
+        sign: t.timed ? "timed" : "immediate",
+        says: `, ${t.timed ? "timed" : "immediate"} transition`,
+      })),
+    );
+    const arcs = found(
+      net.arcs.map((arc) => ({
+        key: arcKey(arc),
+        name: `${arc.from} → ${arc.to}`,
+        sign: arc.inhibitor ? "arc-sign inhibits" : "arc-sign",
+        says: arc.inhibitor ? ", inhibitor arc" : ", arc",
+        count: (arc.weight ?? 1) === 1 ? undefined : arc.weight,
+      })),
+    );
+    const groups = [
+      ["Places", places],
+      ["Transitions", transitions],
+      ["Arcs", arcs],
+    ];
+    this.items = groups.flatMap(([, items]) => items);
+    let left = ROWS_DRAWN;
+    const rows = [];
+    const heading = (text) => rows.push(h("li", { class: "heading", role: "presentation", text }));
+    for (const [title, items] of groups) {
+      if (!items.length) continue;
+      heading(`${title} (${items.length})`);
+      for (const item of items.slice(0, Math.max(0, left))) rows.push(this.row(item));
+      if (items.length > left) heading(`${items.length - Math.max(0, left)} more: search`);
+      left -= items.length;
+    }
+    if (!this.items.length) heading(wanted ? "No match" : "The net is empty");
+    this.list.replaceChildren(...rows);
+    this.rows = new Map();
+    for (const row of this.list.querySelectorAll("li[data-key]")) {
+      row.id = `ed-row-${this.rows.size}`;
+      this.rows.set(row.dataset.key, row);
+    }
+    this.mark();
+  }
+
+  row(item) {
+    return h(
+      "li",
+      { role: "option", "data-key": item.key, title: item.name, "aria-selected": "false" },
+      h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }),
+      h("span", { class: "name", text: item.name }),
+      h("span", { class: "unseen", text: item.says }),
+      item.count > 0 && h("span", { class: "tokens", "aria-hidden": "true", text: item.count }),
+    );
+  }
+
+  key(event) {
+    const step = LIST_STEPS[event.key];
+    if (!step || event.ctrlKey || event.metaKey || event.altKey || !this.items.length) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const { tool, arcEnd, selection } = this.mode;
+    const present = tool === "arc" && arcEnd ? arcEnd : [...selection].pop();
+    const at = this.items.findIndex((item) => item.key === present);
+    const next = at < 0 ? 0 : Math.min(this.items.length - 1, Math.max(0, at + step));
+    this.choose(this.items[next].key, event.shiftKey);
+  }
+
+  /** Choose an element; while an arc is being made, it is the arc's end. */
+  choose(key, more = false) {
+    const { mode } = this;
+    if (mode.tool === "arc" && mode.arcStart) {
+      mode.aim(key);
+      return;
+    }
+    mode.choose(more ? [...mode.selection, key] : [key]);
+    mode.flyTo(key);
+  }
+
+  mark() {
+    const { selection, arcEnd } = this.mode;
+    for (const row of this.list.querySelectorAll("[aria-selected=true]"))
+      row.setAttribute("aria-selected", "false");
+    for (const key of selection) this.rows.get(key)?.setAttribute("aria-selected", "true");
+    const row = this.rows.get(arcEnd || [...selection].pop());
+    if (!row) {
+      this.list.removeAttribute("aria-activedescendant");
+      return;
+    }
+    if (arcEnd) row.setAttribute("aria-selected", "true");
+    this.list.setAttribute("aria-activedescendant", row.id);
+    const top = row.offsetTop;
+    if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight)
+      this.list.scrollTop = top - this.list.clientHeight / 2;
+  }
+
+  close() {
+    clearTimeout(this.timer);
+    this.mode.document.removeEventListener("change", this.changed);
+  }
+}

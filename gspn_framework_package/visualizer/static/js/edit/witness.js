@@ -1,0 +1,72 @@
+// A firing sequence that is played on the drawing of the editor, from the initial marking of the document. An edit
+// ends it.
+
+import { h, $ } from "../dom.js";
+import { FiringSequence, sequenceControls } from "../sequence.js";
+
+const FLASH = 450; // ms
+
+export class Witness {
+  /** `steps`: names of transitions. */
+  constructor(mode, steps) {
+    this.mode = mode;
+    this.markings = []; // place -> tokens; before each step that was fired, the present one last
+    const sequence = new FiringSequence(steps, this);
+    this.sequence = sequence;
+    this.box = h(
+      "div",
+      { id: "ed-witness", class: "ed-witness", role: "group", "aria-label": "How it comes about" },
+      sequenceControls(sequence),
+      h("button", { text: "Close", onclick: () => this.end() }),
+    );
+    $("ed-frame").append(this.box);
+    sequence.play();
+  }
+
+  begin() {
+    const { places } = this.mode.document.net;
+    this.markings = [new Map(places.map(({ name, tokens }) => [name, tokens ?? 0]))];
+    this.show();
+    return true;
+  }
+
+  fire(name) {
+    const { net } = this.mode.document;
+    const marking = this.markings[this.markings.length - 1];
+    const after = new Map(marking);
+    for (const { from, to, weight = 1, inhibitor } of net.arcs) {
+      if (inhibitor) continue;
+      if (to === name) after.set(from, after.get(from) - weight);
+      if (from === name) after.set(to, after.get(to) + weight);
+    }
+    if (!net.transitions.some((t) => t.name === name) || [...after.values()].some((n) => n < 0)) {
+      this.mode.say(`${name} cannot fire here: the net has changed since this was found.`);
+      return false;
+    }
+    this.markings.push(after);
+    this.show();
+    const { element } = this.mode.canvas.byKey.get(`transition:${name}`);
+    element.classList.add("flash");
+    setTimeout(() => element.classList.remove("flash"), FLASH);
+    this.mode.say(`${name} fires`);
+    return true;
+  }
+
+  back() {
+    if (this.markings.length < 2) return false;
+    this.markings.pop();
+    this.show();
+    return true;
+  }
+
+  show() {
+    this.mode.canvas.showTokens(this.markings[this.markings.length - 1]);
+  }
+
+  end() {
+    this.sequence.stop();
+    this.box.remove();
+    if (this.mode.witness === this) this.mode.witness = null;
+    this.mode.canvas.showTokens(null);
+  }
+}
