@@ -2,9 +2,10 @@
 // nothing of the page.
 
 import { changed } from "./plan_document.js";
+import { arcKey } from "./rename.js";
 
 export const nodeKey = (kind, name) => `${kind}:${name}`;
-export const arcKey = ({ from, to }) => `arc:${from}>${to}`;
+export { arcKey };
 
 const LISTS = { place: "places", transition: "transitions" };
 
