@@ -33,6 +33,7 @@ LAYERS = {
     "model": 0,
     "formats": 1,
     "analysis": 2,
+    "making": 2,
     "execution": 3,
     "testing": 4,
     "ros": 4,

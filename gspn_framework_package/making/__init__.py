@@ -1,0 +1,1 @@
+"""New plans: from templates, and from maps."""

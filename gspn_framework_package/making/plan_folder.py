@@ -1,0 +1,73 @@
+"""Writing a new plan's folder: all of its files, or nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from typing import Any, Dict, List, Mapping, Optional
+
+from gspn_framework_package.formats import encode_net, format_named
+from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
+from gspn_framework_package.model.errors import InputError, UsageError
+from gspn_framework_package.model.net import Net
+
+NET_FILE = "net.xml"
+"""The net of a new plan, which PIPE opens too."""
+
+POLICY_FILE = "policy.json"
+"""The policy of a new plan."""
+
+
+def write_plan_folder(
+    folder: str,
+    net: Net,
+    plan: Mapping[str, Any],
+    policy: Optional[Mapping[str, Any]],
+    files: Mapping[str, str],
+) -> List[str]:
+    """Write a plan into a new folder, and read it once to see that it is one.
+
+    :param plan: the object of the plan file, without ``net`` and ``policy``.
+    :param files: name -> text of further files.
+    :returns: the names of the files in the folder.
+    :raises UsageError: the folder exists.
+    :raises GspnError: it is not a plan.
+    :raises InputError: it cannot be written; nothing is left behind.
+    """
+    if os.path.lexists(folder):
+        raise UsageError(
+            "it exists already", file=folder, hint="a new plan gets a new folder: name another one"
+        )
+    head = {key: plan[key] for key in ("plan", "description") if key in plan}
+    whole: Dict[str, Any] = {**head, "net": NET_FILE}
+    if policy is not None:
+        whole["policy"] = POLICY_FILE
+    whole.update((key, value) for key, value in plan.items() if key not in head)
+    contents: Dict[str, bytes] = {
+        PLAN_FILE: _json(whole),
+        NET_FILE: encode_net(net, format_named("pipe"))[0],
+    }
+    if policy is not None:
+        contents[POLICY_FILE] = _json(policy)
+    contents.update((name, text.encode()) for name, text in files.items())
+    try:
+        os.makedirs(folder)
+    except OSError as error:
+        raise InputError("the folder cannot be made (%s)" % error.strerror, file=folder) from None
+    try:
+        for name, content in contents.items():
+            with open(os.path.join(folder, name), "wb") as file:
+                file.write(content)
+        read_plan(folder)
+    except OSError as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise InputError("it cannot be written (%s)" % error.strerror, file=folder) from None
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return list(contents)
+
+
+def _json(data: Any) -> bytes:
+    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()
