@@ -15,6 +15,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis, Reachability
 from gspn_framework_package.analysis.chain.markov_chain import Component
+from gspn_framework_package.analysis.plan.subnets import TITLES, SubnetFlow, subnet_flows
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
 
@@ -73,30 +74,28 @@ def _has_subnets(analysis: Analysis) -> bool:
 
 def _subnet_robots(analysis: Analysis) -> Dict[str, float]:
     """Mean number of robots inside each subnet."""
-    plan, means = analysis.plan, analysis.measures.mean_tokens
-    assert plan is not None
-    return {
-        name: math.fsum(means[p] for p in subnet.places if p not in plan.resource_places)
-        for name, subnet in plan.subnets.items()
-    }
+    means = analysis.measures.mean_tokens
+    return {name: math.fsum(means[p] for p in f.places) for name, f in _flows(analysis).items()}
 
 
 def _subnet_entries(analysis: Analysis) -> Dict[str, float]:
     """How often (1/s) a robot enters each subnet."""
-    plan, throughput = analysis.plan, analysis.measures.throughput
-    assert plan is not None
-    found = {}
-    for name, subnet in plan.subnets.items():
-        inside = {plan.net.place_number(p) for p in subnet.places if p not in plan.resource_places}
-        inner = set(subnet.transitions)
-        found[name] = math.fsum(
-            throughput[transition.name] * weight
-            for transition, outputs in zip(plan.net.transitions, plan.net.outputs)
-            if transition.name not in inner
-            for p, weight in outputs
-            if p in inside
-        )
-    return found
+    return {name: _often(analysis, f.entries) for name, f in _flows(analysis).items()}
+
+
+def _subnet_exits(analysis: Analysis) -> Dict[str, float]:
+    """How often (1/s) a robot leaves each subnet."""
+    return {name: _often(analysis, f.exits) for name, f in _flows(analysis).items()}
+
+
+def _flows(analysis: Analysis) -> Dict[str, SubnetFlow]:
+    assert analysis.plan is not None
+    return subnet_flows(analysis.plan)
+
+
+def _often(analysis: Analysis, weights: Mapping[str, int]) -> float:
+    throughput = analysis.measures.throughput
+    return math.fsum(throughput[name] * weight for name, weight in weights.items())
 
 
 def _subnet_time(analysis: Analysis) -> Dict[str, float]:
@@ -143,11 +142,15 @@ MEASURES: List[Measure] = [
     Measure("dead_transitions", Part.BEHAVIOUR, lambda a: a.properties.dead_transitions),
     Measure("reversible", Part.BEHAVIOUR, lambda a: a.reversible),
     Measure("home_states", Part.BEHAVIOUR, _home_states),
-    Measure("subnet_robots", Part.TIMING, _subnet_robots, "Robots in each subnet", _has_subnets),
-    Measure(
-        "subnet_entries", Part.TIMING, _subnet_entries, "Entries of each subnet (1/s)", _has_subnets
+    *(
+        Measure(key, Part.TIMING, compute, TITLES[key], _has_subnets)
+        for key, compute in (
+            ("subnet_robots", _subnet_robots),
+            ("subnet_entries", _subnet_entries),
+            ("subnet_exits", _subnet_exits),
+            ("subnet_time", _subnet_time),
+        )
     ),
-    Measure("subnet_time", Part.TIMING, _subnet_time, "Mean time in each subnet (s)", _has_subnets),
 ]
 """To add a measure, add a row here and one to the table of keys in ``docs/analysis.md``. Measures
 with a title appear in the text, in the CSV file and on the page."""

@@ -106,6 +106,7 @@ def simulate_from(beginning: Beginning, args: argparse.Namespace) -> Simulation:
         samples,
         [{} for _ in net.places],
         plan.until is not None,
+        plan=plan,
         events=int(samples.firings.sum()),
         time=args.time,
         warmup=args.warmup,

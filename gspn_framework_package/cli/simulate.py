@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Iterator, List, Tuple
 
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
+from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.simulation import Simulation, simulate
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.against import add_against_arguments, refuse_aims, run_against
@@ -166,6 +167,9 @@ def _rows(result: Simulation) -> Iterator[Tuple[str, str, float, float]]:
         yield "mean_tokens", name, value.mean, value.half_width
     for name, value in result.throughput.items():
         yield "throughput", name, value.mean, value.half_width
+    for measure, values in result.subnets.items():
+        for name, value in values.items():
+            yield measure, name, value.mean, value.half_width
     for measure in ("end_time", "reached", "time_to_condition"):
         estimate = getattr(result, measure)
         if estimate is not None:
@@ -194,6 +198,10 @@ def _text(result: Simulation) -> Iterator[str]:
     yield "%-32s %s" % ("transition", "throughput (1/s)")
     for name, value in result.throughput.items():
         yield "%-32s %s" % (name, value)
+    for measure, values in result.subnets.items():
+        yield TITLES[measure]
+        for name, value in values.items():
+            yield "%-32s %s" % (name, value)
     if result.reached is not None:
         yield "share of the runs that came to the condition: %s" % (result.reached,)
     if result.time_to_condition is not None:

@@ -27,6 +27,7 @@ from gspn_framework_package.analysis.monitoring.prediction import (
     growth,
     predict,
 )
+from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.report import INFINITE, Questions, report
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.net_json import net_from_json
@@ -152,7 +153,7 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
     until = asked.get("until") or None
     if until is not None and not isinstance(until, str):
         raise UsageError("'until' is a condition")
-    return simulate(
+    result = simulate(
         subject,
         time=math.inf if time is None else time,
         replications=int(replications),
@@ -161,7 +162,8 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
         until=until,
         confidence=_number(asked, "confidence", 0.95) or 0.0,
         progress=progress,
-    ).to_json()
+    )
+    return {**result.to_json(), "titles": {key: TITLES[key] for key in result.subnets}}
 
 
 def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:

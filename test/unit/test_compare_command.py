@@ -53,6 +53,17 @@ PLAN: Dict[str, Any] = {
 }
 
 
+DOCK: Dict[str, Any] = {
+    "net": {
+        "places": [{"name": "Approach"}, {"name": "Docked"}],
+        "transitions": [{"name": "arrive", "timed": True, "rate": 2}],
+        "arcs": [{"from": "Approach", "to": "arrive"}, {"from": "arrive", "to": "Docked"}],
+    },
+    "actions": {"Approach": "dock.approach", "Docked": None},
+    "durations": {"Approach": {"mean": 0.5, "distribution": "gamma", "shape": 4}},
+}
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "plan.json").write_text(json.dumps(PLAN))
@@ -231,3 +242,31 @@ def test_what_slows_all_actions_a_little_is_no_departure(
     visits = next(m for m in json.loads(out)["measures"] if m["name"] == "visits Rest")
     assert visits["observed"] < 400
     assert visits["inside"] is not departs
+
+
+def test_subnets_are_compared_by_robots_entries_exits_and_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    plan = {
+        **PLAN,
+        "actions": {
+            "Work": "work.go",
+            "Rest": {"plan": "dock.json", "entry": "Approach", "exit": "Docked"},
+        },
+        "durations": {"Work": {"mean": 1.0, "distribution": "gamma", "shape": 20}},
+    }
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    (tmp_path / "dock.json").write_text(json.dumps(DOCK))
+    path = _log(tmp_path)
+    assert main(["compare", str(tmp_path), str(path), "--json", "--replications", "200"]) == 0
+    measures = {m["name"]: m for m in json.loads(capsys.readouterr().out)["measures"]}
+    robots, entries, exits, stay = (
+        measures["%s %s" % (kind, "Rest")]
+        for kind in ("robots in subnet", "entries of subnet", "exits of subnet", "time in subnet")
+    )
+    assert all(m["inside"] for m in (robots, entries, exits, stay))
+    # two robots, each a third of its time inside, for half a second a visit
+    assert abs(robots["observed"] - 2 / 3) < 0.05 and abs(robots["predicted"] - 2 / 3) < 0.02
+    assert abs(stay["observed"] - 0.5) < 0.05 and abs(stay["predicted"] - 0.5) < 0.02
+    assert abs(entries["observed"] - exits["observed"]) <= 2 / 200
+    assert abs(entries["observed"] - 4 / 3) < 0.1

@@ -9,6 +9,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.monitoring.prediction import RunSample
+from gspn_framework_package.analysis.plan.subnets import subnet_counts
 from gspn_framework_package.model.plan import Plan
 
 LEVEL = 0.95
@@ -31,6 +32,8 @@ say: in the model durations are independent, but what slows down a real machine 
 warmth, battery) slows down its actions together. A smaller difference is no departure."""
 
 THROUGHPUT, TOKENS, VISITS, TIME = "throughput", "mean tokens", "visits", "time to condition"
+ROBOTS, ENTRIES, EXITS = "robots in subnet", "entries of subnet", "exits of subnet"
+STAY = "time in subnet"
 
 
 class Observed(NamedTuple):
@@ -126,7 +129,7 @@ def compare(plan: Plan, sample: RunSample, observed: Observed) -> RunComparison:
     actual: List[float] = []
     blur = RESOLUTION * sum(observed.firings.values()) / observed.seconds
     for kind, of, unit, values, value in _values(plan, sample, observed):
-        slack = blur if kind == TOKENS else 0.0
+        slack = blur if kind in (TOKENS, ROBOTS) else 0.0
         measure = _measure(kind, of, unit, values, value)
         margin = TOGETHER * abs(measure.predicted) if math.isfinite(measure.predicted) else 0.0
         measures.append(
@@ -198,9 +201,31 @@ def _values(
                 sample.firings @ arrivals[:, p],
                 float(counts @ arrivals[:, p]),
             )
+    yield from _subnet_values(plan, sample, observed)
     if plan.until is not None:
         times = np.where(sample.came, sample.seconds, math.inf)
         yield TIME, plan.until, "s", times, observed.seconds if observed.came else None
+
+
+def _subnet_values(
+    plan: Plan, sample: RunSample, observed: Observed
+) -> Iterator[Tuple[str, str, str, Floats, Optional[float]]]:
+    net = plan.net
+    predicted = subnet_counts(plan, net, sample.firings, sample.tokens)
+    actual = subnet_counts(
+        plan,
+        net,
+        np.array([[observed.firings.get(t.name, 0) for t in net.transitions]], dtype=np.float64),
+        np.array([[observed.tokens.get(p.name, 0.0) for p in net.places]]),
+    )
+    seconds = np.maximum(sample.seconds, 1e-300)
+    for name, counts in predicted.items():
+        inside, entries, exits = (float(values[0]) for values in actual[name])
+        yield ROBOTS, name, "", counts.inside / seconds, inside / observed.seconds
+        yield ENTRIES, name, "1/s", counts.entries / seconds, entries / observed.seconds
+        yield EXITS, name, "1/s", counts.exits / seconds, exits / observed.seconds
+        if entries and counts.entries.all():  # else some visit has no length to compare
+            yield STAY, name, "s", counts.inside / counts.entries, inside / entries
 
 
 def _measure(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 from scipy import stats
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.plan.subnets import subnet_counts
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 
 class Estimate(NamedTuple):
@@ -29,6 +31,8 @@ class Estimate(NamedTuple):
         return self.mean != 0 or self.half_width == 0
 
     def __str__(self) -> str:
+        if math.isnan(self.mean):
+            return "not known"
         if not self.seen:
             bound = ", below %.2g" % self.half_width if math.isfinite(self.half_width) else ""
             return "not seen" + bound
@@ -67,6 +71,8 @@ class Simulation(NamedTuple):
       none did.
     :ivar events: total number of firings.
     :ivar timing: how times were read: ``run`` or ``net``.
+    :ivar subnets: of a plan with subnets: measure (a key of ``analysis.plan.subnets.TITLES``)
+      -> subnet -> estimate; the time per visit of a subnet that no robot entered is not a number.
     :ivar batches: number of batches of one long run, in place of replications; None if there were
       replications.
     :ivar precision: the wanted relative precision, and the largest that was reached; None if none
@@ -88,6 +94,7 @@ class Simulation(NamedTuple):
     time_to_condition: Optional[Estimate]
     events: int
     timing: str = "net"
+    subnets: Mapping[str, Dict[str, Estimate]] = {}
     batches: Optional[int] = None
     precision: Optional[Dict[str, Any]] = None
     notes: Sequence[str] = ()
@@ -96,11 +103,13 @@ class Simulation(NamedTuple):
     def to_json(self) -> Dict[str, Any]:
         """Everything but the samples, as plain JSON values."""
         data = dict(self._asdict())
-        del data["samples"]
+        del data["samples"], data["subnets"]
         for key in ("end_time", "reached", "time_to_condition"):
             data[key] = None if data[key] is None else _estimate_json(data[key])
         for key in ("mean_tokens", "throughput"):
             data[key] = {name: _estimate_json(value) for name, value in data[key].items()}
+        for key, values in self.subnets.items():
+            data[key] = {name: _estimate_json(value) for name, value in values.items()}
         data["token_distribution"] = {
             place: {str(n): share for n, share in counts.items()}
             for place, counts in self.token_distribution.items()
@@ -161,12 +170,31 @@ def mean_tokens(net: Net, samples: Samples, confidence: float) -> Dict[str, Esti
     return found
 
 
+def of_subnets(
+    plan: Plan, net: Net, samples: Samples, confidence: float
+) -> Dict[str, Dict[str, Estimate]]:
+    """Measure -> subnet -> estimate; empty for a plan without subnets."""
+    counts = subnet_counts(plan, net, samples.firings, samples.tokens)
+    if not counts:
+        return {}
+    seconds = samples.seconds
+    return {
+        "subnet_robots": {n: ratio(c.inside, seconds, confidence) for n, c in counts.items()},
+        "subnet_entries": {
+            n: throughput(c.entries, seconds, confidence) for n, c in counts.items()
+        },
+        "subnet_exits": {n: throughput(c.exits, seconds, confidence) for n, c in counts.items()},
+        "subnet_time": {n: ratio(c.inside, c.entries, confidence) for n, c in counts.items()},
+    }
+
+
 def summary(
     net: Net,
     samples: Samples,
     shares: Sequence[Dict[int, float]],
     conditional: bool,
     *,
+    plan: Optional[Plan] = None,
     events: int,
     **settings: Any,
 ) -> Simulation:
@@ -174,6 +202,7 @@ def summary(
 
     :param shares: for each place, number of tokens -> seconds.
     :param conditional: whether there is a condition to reach.
+    :param plan: the plan that was simulated, if it was one.
     :param settings: the other fields of the result.
     """
     confidence = settings["confidence"]
@@ -193,6 +222,7 @@ def summary(
         reached=share(samples.over, confidence) if conditional else None,
         time_to_condition=mean(came, confidence) if conditional and len(came) else None,
         events=events,
+        subnets=of_subnets(plan, net, samples, confidence) if plan is not None else {},
         **settings,
     )
 

@@ -145,6 +145,7 @@ def simulate(
         found,
         runner.shares(),
         condition is not None,
+        plan=plan,
         events=runner.events,
         time=time,
         warmup=warmup,

@@ -157,3 +157,32 @@ def test_the_simulation_finds_the_rows_of_a_scope(data):
             if place == 0 and entry >= 0:
                 assert book.entry_row[entry] == expected.row
                 assert policy.rows[expected.row] in rows
+
+
+@pytest.mark.parametrize("timing", [RUN, NET])
+def test_simulation_estimates_the_measures_that_the_analysis_gives(plan, timing):
+    exact = report(Analysis(plan, timing=timing))
+    found = simulate(plan, time=400.0, warmup=20.0, replications=40, seed=1, timing=timing)
+    told = found.to_json()
+    assert sorted(found.subnets) == [
+        "subnet_entries",
+        "subnet_exits",
+        "subnet_robots",
+        "subnet_time",
+    ]
+    for measure, values in found.subnets.items():
+        assert math.isclose(values["Dock"].mean, exact[measure]["Dock"], rel_tol=0.05)
+        assert 0 < values["Dock"].half_width < 0.05 * values["Dock"].mean
+        assert told[measure]["Dock"]["mean"] == values["Dock"].mean
+
+
+def test_a_subnet_that_nobody_enters_has_no_time_per_visit(plan):
+    found = simulate(plan, time=1e-9, replications=3, seed=1)
+    assert found.to_json()["subnet_time"] == {"Dock": {"mean": None, "half_width": None}}
+    assert str(found.subnets["subnet_time"]["Dock"]) == "not known"
+    assert str(found.subnets["subnet_robots"]["Dock"]) == "0 in every run"
+
+
+def test_the_simulation_of_a_net_has_no_measures_of_subnets(plan):
+    found = simulate(plan.net, time=1.0, replications=3, seed=1)
+    assert not [key for key in found.to_json() if key.startswith("subnet")]

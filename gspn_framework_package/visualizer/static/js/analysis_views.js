@@ -656,6 +656,10 @@ export class AnswerViews {
       table(["Place", "mean"], found.mean_tokens),
       h("h3", { text: "Throughput (1/s)" }),
       table(["Transition", "firings"], found.throughput),
+      Object.entries(found.titles || {}).map(([key, title]) => [
+        h("h3", { text: title }),
+        table(["Subnet", "mean"], found[key]),
+      ]),
       this.distribution(found.token_distribution),
     );
   }
