@@ -21,7 +21,7 @@ from gspn_framework_package.ros.direct_connection import DirectConnection
 from gspn_framework_package.ros.goal_data import goal_text
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
 from gspn_framework_package.ros.goal_state import GoalNews, GoalState
-from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
+from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.transport.registration import registered_together
 
@@ -204,8 +204,7 @@ class ActionCaller:
     def poll(self, now: float) -> Optional[float]:
         """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
         time is set."""
-        due = [at for at in (self._poll_goal(now), self._poll_abandoned(now)) if at is not None]
-        return min(due, default=None)
+        return earliest(self._poll_goal(now), self._poll_abandoned(now))
 
     def _poll_abandoned(self, now: float) -> Optional[float]:
         """Report the goals whose servers had time enough to end them, and have not."""

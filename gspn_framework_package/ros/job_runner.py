@@ -15,7 +15,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_kinds import Job, JobAttempt, JobEnd, attempt_job
 from gspn_framework_package.ros.goal_id import GoalIdentity
-from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
+from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.ros.transport.registration import registered_together
 
 LAST_WORDS = 1.0
@@ -111,8 +111,7 @@ class JobRunner:
 
     def poll(self, now: float) -> Optional[float]:
         """See :meth:`ActionCaller.poll`."""
-        due = [at for at in (self._poll_job(now), self._poll_cancelled(now)) if at is not None]
-        return min(due, default=None)
+        return earliest(self._poll_job(now), self._poll_cancelled(now))
 
     def _poll_job(self, now: float) -> Optional[float]:
         running = self._current
@@ -222,5 +221,4 @@ class ActionRunner:
     def poll(self, now: float) -> Optional[float]:
         """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
         time is set."""
-        due = [at for at in (self._caller.poll(now), self._runner.poll(now)) if at is not None]
-        return min(due, default=None)
+        return earliest(self._caller.poll(now), self._runner.poll(now))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 
 class Patience(NamedTuple):
@@ -20,3 +20,8 @@ class Patience(NamedTuple):
 
 
 DEFAULT_PATIENCE = Patience()
+
+
+def earliest(*times: Optional[float]) -> Optional[float]:
+    """The first of some times; None stands for one that is not set, and is returned if none is."""
+    return min((time for time in times if time is not None), default=None)

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import unittest
+from functools import partial
 
 import actionlib
 import rospy
@@ -20,11 +21,10 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
 from waiting import wait_for
+from worker import PATIENT, Worker, plan_in
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import FunctionAction, ServerAction
-from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import (
     ExecGSPNAction,
     ExecGSPNActionGoal,
@@ -35,19 +35,13 @@ from gspn_framework_package.msg import (
 from gspn_framework_package.ros.action_caller import ActionCaller
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import parse_goal_id
-from gspn_framework_package.ros.patience import Patience
 from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers
 
-PATIENT = Patience(server=20, acknowledgement=20, status=20, result=20)
 MOVE_BASE = "move_base_msgs/MoveBaseAction"
 EXEC = "gspn_framework_package/ExecGSPNAction"
 
 
-def plan_of(actions, timeouts=None):
-    net = NetBuilder()
-    for place in actions:
-        net.place(place)
-    return Plan(net.build(), actions=actions, folder=HERE, timeouts=timeouts or {})
+plan_of = partial(plan_in, HERE)
 
 
 class Robot:
@@ -56,45 +50,33 @@ class Robot:
     def __init__(self, plan, namespace, robot="robot_1", **options):
         self.robot = robot
         self.ended, self.feedback = queue.Queue(), []
-        self._tasks = queue.SimpleQueue()
+        self._worker = Worker()
         options.setdefault("patience", PATIENT)
         self.caller = ActionCaller(
             robot,
             action_targets(plan, robot, namespace),
             plan.timeout,
-            lambda *task: self._tasks.put(task),
+            self._worker.put,
             self.ended.put,
             lambda identity, message: self.feedback.append(message),
             **options,
         )
         self._visits = 0
-        threading.Thread(target=self._work, daemon=True).start()
-
-    def _work(self):
-        while True:
-            due = self.caller.poll(time.monotonic())
-            wait = None if due is None else max(0.0, due - time.monotonic())
-            try:
-                function, *arguments = self._tasks.get(timeout=wait)
-            except queue.Empty:
-                continue
-            if function is None:
-                return
-            function(*arguments)
+        self._worker.drive(self.caller)
 
     def send(self, place, incarnation=1, attempt=1, visit=None, **given):
         self._visits += 1
         command = StartAction(
             self.robot, place, incarnation, visit or self._visits, attempt, **given
         )
-        self._tasks.put((self.caller.start, command, time.monotonic()))
+        self._worker.put(self.caller.start, command, time.monotonic())
 
     def do(self, place, seconds=20.0, **options):
         self.send(place, **options)
         return self.ended.get(timeout=seconds)
 
     def cancel(self):
-        self._tasks.put((self.caller.cancel,))
+        self._worker.put(self.caller.cancel)
 
     def is_under_way(self):
         """Whether a server has taken the goal."""
@@ -102,8 +84,7 @@ class Robot:
         return goal is not None and bool(goal.acknowledged_by)
 
     def close(self):
-        self._tasks.put((self.caller.close,))
-        self._tasks.put((None,))
+        self._worker.close()
 
 
 class Server:
@@ -609,7 +590,7 @@ class ActionsTest(unittest.TestCase):
 
     def test_an_action_that_takes_too_long_is_cancelled(self):
         server = Server(self.namespace + "/slow", ExecGSPNAction)
-        plan = plan_of({"P1": ServerAction(EXEC, "slow")}, {"P1": 0.5})
+        plan = plan_of({"P1": ServerAction(EXEC, "slow")}, timeouts={"P1": 0.5})
         robot = self.robot(plan)
         robot.send("P1")
         server.next().set_accepted()

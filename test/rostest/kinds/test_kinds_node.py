@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 
 import rospy
 from geometry_msgs.msg import PoseStamped
@@ -21,6 +22,7 @@ sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
 from robots import RobotTestCase, chain
 from waiting import wait_for
+from worker import PATIENT, Worker, plan_in
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import (
@@ -29,23 +31,16 @@ from gspn_framework_package.model.action import (
     ServiceAction,
     WaitAction,
 )
-from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import PlanError
-from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.plan import RobotSpec
 from gspn_framework_package.ros.action_kinds import jobs, look_at_actions
 from gspn_framework_package.ros.job_runner import JobRunner
-from gspn_framework_package.ros.patience import Patience
 from gspn_framework_package.ros.transport.registration import topic_types
 
-PATIENT = Patience(server=20, acknowledgement=20, status=20, result=20)
 SET_BOOL, TRIGGER, STRING = "std_srvs/SetBool", "std_srvs/Trigger", "std_msgs/String"
 
 
-def plan_of(actions, **more):
-    net = NetBuilder()
-    for place in actions:
-        net.place(place)
-    return Plan(net.build(), actions=actions, folder=HERE, **more)
+plan_of = partial(plan_in, HERE)
 
 
 class Robot:
@@ -53,38 +48,26 @@ class Robot:
 
     def __init__(self, plan, namespace, patience=PATIENT):
         self.ended, self.faults = queue.Queue(), []
-        self._tasks = queue.SimpleQueue()
+        self._worker = Worker()
         self.jobs = jobs(plan, "robot_1", namespace)
         self.runner = JobRunner(
             "robot_1",
             self.jobs,
             plan.timeout,
-            lambda *task: self._tasks.put(task),
+            self._worker.put,
             self.ended.put,
             patience,
             plan.cancel_grace,
             self.faults.append,
         )
         self._visits = 0
-        threading.Thread(target=self._work, daemon=True).start()
-
-    def _work(self):
-        while True:
-            due = self.runner.poll(time.monotonic())
-            wait = None if due is None else max(0.0, due - time.monotonic())
-            try:
-                function, *arguments = self._tasks.get(timeout=wait)
-            except queue.Empty:
-                continue
-            if function is None:
-                return
-            function(*arguments)
+        self._worker.drive(self.runner)
 
     def send(self, place, delay=0.0, **data):
         self._visits += 1
         data = {name.replace("_", ".", 1): value for name, value in data.items()}
         command = StartAction("robot_1", place, 1, self._visits, 1, delay, data)
-        self._tasks.put((self.runner.start, command, time.monotonic()))
+        self._worker.put(self.runner.start, command, time.monotonic())
 
     def end(self):
         return self.ended.get(timeout=20)[1:]
@@ -94,11 +77,10 @@ class Robot:
         return self.end()
 
     def cancel(self):
-        self._tasks.put((self.runner.cancel,))
+        self._worker.put(self.runner.cancel)
 
     def close(self):
-        self._tasks.put((self.runner.close,))
-        self._tasks.put((None,))
+        self._worker.close()
 
 
 class KindsTest(RobotTestCase):

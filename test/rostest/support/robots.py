@@ -1,5 +1,6 @@
 """Execution nodes as processes of a test: started, killed, stopped, asked."""
 
+import atexit
 import glob
 import json
 import os
@@ -223,6 +224,13 @@ class Team:
         return verify([read_log(path) for path in paths], settled=settled).violation
 
 
+def _new_folder():
+    """A folder that is removed when the tests of this process are over."""
+    folder = tempfile.mkdtemp(prefix="gspn_rostest_plan_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
 def write_plan(plan, actions=""):
     """Write a plan and its actions.py into a new folder; the folder. Its net gets the robots'
     tokens."""
@@ -230,7 +238,7 @@ def write_plan(plan, actions=""):
     started = list(robots.values() if isinstance(robots, dict) else [r["place"] for r in robots])
     for place in plan["net"]["places"]:
         place.setdefault("tokens", started.count(place["name"]))
-    folder = tempfile.mkdtemp(prefix="gspn_rostest_plan_")
+    folder = _new_folder()
     with open(os.path.join(folder, "plan.json"), "w") as file:
         json.dump(plan, file)
     with open(os.path.join(folder, "actions.py"), "w") as file:
@@ -240,7 +248,7 @@ def write_plan(plan, actions=""):
 
 def copy_plan(folder, **changes):
     """A copy of a plan's folder with changes to its plan.json; the new folder."""
-    copy = os.path.join(tempfile.mkdtemp(prefix="gspn_rostest_plan_"), "plan")
+    copy = os.path.join(_new_folder(), "plan")
     shutil.copytree(os.path.join(ROOT, folder), copy)
     path = os.path.join(copy, "plan.json")
     with open(path) as file:
