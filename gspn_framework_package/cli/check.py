@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from typing import List
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
@@ -11,8 +12,10 @@ from gspn_framework_package.analysis.preflight.report import CheckItem, Severity
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.actions import missing_function
+from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.plan import Plan
 
 
@@ -51,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
             *_look_at_functions(plan),
             *_look_at_types(plan),
             *_look_at_events(plan),
+            *_look_at_breakpoints(plan),
             *report.items,
         )
     )
@@ -98,6 +102,23 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
             text = "%s for the event '%s': %s" % (source.function, transition, text)
             items.append(CheckItem("functions", Severity.REFUSED, text, {"transition": transition}))
     return items
+
+
+def _look_at_breakpoints(plan: Plan) -> List[CheckItem]:
+    """Warn of breakpoints that are kept beside the plan: they halt robots in every run."""
+    file = BreakpointFile(plan)
+    try:
+        file.changed()
+    except InputError as error:
+        text = "%s; robots ignore it" % error
+        return [CheckItem("breakpoints", Severity.WARNING, text, {"file": file.path})]
+    if not any(file.breakpoints):
+        return []
+    text = "robots halt at %s in every run of this plan here: %s says so" % (
+        file.breakpoints.told,
+        os.path.basename(file.path),
+    )
+    return [CheckItem("breakpoints", Severity.WARNING, text, file.breakpoints.to_json())]
 
 
 def _look_at_types(plan: Plan) -> List[CheckItem]:

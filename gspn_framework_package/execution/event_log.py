@@ -651,7 +651,7 @@ class Replayer:
         if record["kind"] == "snapshot":
             # a snapshot that was kept as a starting point changes nothing
             if record["slot"] != self.state.next_slot - 1:
-                self.state = TeamState.from_json(record["state"], self._game.net)
+                self.state = self._game.state_from_json(record["state"])
                 return Replayed(record["slot"], (), [], self.state, record, True)
         elif record["kind"] == "reset":
             self.state = self._game.new_state()

@@ -13,7 +13,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record, first_hash, next_hash
 from gspn_framework_package.execution.firing import firing_to_json
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import TeamState, whole_number
+from gspn_framework_package.execution.team_state import whole_number
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import LogError
 
@@ -181,7 +181,7 @@ class Ledger:
         :raises LogError: it is not a snapshot, or not of this plan.
         """
         try:
-            state = TeamState.from_json(record["state"], self.game.net)
+            state = self.game.state_from_json(record["state"])
             seen = {
                 r: (whole_number(i), whole_number(n), str(x))
                 for r, (i, n, x) in record["seen"].items()

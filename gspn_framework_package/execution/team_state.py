@@ -8,7 +8,7 @@ Only the token game changes a :class:`TeamState`. It can be written as JSON and 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import AbstractSet, Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
@@ -185,8 +185,12 @@ class TeamState:
         }
 
     @classmethod
-    def from_json(cls, data: Dict[str, Any], net: Net) -> TeamState:
-        """The state in a JSON object. :raises LogError: it is not a state, or not of this net."""
+    def from_json(cls, data: Dict[str, Any], net: Net, queues: AbstractSet[int]) -> TeamState:
+        """The state in a JSON object.
+
+        :param queues: the places of the plan whose tokens are tasks.
+        :raises LogError: it is not a state, or not of this plan.
+        """
         try:
             state = cls(
                 net.marking(data["marking"]),
@@ -198,7 +202,7 @@ class TeamState:
             for item in data["robots"]:
                 robot = _robot_from_json(item, net)
                 state.robots[robot.name] = robot
-            state._read_reacting(data, net)
+            state._read_reacting(data, net, queues)
             for robot in sorted(state.robots.values(), key=lambda r: r.order):
                 if robot.phase is Phase.DONE:
                     state._index(robot)
@@ -218,7 +222,7 @@ class TeamState:
         }
         return {key: value for key, value in found.items() if value}
 
-    def _read_reacting(self, data: Dict[str, Any], net: Net) -> None:
+    def _read_reacting(self, data: Dict[str, Any], net: Net, queues: AbstractSet[int]) -> None:
         self.data = check_values(data.get("data", {}), None)
         self.queues = {
             net.place_number(p): [Task.from_json(task) for task in queue]
@@ -232,8 +236,10 @@ class TeamState:
             net.transition_number(t): dict.fromkeys(map(str, ids))
             for t, ids in data.get("known", {}).items()
         }
-        for p, queue in self.queues.items():
-            if len(queue) != self.marking[p]:
+        if not self.queues.keys() <= queues:
+            raise ValueError("a place that is no queue has tasks")
+        for p in queues:
+            if len(self.queues.get(p, ())) != self.marking[p]:
                 raise ValueError("a queue does not have as many tasks as tokens")
 
     def _check(self) -> None:

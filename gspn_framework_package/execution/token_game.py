@@ -8,7 +8,7 @@ of the log.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Command, Firing
@@ -55,6 +55,10 @@ class TokenGame(Rules):
         state = TeamState(marking)
         state.queues = {p: [Task()] * marking[p] for p in self.queues if marking[p]}
         return state
+
+    def state_from_json(self, data: Dict[str, Any]) -> TeamState:
+        """The state in a JSON object. :raises LogError: it is not a state of this plan."""
+        return TeamState.from_json(data, self.net, self.queues)
 
     def start_entry(self, plan_hash: Optional[str] = None) -> log_entries.Start:
         """The ``Start`` of the plan's own robots, each in its initial place with incarnation 0."""

@@ -47,8 +47,17 @@ Move = Tuple[str, Optional[int], Optional[int]]
 NOTES_KEPT = 50
 """How many of the latest notes a board carries, so that late viewers see them."""
 
+OF_VISIT: Mapping[str, Any] = {"held": {}, "resumed_from": 0}
+"""Fields of a robot that belong to its visit, and their values in a new one."""
+
 _SINCE = ("place", "phase")
 """A robot's ``since`` is the time at which one of these fields last changed."""
+
+
+def enter(robot: Dict[str, Any], place: int) -> None:
+    """Change what is shown of a robot that enters a place (index)."""
+    robot.update(place=place, phase=ENTERED.value, why="")
+    robot.update({key: value for key, value in OF_VISIT.items() if key in robot})
 
 
 def fire_event(
@@ -179,7 +188,8 @@ class Board:
                     self.robots.pop(name, None)
                 else:
                     robot = self.robots.setdefault(name, {"name": name})
-                    robot.update(place=target, phase=ENTERED.value, why="", since=event["t"])
+                    enter(robot, target)
+                    robot["since"] = event["t"]
         elif kind == "mark":
             self.marking = list(event["marking"])
             self.enabled = set(event["enabled"])

@@ -110,15 +110,16 @@ class RunFollower:
     def _fire(self, event: Event, now: float) -> None:
         t = int(event["tr"])
         self.counts[t] += 1
+        interrupts = self._net.transitions[t].name in self._plan.events
         for name, source, target in event["m"]:
             going = self._going.pop(name, None)
-            if going is not None and source == going.place:
+            if going is not None and source == going.place and not interrupts:
                 self._monitor.end(name, now, result=None)
                 self._ended_in[name] = going.place
             elif going is not None:
                 self._monitor.end(name, now, completed=False)
             ended = self._ended_in.pop(name, None)
-            if ended is not None and ended == source:
+            if ended is not None and ended == source and not interrupts:
                 self._monitor.result(self._net.places[ended].name, self._result(ended, t), now)
             self._failed.pop(name, None)
             self._places.pop(name, None)

@@ -18,7 +18,6 @@ from collections import OrderedDict
 from typing import BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
-from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.visualizer.board import Board, Event
@@ -66,7 +65,7 @@ class _Reader:
             self.board = Board.from_json(kept["board"])
             self._events.restore(kept["events"])
             self._clock = LogClock(*kept["clock"])
-            state = TeamState.from_json(kept["state"], file.plan.net)
+            state = self._game.state_from_json(kept["state"])
         self._replayer = Replayer(self._game, state)
 
     @staticmethod

@@ -7,7 +7,7 @@ from typing import Any, Dict, List, Optional, Sequence
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.firing import Firing
-from gspn_framework_package.execution.phase import ENTERED, Phase
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.told_data import (
@@ -22,6 +22,7 @@ from gspn_framework_package.visualizer.board import (
     Event,
     Move,
     data_event,
+    enter,
     fire_event,
     mark_event,
 )
@@ -128,7 +129,8 @@ class TeamEvents:
                 self._robots.pop(move.robot, None)
             else:
                 shown = self._robots.setdefault(move.robot, {"name": move.robot})
-                shown.update(place=target, phase=ENTERED.value, why="")
+                enter(shown, target)
+                self._looked_at.pop(move.robot, None)
         fired = fire_event(
             self.net,
             t,

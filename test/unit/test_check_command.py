@@ -47,6 +47,21 @@ def test_a_function_that_is_not_there_is_refused(tmp_path, capsys, source):
     assert (message or "") in shown
 
 
+def test_breakpoints_that_were_left_beside_the_plan_are_a_warning(tmp_path, capsys):
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    (tmp_path / "work.py").write_text("def go():\n    pass\n")
+    assert main(["check", str(tmp_path)]) == 0
+    assert "breakpoints" not in capsys.readouterr().out
+    (tmp_path / "breakpoints.json").write_text(json.dumps({"places": ["P"]}))
+    assert main(["check", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert "warning  breakpoints: robots halt at P in every run of this plan" in told
+    (tmp_path / "breakpoints.json").write_text(json.dumps({"places": ["elsewhere"]}))
+    assert main(["check", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert "'elsewhere'" in told and "robots ignore it" in told
+
+
 def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
     (tmp_path / "plan.json").write_text(
         json.dumps(dict(PLAN, actions={"P": "in_no_folder.go", "Q": None}))

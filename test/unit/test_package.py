@@ -456,6 +456,8 @@ def test_an_exception_is_one_message_and_an_exit_code(verb, capsys, outcome, cod
 INTERRUPTED_IMPORT = """
 import os, signal, sys
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in the background
+
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == "library":

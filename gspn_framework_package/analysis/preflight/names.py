@@ -175,8 +175,8 @@ class NameChecks:
             self._list.add(
                 "decision_actions",
                 Severity.OK,
-                "%s: robots run an action there before they decide; analysis "
-                "takes these places as taking no time" % names(places),
+                "%s: robots run an action there before they decide; with --timing net, "
+                "analysis takes these places as taking no time" % names(places),
                 places=places,
             )
 

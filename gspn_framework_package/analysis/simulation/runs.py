@@ -398,10 +398,11 @@ class _KernelRunner:
         )
         spent = np.array(state.spent)
         starts = np.array(state.spent_from)
-        for k in np.flatnonzero(spent).tolist():
-            p = int(np.searchsorted(starts, k, side="right")) - 1
-            count = k - int(starts[p])
-            self._spent[p][count] = self._spent[p].get(count, 0.0) + float(spent[k])
+        there = np.flatnonzero(spent)
+        places = np.searchsorted(starts, there, side="right") - 1
+        counts = there - starts[places]
+        for p, count, time in zip(places.tolist(), counts.tolist(), spent[there].tolist()):
+            self._spent[p][count] = self._spent[p].get(count, 0.0) + time
 
     def samples(self) -> Samples:
         """The values of each replication so far."""

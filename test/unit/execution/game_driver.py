@@ -81,5 +81,5 @@ def check_invariants(game: TokenGame, state: TeamState) -> None:
             assert state.marking[p] == counts.get(p, 0)
     for p in game.queues:
         assert len(state.queues.get(p, ())) == state.marking[p]
-    again = TeamState.from_json(state.to_json(game.net), game.net)
+    again = game.state_from_json(state.to_json(game.net))
     assert again == state

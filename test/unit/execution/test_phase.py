@@ -9,7 +9,7 @@ import pytest
 import gspn_framework_package
 from gspn_framework_package.execution.log_entries import FAILURES
 from gspn_framework_package.execution.phase import Phase, phases_to_json
-from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
+from gspn_framework_package.execution.team_state import RobotState, Task, TeamState, told_phase
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 
@@ -225,7 +225,28 @@ def test_a_snapshot_has_only_phases_that_a_log_knows(phase):
     net = NetBuilder("n").place("P", tokens=1).build()
     state = TeamState((1,), {"r": RobotState("r", 0, phase=Phase.INACTIVE)})
     data = state.to_json(net)
-    assert TeamState.from_json(data, net) == state
+    assert TeamState.from_json(data, net, frozenset()) == state
     data["robots"][0]["phase"] = phase
     with pytest.raises(LogError, match="not a snapshot"):
-        TeamState.from_json(data, net)
+        TeamState.from_json(data, net, frozenset())
+
+
+@pytest.mark.parametrize("tasks", [None, [["a", {}]], [["a", {}], ["b", {}], ["c", {}]]])
+def test_a_snapshot_has_a_task_for_each_token_of_a_queue(tasks):
+    net = NetBuilder("n").place("Orders").place("P").build()
+    state = TeamState((2, 0), queues={0: [Task("a"), Task("b")]})
+    data = state.to_json(net)
+    assert TeamState.from_json(data, net, frozenset([0])) == state
+    if tasks is None:
+        del data["queues"]
+    else:
+        data["queues"] = {"Orders": tasks}
+    with pytest.raises(LogError, match="as many tasks as tokens"):
+        TeamState.from_json(data, net, frozenset([0]))
+
+
+def test_a_snapshot_has_tasks_in_queues_only():
+    net = NetBuilder("n").place("P", 1).build()
+    data = TeamState((1,), queues={0: [Task("a")]}).to_json(net)
+    with pytest.raises(LogError, match="no queue"):
+        TeamState.from_json(data, net, frozenset())

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
@@ -540,6 +539,6 @@ def test_any_order_of_results_keeps_the_invariants_and_replays_exactly(data: Any
     for slot, entry in enumerate(entries):
         again = log_entries.from_json(log_entries.to_json(entry))
         assert again == entry
-        state = TeamState.from_json(state.to_json(net), net)
+        state = game.state_from_json(state.to_json(net))
         firings += game.reduce(state, slot, [again]).firings
     assert (state, firings) == (run.state, run.firings)

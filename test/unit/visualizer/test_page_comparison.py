@@ -70,7 +70,7 @@ def _told(plan, seconds):
     return told, attempts, follower, result
 
 
-@pytest.mark.parametrize("name", ["rendezvous", "tokens", "measure", "patrol"])
+@pytest.mark.parametrize("name", ["rendezvous", "tokens", "measure", "patrol", "warehouse"])
 def test_the_events_of_the_page_tell_the_same_as_the_log(name):
     plan = read_plan(str(PLANS / name))
     actions = [p for p in plan.action_places if plan.actions.get(p) is not None]

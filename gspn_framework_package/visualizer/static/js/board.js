@@ -6,6 +6,14 @@ import { named } from "./phases.js";
 const NOTES_KEPT = 50;
 const SINCE = ["place", "phase"]; // a robot's `since` is the time at which one of these last changed
 
+const OF_VISIT = { held: {}, resumed_from: 0 }; // what belongs to a robot's visit, and its values in a new one
+
+/** What is shown of a robot that enters a place (index). */
+function entered(robot, place) {
+  const left = Object.entries(OF_VISIT).filter(([key]) => key in robot);
+  return { ...robot, place, phase: named.entered, why: "", ...Object.fromEntries(left) };
+}
+
 /** Update the board by one event. */
 export function applyEvent(board, event) {
   board.n = event.n;
@@ -21,10 +29,7 @@ export function applyEvent(board, event) {
         continue;
       }
       board.robots.set(name, {
-        ...(board.robots.get(name) || { name }),
-        place: to,
-        phase: named.entered,
-        why: "",
+        ...entered(board.robots.get(name) || { name }, to),
         since: event.t,
       });
     }
