@@ -55,7 +55,7 @@ export class Actions {
 
   /** Change the net, and give all nodes positions if one has got one. */
   placed(net, positions = new Map()) {
-    return moveNodes(net, positions, this.mode.canvas.positions());
+    return moveNodes(net, positions, () => this.mode.canvas.positions());
   }
 
   // -- adding --------------------------------------------------------------------------------------
@@ -313,7 +313,7 @@ export class Actions {
 
   /** Paste a text, or what was copied last. */
   paste(text = kept) {
-    const part = parsed(text) || parsed(kept);
+    const part = parsed(text);
     if (part) this.insert(part, "Paste");
     else this.mode.say("The clipboard holds no part of a net.");
   }

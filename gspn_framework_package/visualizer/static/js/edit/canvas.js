@@ -43,6 +43,7 @@ export class Canvas extends EventTarget {
     this.size = 1;
     this.own = new Map(); // positions of nodes that have none in the document
     this.shown = null; // the state that is drawn
+    this.loose = false; // whether an arc has lost a node, or lacks one
     this.counts = null; // tokens that are shown instead of those of the document
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
@@ -57,7 +58,10 @@ export class Canvas extends EventTarget {
     this.show();
     this.labels = new Labels(this);
     this.camera = new Camera(this);
-    this.changed = () => this.show();
+    this.changed = () => {
+      this.camera.fitted = false; // what is being edited stays where it is
+      this.show();
+    };
     document.addEventListener("change", this.changed);
   }
 
@@ -169,7 +173,7 @@ export class Canvas extends EventTarget {
     if (another("places") || roles) nodes = this.showNodes("place", net.places) || nodes;
     if (another("transitions")) nodes = this.showNodes("transition", net.transitions) || nodes;
     if (nodes) this.nodes = [...this.byKey.values()];
-    if (another("arcs") || nodes) this.showArcs(net.arcs);
+    if (another("arcs") || this.loose) this.showArcs(net.arcs);
     this.labels?.later();
     this.request();
   }
@@ -210,6 +214,7 @@ export class Canvas extends EventTarget {
       if (node.type !== kind || seen.has(key)) continue;
       node.element.remove();
       this.byKey.delete(key);
+      this.loose = this.loose || node.arcs.size > 0;
       other = true;
     }
     return other;
@@ -272,11 +277,15 @@ export class Canvas extends EventTarget {
     const known = new Map(this.arcs.all.map((arc) => [arc.data, arc]));
     const both = new Set(list.map((data) => arcKey(data)));
     const all = [];
+    this.loose = false;
     const node = (name) =>
       this.byKey.get(nodeKey("place", name)) || this.byKey.get(nodeKey("transition", name));
     for (const data of list) {
       const [from, to] = [node(data.from), node(data.to)];
-      if (!from || !to) continue;
+      if (!from || !to) {
+        this.loose = true;
+        continue;
+      }
       const bent = both.has(arcKey({ from: data.to, to: data.from }));
       let arc = known.get(data);
       known.delete(data);

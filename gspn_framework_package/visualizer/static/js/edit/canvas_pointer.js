@@ -285,7 +285,7 @@ export class CanvasPointer extends Pointer {
       this.cancel();
       return;
     }
-    this.here = this.drawing(event);
+    this.move(event);
     const end = gesture.kind === "arc" && gesture.moved ? this.target() : null;
     this.clear();
     if (!gesture.moved) this.click(event, gesture);

@@ -362,6 +362,10 @@ export class EditMode extends EventTarget {
 
   /** Let the arc that is being made end at a node. */
   aim(key) {
+    if (key && !this.canvas.byKey.has(key)) {
+      this.say("Choose a place or a transition.");
+      return;
+    }
     this.canvas.byKey.get(this.arcEnd)?.element.classList.remove("aimed");
     this.arcEnd = key;
     const node = this.canvas.byKey.get(key);

@@ -47,23 +47,27 @@ export function changeNodes(net, keys, change) {
     });
     if (other) result[list] = nodes;
   }
-  return LISTS && Object.values(LISTS).every((list) => result[list] === net[list]) ? net : result;
+  return Object.values(LISTS).every((list) => result[list] === net[list]) ? net : result;
 }
 
-/** Give nodes positions: `positions`: name -> [x, y]. Nodes without any get theirs too, for a net whose positions are
- * incomplete would be laid out anew when it is opened. */
+/** Give nodes positions: `positions`: name -> [x, y]. Nodes without any get theirs too (`all()`: name -> [x, y]), for
+ * a net whose positions are incomplete would be laid out anew when it is opened. */
 export function moveNodes(net, positions, all) {
+  const bare = [...net.places, ...net.transitions].some((node) => !node.position);
+  if (!bare && !positions.size) return net;
+  const present = bare ? all() : null;
   const place = (data) => {
-    const wanted = positions.get(data.name) || (data.position ? null : all.get(data.name));
+    const wanted = positions.get(data.name) || (data.position ? null : present.get(data.name));
     if (!wanted) return data;
     const [x, y] = data.position || [];
     return x === wanted[0] && y === wanted[1] ? data : { ...data, position: wanted };
   };
-  const keys = [
-    ...net.places.map((p) => nodeKey("place", p.name)),
-    ...net.transitions.map((t) => nodeKey("transition", t.name)),
-  ];
-  return changeNodes(net, keys, place);
+  const result = { ...net };
+  for (const list of Object.values(LISTS)) {
+    const nodes = net[list].map(place);
+    if (nodes.some((node, i) => node !== net[list][i])) result[list] = nodes;
+  }
+  return Object.values(LISTS).every((list) => result[list] === net[list]) ? net : result;
 }
 
 /** Add nodes and arcs. */

@@ -1,0 +1,313 @@
+"""The mode EDIT: a net drawn by pointer and by keys, its shell, its accessibility, large nets."""
+
+import json
+
+import pytest
+
+from gspn_framework_package.benchmark.page.feed import workshop
+from gspn_framework_package.formats.net_json import net_to_json
+from gspn_framework_package.visualizer.documents import Folder
+from gspn_framework_package.visualizer.project import Project
+
+READY = "body[data-mode=EDIT][data-ready]"
+WHERE = """(name) => {
+  const { canvas } = window.gspn.edit;
+  const node = canvas.nodes.find((n) => n.name === name);
+  const box = canvas.container.getBoundingClientRect(), { k, x, y } = canvas.camera.now;
+  return { x: node.x * k + x + box.left, y: node.y * k + y + box.top, k };
+}"""
+NET = "() => window.gspn.edit.document.net"
+
+
+def net(page):
+    return page.evaluate(NET)
+
+
+def names(page, kind):
+    return [node["name"] for node in net(page)[kind]]
+
+
+def arcs(page):
+    return {(a["from"], a["to"]) for a in net(page)["arcs"]}
+
+
+def status(page, text):
+    page.wait_for_selector("#ed-status:has-text(%s)" % json.dumps(text))
+
+
+def where(page, name):
+    found = page.evaluate(WHERE, name)
+    return found["x"], found["y"], found["k"]
+
+
+def drag(page, start, end):
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+    page.mouse.move(*end)
+    page.mouse.up()
+
+
+def draw_arc(page, name, end):
+    """From the right handle of a node to a point of the page."""
+    x, y, k = where(page, name)
+    page.mouse.move(x, y)
+    page.wait_for_selector("[data-handle='0']")
+    drag(page, (x + 36 * k, y), end)
+
+
+def key(page, *keys):
+    for each in keys:
+        page.keyboard.press(each)
+
+
+@pytest.fixture(name="edit")
+def _edit(site, open_page, tmp_path):
+    """Opens the editor with the plan of a folder that is made of ``plans``: name -> plan."""
+
+    def make(plans, first, **options):
+        folder = tmp_path / "plans"
+        for name, plan in plans.items():
+            (folder / name).mkdir(parents=True)
+            (folder / name / "plan.json").write_text(json.dumps(plan))
+        made = site(Project(Folder(str(folder)), edits=True))
+        page = open_page(made.address, ready=False, **options)
+        page.click("#opening button:has-text('%s')" % first)
+        page.click("#ed-open")
+        page.wait_for_selector(READY)
+        return page
+
+    return make
+
+
+ONE = {
+    "plan": "one",
+    "net": {"places": [{"name": "Home", "position": [0, 0]}], "transitions": [], "arcs": []},
+    "actions": {"Home": None},
+}
+
+
+def test_a_net_is_drawn_by_pointer(edit, picture):
+    page = edit({"one": ONE}, "one")
+    assert page.text_content("#mode") == "EDIT" and "&edit" in page.url
+    x, y, k = where(page, "Home")
+    # node and arc in one gesture, twice; then back to the first
+    draw_arc(page, "Home", (x + 120 * k, y))
+    assert arcs(page) == {("Home", "T1")}
+    assert net(page)["transitions"][0] == {
+        "name": "T1",
+        "timed": True,
+        "rate": 1,
+        "position": [120, 0],
+    }
+    draw_arc(page, "T1", (x + 120 * k, y + 150 * k))
+    assert arcs(page) == {("Home", "T1"), ("T1", "P1")}
+    home = where(page, "Home")
+    draw_arc(page, "P1", home[:2])  # two places: refused, and the page says why
+    status(page, "An arc joins a place and a transition; both of these are places.")
+    assert len(arcs(page)) == 2
+    page.dblclick("#ed-net", position={"x": 60, "y": 60})
+    assert len(names(page, "places")) == 3
+    key(page, "Control+z")
+    # a dragged node snaps to the line of another
+    x, y, k = where(page, "P1")
+    drag(page, (x, y), (x - 118 * k, y))
+    assert next(p for p in net(page)["places"] if p["name"] == "P1")["position"] == [0, 150]
+    # renamed where it is drawn; a name that is taken is refused
+    page.dblclick("#ed-net", position=_inside(page, "P1"))
+    page.fill("#ed-name", "Home")
+    key(page, "Enter")
+    status(page, "there is a place 'Home' already".capitalize())
+    page.fill("#ed-name", "Bed <b>1</b>")
+    key(page, "Enter")
+    assert arcs(page) == {("Home", "T1"), ("T1", "Bed <b>1</b>")}
+    # the rubber band; aligned, copied and pasted
+    box = page.locator("#ed-net").bounding_box()
+    drag(page, (box["x"] + 10, box["y"] + 10), (box["x"] + box["width"] - 60, box["y"] + 700))
+    assert page.evaluate("() => window.gspn.edit.selection.size") == 3
+    key(page, "Control+c", "Control+v")
+    assert names(page, "places") == ["Home", "Bed <b>1</b>", "Home_2", "Bed <b>1</b>_2"]
+    assert page.evaluate("() => window.gspn.edit.document.plan.actions.Home_2") is None
+    page.select_option("#ed-arrange", "left")
+    drawn = page.evaluate(
+        "() => window.gspn.edit.actions.chosenNodes().map((n) => Math.round(n.x))"
+    )
+    assert len(drawn) == 3 and len(set(drawn)) == 1
+    picture(page, "edit")
+    key(page, "Delete")
+    assert names(page, "places") == ["Home", "Bed <b>1</b>"]
+    # text on the clipboard that is no net, or half of one, changes nothing
+    before = net(page)
+    for text in ("no net", '{"gspn-part": 1, "places": [{"name": "A"}]}'):
+        page.evaluate(
+            """(text) => { const data = new DataTransfer(); data.setData("text/plain", text);
+            document.dispatchEvent(new ClipboardEvent("paste", { clipboardData: data })); }""",
+            text,
+        )
+        status(page, "The clipboard holds no part of a net.")
+    assert net(page) == before
+    while page.is_enabled("#ed-undo"):
+        page.click("#ed-undo")
+    assert net(page) == ONE["net"] and not page.evaluate("() => window.gspn.edit.document.dirty")
+    while page.is_enabled("#ed-redo"):
+        page.click("#ed-redo")
+    assert net(page) == before
+
+
+def _inside(page, name):
+    x, y, _ = where(page, name)
+    box = page.locator("#ed-net").bounding_box()
+    return {"x": x - box["x"], "y": y - box["y"]}
+
+
+def test_a_net_is_drawn_by_keys_alone(edit, axe):
+    page = edit({"one": ONE}, "one")
+    page.focus("#ed-list")
+    key(page, "ArrowDown")
+    assert page.get_attribute("#ed-list li[aria-selected=true]", "data-key") == "place:Home"
+    key(page, "Shift+T", "Shift+P", "F2")
+    page.keyboard.type("Bed")
+    key(page, "Enter", "+", "+", "-")
+    assert arcs(page) == {("Home", "T1"), ("T1", "Bed")}
+    # an arc: its end is chosen by arrow keys; an inhibitor arc, its end in the list
+    key(page, "i", "a", "ArrowRight")
+    status(page, "An arc from t1 to Bed: Enter makes it.")
+    key(page, "ArrowRight", "Enter")
+    page.click("#ed-list li[data-key='place:Bed']")
+    key(page, "a")
+    page.focus("#ed-list")
+    key(page, "End")
+    status(page, "Choose a place or a transition.")
+    page.fill("#ed-search", "t1")
+    page.focus("#ed-list")
+    key(page, "Home")
+    status(page, "An arc from Bed to t1: Enter makes it.")
+    key(page, "Enter", "h", "+", "F2")
+    page.keyboard.type("3")
+    key(page, "Enter")
+    page.fill("#ed-search", "")
+    assert net(page)["arcs"] == [
+        {"from": "Home", "to": "T1"},
+        {"from": "T1", "to": "Bed"},
+        {"from": "t1", "to": "Home"},
+        {"from": "Bed", "to": "t1", "inhibitor": True, "weight": 3},
+    ]
+    assert net(page)["places"][1]["tokens"] == 1
+    page.click("#ed-list li[data-key='transition:T1']")
+    key(page, "x")
+    assert "rate" not in net(page)["transitions"][0]
+    before = next(t for t in net(page)["transitions"] if t["name"] == "T1")["position"]
+    page.focus("#ed-net")
+    key(page, "ArrowUp", "Shift+ArrowLeft", "Control+ArrowLeft")
+    after = next(t for t in net(page)["transitions"] if t["name"] == "T1")["position"]
+    assert after == [before[0] - 50, before[1] - 10]
+    assert page.evaluate("() => [...window.gspn.edit.selection]") == ["place:Home"]
+    # a witness is played on the drawing; an edit ends it
+    page.evaluate(
+        """() => { const { edit } = window.gspn;
+        edit.mark(new Map([["place:Bed", { level: "error", text: "no action" }]]));
+        edit.play(["t1", "T1"]); }"""
+    )
+    page.wait_for_selector("#ed-witness:has-text('2 of 2 fired')")
+    assert page.evaluate("() => window.gspn.edit.canvas.counts.get('Bed')") == 2
+    assert page.locator(".mark-error title").first.text_content() == "Bed: no action"
+    axe(page, "the editor")
+    key(page, "+")
+    page.wait_for_selector("#ed-witness", state="detached")
+    assert page.evaluate("() => window.gspn.edit.canvas.counts") is None
+    key(page, "?")
+    page.wait_for_selector("dialog[open]:has-text('choose the next node in that direction')")
+
+
+SUB = {
+    "plan": "home",
+    "net": {
+        "places": [{"name": "Work", "tokens": 1}, {"name": "Dock"}],
+        "transitions": [{"name": "go", "timed": True}, {"name": "leave", "timed": True}],
+        "arcs": [
+            {"from": "Work", "to": "go"},
+            {"from": "go", "to": "Dock"},
+            {"from": "Dock", "to": "leave"},
+            {"from": "leave", "to": "Work"},
+        ],
+    },
+    "actions": {
+        "Work": "a.b",
+        "Dock": {"plan": "../one/plan.json", "entry": "Home", "exit": "Home"},
+    },
+    "robots": {"r1": "Work"},
+}
+
+
+def test_subnets_reloads_and_unsaved_work(edit):
+    page = edit({"one": ONE, "home": SUB}, "home", has_touch=True)
+    page.wait_for_selector(".place.subnet-box")
+    page.click("#ed-list li[data-key='place:Work']")
+    key(page, "+")
+    page.click("#ed-list li[data-key='place:Dock']")
+    page.wait_for_function("() => !window.gspn.edit.canvas.camera.flight")
+    page.dblclick("#ed-net", position=_inside(page, "Dock"))
+    page.wait_for_selector("#ed-crumbs:has-text('one/plan.json')")
+    assert names(page, "places") == ["Home"]
+    page.click("#ed-crumbs button")
+    page.wait_for_selector(".place.subnet-box")
+    assert net(page)["places"][0]["tokens"] == 2  # what was not saved is still there
+    key(page, "Control+z")
+    page.reload()
+    page.wait_for_selector(READY)
+    assert page.text_content("#title") == "home"
+    # two fingers zoom, one moves the view, and nothing is edited
+    before = page.evaluate("() => ({ ...window.gspn.edit.canvas.camera.now })")
+    page.evaluate(
+        """() => { const net = document.getElementById("ed-net");
+        const send = (type, id, x, y) => net.dispatchEvent(new PointerEvent(type,
+          { pointerId: id, pointerType: "touch", clientX: x, clientY: y, button: 0, bubbles: true }));
+        net.setPointerCapture = () => {};
+        send("pointerdown", 1, 500, 400); send("pointerdown", 2, 600, 400);
+        send("pointermove", 2, 700, 400); send("pointerup", 1, 500, 400); send("pointerup", 2, 700, 400);
+        send("pointerdown", 3, 500, 400); send("pointermove", 3, 530, 440); send("pointerup", 3, 530, 440); }"""
+    )
+    after = page.evaluate("() => window.gspn.edit.canvas.camera.now")
+    assert after["k"] == pytest.approx(2 * before["k"])
+    assert not page.evaluate("() => window.gspn.edit.document.dirty")
+    # leaving with unsaved work asks
+    page.click("#ed-list li[data-key='place:Work']")
+    key(page, "+")
+    page.wait_for_selector("#subtitle:has-text('not saved')")
+    assert page.evaluate(
+        """() => !dispatchEvent(new Event("beforeunload", { cancelable: true }))"""
+    )
+    page.click("#ed-close")
+    page.click("dialog button:has-text('Stay')")
+    assert "&edit" in page.url and net(page)["places"][0]["tokens"] == 2
+    page.click("#ed-close")
+    page.click("dialog button:has-text('Leave without saving')")
+    page.wait_for_selector("body[data-mode=SIMULATE]")
+    assert "&edit" not in page.url
+
+
+def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
+    plan = {"plan": "large", "net": net_to_json(workshop(1000)), "actions": {}}
+    page = edit({"large": plan}, "large")
+    before = net(page)
+    # what an edit does not change is not drawn again
+    page.evaluate(
+        """() => { const { canvas, document: edited } = window.gspn.edit;
+        window.drawn = 0;
+        new MutationObserver((all) => { window.drawn += all.filter((m) =>
+          !m.target.closest(".label") && ![...m.addedNodes, ...m.removedNodes].some((n) => n.classList?.contains("label"))).length; })
+          .observe(canvas.container, { subtree: true, childList: true, attributes: true, attributeFilter: ["d", "transform", "class"] });
+        window.gspn.edit.choose(["place:r0_p0"]);
+        window.gspn.edit.actions.nudge(1, 0); }"""
+    )
+    page.wait_for_function("() => window.drawn > 0 && !window.gspn.edit.canvas.frame")
+    assert page.evaluate("() => window.drawn") < 30
+    page.evaluate(
+        "() => { for (let i = 0; i < 999; i++) window.gspn.edit.actions.add(i % 2 ? 'place' : 'timed', 50 * i, -500); }"
+    )
+    assert page.evaluate("() => window.gspn.edit.document.done.length") == 1000
+    drawn = "() => window.gspn.edit.canvas.layer.nodes.childElementCount"
+    assert page.evaluate(drawn) == len(before["places"] + before["transitions"]) + 999
+    page.evaluate("() => { while (window.gspn.edit.document.undo()); }")
+    assert net(page) == before
+    assert page.evaluate(drawn) == len(before["places"] + before["transitions"])
