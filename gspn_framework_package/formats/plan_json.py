@@ -32,12 +32,13 @@ from gspn_framework_package.model.plan import (
 from gspn_framework_package.model.policy import Policy, PolicyScope
 from gspn_framework_package.model.subnet import Subnet
 
-_SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
+SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
+"""The JSON Schema of plans."""
 
 
 def schema() -> Dict[str, Any]:
     """Return the JSON Schema of plans (draft 7), which ships with the package."""
-    with open(_SCHEMA_FILE, encoding="utf-8") as file:
+    with open(SCHEMA_FILE, encoding="utf-8") as file:
         loaded: Dict[str, Any] = json.load(file)
     return loaded
 

@@ -19,6 +19,7 @@ from flask import Response, request
 from werkzeug.exceptions import HTTPException
 
 from gspn_framework_package import __version__
+from gspn_framework_package.formats.plan_json import SCHEMA_FILE
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.visualizer.activity import whole_number
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
@@ -133,6 +134,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.route("/favicon.ico")
     def icon() -> Response:
         return app.send_static_file("icon.svg")
+
+    @app.route("/plan.schema.json")
+    def plan_schema() -> Response:
+        return flask.send_file(SCHEMA_FILE, mimetype="application/json")
 
     @app.route("/api/login", methods=["POST"])
     def login() -> Union[Answer, Response]:

@@ -11,9 +11,12 @@ import { ElementList } from "./element_list.js";
 import { problemOfArc } from "./net_edits.js";
 import { PlanDocument } from "./plan_document.js";
 import { Witness } from "./witness.js";
+import { PlanPanel } from "./plan_panel.js";
+import { PolicyPanel } from "./policy_panel.js";
+import { PropertyPanel } from "./property_panel.js";
 
 /** The parts of the editor, made in this order, each with the mode. A part may have `close()`. */
-const PARTS = [];
+const PARTS = [PropertyPanel, PlanPanel, PolicyPanel];
 
 /** The names of the groups of the tool bar, in their order. */
 const GROUPS = ["file", "history", "add", "change", "arrange", "look"];

@@ -7,10 +7,10 @@ const WORDS = new Set(
   "and or not true false min max floor ceil round abs sqrt exp log ln pow mod".split(" "),
 );
 
+const nodesOf = (net, kind) => (kind === "place" ? net.places : net.transitions);
+
 /** The key of an arc in a selection. */
 export const arcKey = (arc) => `arc:${arc.from}>${arc.to}`;
-
-const nodesOf = (net, kind) => (kind === "place" ? net.places : net.transitions);
 
 /** Why a node cannot be called `name`; "" if it can. `except`: its present name. */
 export function problemOfName(state, name, except = null) {
@@ -53,7 +53,8 @@ function mapped(object, key, value = (it) => it, lost = () => {}) {
   const after = [];
   for (const [k, v] of before) {
     const [now, found] = [key(k), value(v, k)];
-    if (now === null || found === null) lost(k);
+    if (now === null || (found === null && v !== null))
+      lost(k); // null is an action too
     else after.push([now, found]);
   }
   return same(before.flat(), after.flat()) ? object : Object.fromEntries(after);

@@ -1,0 +1,225 @@
+// What a robot does in a place: chosen from the kinds of action that there are, with what each of them needs.
+
+import { h } from "../dom.js";
+import { valueField } from "./data_form.js";
+import { problemOf } from "./schema.js";
+import { NAMES, actionHints, group, objectForm } from "./schema_form.js";
+
+const TITLES = {
+  none: "nothing: done at once",
+  function: "a function of the plan's folder",
+  server: "an action server",
+  service: "a call of a service",
+  publish: "publish a message",
+  wait_for: "wait for a message",
+  command: "a program",
+  plan: "another plan (subnet)",
+};
+const START = {
+  none: () => null,
+  function: () => "",
+  server: () => ({ server: "" }),
+  service: () => ({ service: "", type: "" }),
+  publish: () => ({ publish: "", type: "" }),
+  wait_for: () => ({ wait_for: "", type: "" }),
+  command: () => ({ command: [""] }),
+  plan: () => ({ plan: "", entry: "", exit: "" }),
+};
+
+/** The kinds of action in the schema: kind -> the schema of its object. */
+function kindsOf(root) {
+  const forms = root.definitions.action.oneOf.filter((form) => form.type === "object");
+  return new Map([
+    ...forms.map((form) => [form.required[0], form]),
+    ["plan", root.definitions.subnet],
+  ]);
+}
+
+export function kindOfAction(value) {
+  if (value === null) return "none";
+  if (typeof value === "string") return "function";
+  return ["function", "plan", "service", "publish", "wait_for", "command", "server"].find(
+    (key) => key in value,
+  );
+}
+
+/** An action in words. */
+export function actionText(value) {
+  if (value === undefined) return "not mapped";
+  const kind = kindOfAction(value);
+  if (kind === "none") return "nothing";
+  return typeof value === "string" ? value : [value[kind]].flat().join(" ");
+}
+
+/** The form of an action. A subnet is offered where the schema here allows one. */
+export function actionField(form, lens, title, schema) {
+  const root = form.schema;
+  const allowed = JSON.stringify(schema).includes("definitions/subnet");
+  const part = allowed
+    ? root.properties.actions.additionalProperties
+    : { $ref: "#/definitions/action" };
+  const whole = form.whole(lens, (value) => problemOf(part, value, root));
+  const value = whole.get();
+  const kind = value === undefined ? undefined : kindOfAction(value);
+  const kinds = kindsOf(root);
+  const known = ["none", ...kinds.keys()].filter((it) => it !== "plan" || allowed);
+  const choice = form.choice(
+    whole.as(
+      (it) => (it === undefined ? undefined : kindOfAction(it)),
+      (chosen) =>
+        START[chosen]?.() ?? Object.fromEntries(kinds.get(chosen).required.map((key) => [key, ""])),
+      "kind",
+    ),
+    title,
+    known.map((it) => [it, TITLES[it] ?? it]),
+    { what: title },
+  );
+  // a function without settings is written as a text
+  const object = whole.as(
+    (it) => (typeof it === "string" ? { function: it } : it),
+    (it, before) =>
+      Object.keys(it).join() === "function" && (before === null || typeof before !== "object")
+        ? it.function
+        : it,
+  );
+  return h(
+    "div",
+    { class: "action-form" },
+    form.labelled("Action", choice),
+    palette(form, whole, title, kind, allowed),
+    kind === "function" && functionHelp(form, value),
+    kind !== undefined &&
+      kind !== "none" &&
+      objectForm(form, kinds.get(kind), object, title, {
+        inside: hints(form, kind, object.get(), lens.name),
+      }),
+    form.verdict(whole),
+  );
+}
+
+/** What may be chosen for a kind of action: [text, value, help]. */
+function offered({ functions, plans, ros }, kind, allowed) {
+  const list = {
+    function: (functions ?? []).map(({ name, doc }) => [name, name, doc]),
+    server: (ros?.actions ?? []).map(({ name, type }) => [name, { type, server: name }, type]),
+    service: (ros?.services ?? []).map(({ name, type }) => [name, { service: name, type }, type]),
+    publish: (ros?.topics ?? []).map(({ name, type }) => [name, { publish: name, type }, type]),
+    wait_for: (ros?.topics ?? []).map(({ name, type }) => [name, { wait_for: name, type }, type]),
+    plan: allowed
+      ? (plans ?? []).map(({ file, places }) => [
+          file,
+          { plan: file, entry: places?.[0] ?? "", exit: places?.at(-1) ?? "" },
+          "",
+        ])
+      : [],
+  };
+  return kind === undefined || kind === "none" ? list : { [kind]: list[kind] ?? [] };
+}
+
+const GROUPS = {
+  function: "Functions",
+  server: "Action servers that run",
+  service: "Services that run",
+  publish: "Publish on",
+  wait_for: "Wait for",
+  plan: "Plans",
+};
+
+/** A choice of what exists: one click makes the whole action. */
+function palette(form, lens, title, kind, allowed) {
+  if (!form.palette) return null;
+  const entries = Object.entries(offered(form.palette, kind, allowed)).filter(
+    ([, list]) => list.length,
+  );
+  if (!entries.length) return null;
+  const all = entries.flatMap(([, list]) => list);
+  const select = h(
+    "select",
+    { "data-key": `${lens.key} palette` },
+    h("option", { value: "", text: "choose from what there is …" }),
+    entries.map(([name, list]) =>
+      h(
+        "optgroup",
+        { label: GROUPS[name] },
+        list.map((entry) =>
+          h("option", { value: all.indexOf(entry), text: entry[0], title: entry[2] || null }),
+        ),
+      ),
+    ),
+  );
+  select.addEventListener("change", () => {
+    if (select.value === "") return;
+    const chosen = all[Number(select.value)][1];
+    const before = lens.get();
+    const same = kindOfAction(chosen) === (before === undefined ? undefined : kindOfAction(before));
+    // what else the action says stays, if it is of the same kind
+    const value =
+      same && before && typeof before === "object"
+        ? { ...before, ...(typeof chosen === "string" ? { function: chosen } : chosen) }
+        : chosen;
+    form.put(lens, value, `Change ${title}`);
+  });
+  return form.labelled("Palette", select);
+}
+
+const parameterName = (parameter) => (typeof parameter === "string" ? parameter : parameter.name);
+
+function hints(form, kind, value, place) {
+  const { functions = [], plans = [], ros } = form.palette ?? {};
+  const of = (list) => () => (list ?? []).map(({ name }) => name);
+  const types = (list) => () => [...new Set((list ?? []).map(({ type }) => type).filter(Boolean))];
+  const { outcomes, keep } = actionHints(place);
+  if (kind === "function") {
+    const known = functions.find(({ name }) => name === value.function);
+    return {
+      function: { names: of(functions), placeholder: "module.function" },
+      settings: { names: () => (known?.parameters ?? []).map(parameterName) },
+      server: { placeholder: "the name of the place" },
+    };
+  }
+  if (kind === "plan") {
+    const inside = plans.find(({ file }) => file === value.plan)?.places ?? [];
+    return {
+      plan: { names: () => plans.map(({ file }) => file) },
+      entry: { names: () => inside },
+      exit: { names: () => inside },
+      with: { data: true },
+      share: {
+        each: { items: NAMES.resources },
+        names: () => inside,
+        start: (state) => NAMES.resources(state)[0] ?? "",
+      },
+    };
+  }
+  const lists = {
+    server: ros?.actions,
+    service: ros?.services,
+    publish: ros?.topics,
+    wait_for: ros?.topics,
+  };
+  return {
+    [kind]: { names: of(lists[kind]) },
+    type: { names: types(lists[kind]) },
+    outcomes,
+    keep,
+    command: { draw: commandField },
+  };
+}
+
+function commandField(form, lens, title) {
+  return group(title, valueField(form, lens, title, { kinds: ["array"] }));
+}
+
+/** The docstring and the parameters of the function that an action names. */
+function functionHelp(form, value) {
+  const name = typeof value === "string" ? value : value?.function;
+  const known = form.palette?.functions?.find((it) => it.name === name);
+  if (!known) return null;
+  return h(
+    "p",
+    { class: "muted" },
+    known.doc || "The function has no docstring.",
+    known.parameters?.length > 0 &&
+      ` Parameters: ${known.parameters.map(parameterName).join(", ")}.`,
+  );
+}

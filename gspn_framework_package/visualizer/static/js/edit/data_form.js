@@ -1,0 +1,174 @@
+// Values of any kind, such as the fields of a goal or the settings of a function, as a form: texts, numbers, lists,
+// objects, and references to data.
+
+import { h } from "../dom.js";
+import { typeOf } from "./schema.js";
+
+const KINDS = [
+  ["string", "text"],
+  ["number", "number"],
+  ["boolean", "yes or no"],
+  ["data", "from data"],
+  ["object", "fields"],
+  ["array", "list"],
+  ["null", "nothing"],
+];
+const EMPTY = {
+  string: "",
+  number: 0,
+  boolean: false,
+  data: { from: "task.id" },
+  object: {},
+  array: [],
+  null: null,
+};
+
+const isReference = (value) =>
+  typeOf(value) === "object" &&
+  Object.keys(value).join() === "from" &&
+  typeof value.from === "string";
+
+export const kindOf = (value) => (isReference(value) ? "data" : typeOf(value));
+
+/** Why this is no name of data; "" if it is one. */
+export function problemOfData(name) {
+  return /^((robot|team|task)\.)?[A-Za-z_][A-Za-z0-9_]{0,99}$/.test(name)
+    ? ""
+    : "a name of data has letters, digits and _; robot., team. or task. may come before it";
+}
+
+/** The controls of one value: its kind, and what it is. `label` names it for screen readers. */
+export function valueField(form, lens, label, { kinds = null, remove = null } = {}) {
+  const value = lens.get();
+  const kind = kindOf(value);
+  const offered = KINDS.filter(([name]) => !kinds || kinds.includes(name) || name === kind);
+  const chooser = form.choice(
+    lens.as(kindOf, (it) => EMPTY[it]),
+    label,
+    offered,
+    { what: `kind of ${label}`, "aria-label": `Kind of ${label}`, "data-key": `${lens.key} kind` },
+  );
+  const aria = { "aria-label": label, what: label };
+  let control = null;
+  let below = null;
+  if (kind === "string") control = form.text(lens, label, { ...aria, parse: (text) => [text] });
+  else if (kind === "number") control = form.number(lens, label, aria);
+  else if (kind === "boolean") {
+    control = form.choice(
+      lens,
+      label,
+      [
+        [true, "yes"],
+        [false, "no"],
+      ],
+      aria,
+    );
+  } else if (kind === "data")
+    control = form.text(
+      lens.as(
+        (it) => it?.from,
+        (from) => ({ from }),
+      ),
+      label,
+      {
+        ...aria,
+        names: dataNames(form.document.plan),
+        parse: (text) => problemOfData(text) || [text],
+      },
+    );
+  else if (kind === "object") below = fields(form, lens, label);
+  else if (kind === "array") below = items(form, lens, label);
+  return h(
+    "div",
+    { class: "value" },
+    h("div", { class: "entry" }, chooser, control, remove),
+    below,
+  );
+}
+
+/** The fields of an object with any names. */
+export function fields(form, lens, label, { names = null, check = () => "" } = {}) {
+  const value = lens.get() ?? {};
+  const inside = (name) => lens.at(name, { given: true });
+  return h(
+    "div",
+    { class: "nest", role: "group", "aria-label": label },
+    Object.keys(value).map((name) =>
+      h(
+        "div",
+        { class: "named" },
+        h("span", { class: "name", text: name }),
+        valueField(form, inside(name), `${label} ${name}`, {
+          remove: form.remove(
+            inside(name).key,
+            `${label} ${name}`,
+            () => form.put(inside(name), undefined, `Remove ${label} ${name}`),
+            `${lens.key} add`,
+          ),
+        }),
+      ),
+    ),
+    form.namer(
+      lens.key,
+      `Name of a further field of ${label}`,
+      (name) =>
+        !name
+          ? "a name is needed"
+          : name in (lens.get() ?? {})
+            ? "there is one of this name"
+            : check(name),
+      (name) => {
+        form.wanted = inside(name).key;
+        form.put(inside(name), "", `Add ${label} ${name}`);
+      },
+      names,
+    ),
+  );
+}
+
+function items(form, lens, label) {
+  const value = lens.get();
+  const inside = (i) => lens.at(i, { given: true });
+  return h(
+    "div",
+    { class: "nest", role: "group", "aria-label": label },
+    value.map((_, i) =>
+      valueField(form, inside(i), `${label} ${i + 1}`, {
+        remove: form.remove(
+          inside(i).key,
+          `${label} ${i + 1}`,
+          () => form.put(inside(i), undefined, `Remove ${label} ${i + 1}`),
+          `${lens.key} add`,
+        ),
+      }),
+    ),
+    form.button(
+      `${lens.key} add`,
+      "Add an item",
+      () => {
+        form.wanted = inside(value.length).key;
+        form.put(
+          lens,
+          [...lens.get(), value.length ? EMPTY[kindOf(value.at(-1))] : ""],
+          `Add to ${label}`,
+        );
+      },
+      { "aria-label": `Add an item to ${label}` },
+    ),
+  );
+}
+
+/** The names of data that the actions of a plan are known to write, or read. */
+export function dataNames(plan) {
+  const names = new Set(["task.id"]);
+  const walk = (value) => {
+    if (isReference(value)) names.add(value.from);
+    else if (value && typeof value === "object") Object.values(value).forEach(walk);
+  };
+  for (const action of Object.values(plan.actions ?? {})) {
+    walk(action);
+    if (typeof action?.keep === "string") names.add(action.keep);
+    else for (const name of Object.keys(action?.keep ?? {})) names.add(name);
+  }
+  return [...names].sort();
+}

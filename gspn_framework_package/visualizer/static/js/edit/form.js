@@ -1,0 +1,458 @@
+// The ground of the editor's forms. A lens is a place in the document that a control reads and writes. What is typed
+// is checked at once; a value that is not valid stays in the form, with the reason beside it, and never enters the
+// document. A form follows the document: every edit, undo and redo redraws it, and the focus stays where it was.
+
+import { h, isPressed } from "../dom.js";
+
+let ids = 0;
+
+/** An id that no other element has. */
+export const newId = () => `ed-field-${++ids}`;
+
+/** An object or a list with one entry replaced, or left out where `value` is undefined. */
+export function withEntry(whole, name, value) {
+  if (Array.isArray(whole)) {
+    const list = [...whole];
+    if (value === undefined) list.splice(name, 1);
+    else list[name] = value;
+    return list;
+  }
+  const result = { ...whole };
+  if (value === undefined) delete result[name];
+  else result[name] = value;
+  return result;
+}
+
+/** Where a value is in the document. `key` names it ("plan.timeout.Fetch"); `pattern` is the key with * for the names
+ * that people gave; `get()` reads it (undefined: it is not there), `put(value, label, merge)` makes the edit. */
+export class Lens {
+  constructor(key, get, put, pattern = key) {
+    this.key = key;
+    this.pattern = pattern;
+    this.get = get;
+    this.put = put;
+  }
+
+  /** An entry of the object or list here. `given`: its name was given by people, or it is an index. `drop`: without
+   * entries, the object itself goes too. */
+  at(name, { given = false, drop = false, list = false } = {}) {
+    const lens = new Lens(
+      `${this.key}.${name}`,
+      () => this.get()?.[name],
+      (value, label, merge) => {
+        const whole = withEntry(this.get() ?? (list ? [] : {}), name, value);
+        const empty = drop && !(Array.isArray(whole) ? whole : Object.keys(whole)).length;
+        return this.put(empty ? undefined : whole, label, merge);
+      },
+      `${this.pattern}.${given ? "*" : name}`,
+    );
+    lens.name = name;
+    return lens;
+  }
+
+  /** The same place with other words for its value. `part`: what of it is told, for the key. */
+  as(read, write, part = "") {
+    const lens = new Lens(
+      part ? `${this.key}.${part}` : this.key,
+      () => read(this.get()),
+      (value, label, merge) => this.put(write(value, this.get()), label, merge),
+      this.pattern,
+    );
+    lens.name = this.name;
+    return lens;
+  }
+}
+
+/** Stands for the values of several nodes that differ. */
+export const MIXED = Symbol("several values");
+
+/** A panel with a form. A subclass has `content()`, which returns the elements, and may add what else redraws it. */
+export class FormPanel {
+  constructor(mode, name, title) {
+    this.mode = mode;
+    this.element = h("div", { class: "ed-form", id: `ed-${name}` });
+    this.drafts = new Map(); // key -> {text or value, problem, base}: what is not valid, and so not in the document
+    this.open = new Map(); // key -> whether that section is unfolded
+    this.session = 0; // counts the visits of fields: what is typed in one visit is undone together
+    this.typing = false;
+    this.stale = true;
+    this.wanted = null; // key of the control that gets the focus when the form is drawn next
+    this.element.addEventListener("focusin", () => this.session++);
+    this.element.addEventListener("focusout", () => setTimeout(() => this.settle()));
+    this.element.addEventListener("toggle", ({ target }) => this.fold(target), true);
+    this.ends = new AbortController();
+    this.listen(mode.document, "change");
+    new ResizeObserver(() => this.stale && this.settle()).observe(this.element);
+    mode.panel(name, title, this.element);
+  }
+
+  /** Redraw whenever an event comes, until the mode is left. */
+  listen(target, event) {
+    target.addEventListener(event, () => this.refresh(), { signal: this.ends.signal });
+  }
+
+  close() {
+    this.ends.abort();
+  }
+
+  get document() {
+    return this.mode.document;
+  }
+
+  get state() {
+    return this.document.state;
+  }
+
+  fold(target) {
+    if (target.dataset?.fold) this.open.set(target.dataset.fold, target.open);
+  }
+
+  /** Redraw, unless somebody is typing here; then when the field is left. */
+  refresh() {
+    this.stale = true;
+    this.settle();
+  }
+
+  settle() {
+    if (!this.stale || this.typing) return;
+    if (isPressed(this.element)) {
+      setTimeout(() => this.settle(), 50);
+      return;
+    }
+    if (this.element.getClientRects().length) this.draw();
+  }
+
+  draw() {
+    this.stale = false;
+    for (const [key, draft] of this.drafts)
+      if (draft.read() !== draft.base) this.drafts.delete(key); // somebody else has changed it
+    const active = this.element.contains(document.activeElement) ? document.activeElement : null;
+    const key = this.wanted ?? active?.dataset.key;
+    const range =
+      typeof active?.selectionStart === "number"
+        ? [active.selectionStart, active.selectionEnd]
+        : null;
+    this.wanted = null;
+    this.element.replaceChildren(...[this.content()].flat(9).filter(Boolean));
+    if (!key) return;
+    const found = [...this.element.querySelectorAll("[data-key]")].find(
+      (it) => it.dataset.key === key,
+    );
+    if (!found) {
+      if (active) this.element.closest("[role='tabpanel']")?.focus();
+      return;
+    }
+    found.focus();
+    if (range && found === document.activeElement && found.dataset.key === active.dataset.key)
+      try {
+        found.setSelectionRange(...range);
+      } catch {
+        /* this kind of control has no selection */
+      }
+  }
+
+  // -- lenses ----------------------------------------------------------------------------------------
+
+  /** A key of the plan. Without entries, a key that may be left out is left out. */
+  plan(key, drop = key !== "actions") {
+    const plan = new Lens(
+      "plan",
+      () => this.document.plan,
+      (value, label, merge) => this.document.edit(label, () => ({ plan: value }), merge),
+    );
+    const lens = plan.at(key);
+    if (!drop) return lens;
+    return lens.as(
+      (value) => value,
+      (value) =>
+        value &&
+        typeof value === "object" &&
+        !(Array.isArray(value) ? value : Object.keys(value)).length
+          ? undefined
+          : value,
+    );
+  }
+
+  /** A value that enters the document only as a whole: as long as `check(value)` says what is wrong with it, it is
+   * kept in the form. */
+  whole(lens, check) {
+    const whole = new Lens(
+      lens.key,
+      () => (this.drafts.has(lens.key) ? this.drafts.get(lens.key).value : lens.get()),
+      (value, label, merge) => {
+        const problem = value === undefined ? "" : check(value);
+        if (problem) {
+          const base = lens.get();
+          this.drafts.set(lens.key, { value, problem, base, read: lens.get });
+          this.tell(lens.key, problem);
+          if (!this.typing) this.refresh();
+          return false;
+        }
+        this.drafts.delete(lens.key);
+        this.tell(lens.key, "");
+        const done = lens.put(value, label, merge);
+        if (!done && !this.typing) this.refresh();
+        return done;
+      },
+      lens.pattern,
+    );
+    whole.name = lens.name;
+    return whole;
+  }
+
+  /** The line that says why a whole is not in the document. */
+  verdict(lens) {
+    const problem = this.drafts.get(lens.key)?.problem ?? "";
+    return h("p", {
+      class: "wrong",
+      role: "status",
+      "data-verdict": lens.key,
+      text: problem && `Not in the plan yet: ${problem}`,
+    });
+  }
+
+  tell(key, problem) {
+    for (const line of this.element.querySelectorAll("[data-verdict]"))
+      if (line.dataset.verdict === key)
+        line.textContent = problem && `Not in the plan yet: ${problem}`;
+  }
+
+  // -- controls --------------------------------------------------------------------------------------
+
+  /** A section that can be folded. A body that is a function is made when the section is unfolded. */
+  section(key, title, open, ...body) {
+    const unfolded = this.open.get(key) ?? open;
+    const lazy = typeof body[0] === "function";
+    const inside = h("div", { class: "body" }, lazy ? unfolded && body[0]() : body);
+    const details = h(
+      "details",
+      { class: "question", "data-fold": key, open: unfolded },
+      h("summary", { text: title, "data-key": `fold ${key}` }),
+      inside,
+    );
+    if (lazy && !unfolded)
+      details.addEventListener(
+        "toggle",
+        () => inside.childElementCount || inside.append(...[body[0]()].flat(9).filter(Boolean)),
+      );
+    return details;
+  }
+
+  /** A label and its control, as two cells of a form. */
+  labelled(label, control, help = "") {
+    const target = control.control ?? control;
+    target.id ||= newId();
+    if (help) target.title = help;
+    return h(
+      "div",
+      { class: "field" },
+      h("label", { for: target.id, text: label, title: help }),
+      h("div", {}, control),
+    );
+  }
+
+  /** Make an edit that a control stands for. */
+  put(lens, value, label, merge = null) {
+    return lens.put(value, label, merge && `${merge}#${this.session}`);
+  }
+
+  /** A text field. `parse(text)` returns [value] or, as a text, what is wrong; `show(value)` returns the text.
+   * `late`: the value is taken when the field is left or Enter is pressed, not with every key. `names`: completions. */
+  text(lens, label, options = {}) {
+    const {
+      parse = (text) => [text || undefined],
+      show = (it) => it ?? "",
+      late = false,
+    } = options;
+    const { names = null, what = label, ...attributes } = options;
+    for (const key of ["parse", "show", "late"]) delete attributes[key];
+    const { key } = lens;
+    const value = lens.get();
+    const draft = this.drafts.get(`${key} text`);
+    const input = h("input", {
+      type: "text",
+      spellcheck: "false",
+      autocomplete: "off",
+      "data-key": key,
+      ...attributes,
+      placeholder: value === MIXED ? "several values" : attributes.placeholder,
+      value: draft ? draft.text : value === MIXED ? "" : String(show(value)),
+    });
+    const list = names && this.completion(input, names);
+    const wrong = h("p", { class: "wrong", id: newId(), role: "alert", hidden: true });
+    const says = (problem) => {
+      wrong.textContent = problem;
+      wrong.hidden = !problem;
+      if (problem) {
+        input.setAttribute("aria-invalid", "true");
+        input.setAttribute("aria-describedby", wrong.id);
+      } else {
+        input.removeAttribute("aria-invalid");
+        input.removeAttribute("aria-describedby");
+      }
+    };
+    if (draft) says(draft.problem);
+    const read = (enter) => {
+      const found = parse(input.value);
+      if (typeof found === "string") {
+        this.drafts.set(`${key} text`, {
+          text: input.value,
+          problem: found,
+          base: lens.get(),
+          read: lens.get,
+        });
+        says(found);
+        return;
+      }
+      this.drafts.delete(`${key} text`);
+      says("");
+      if (enter && found[0] !== lens.get()) this.put(lens, found[0], `Change ${what}`, key);
+    };
+    input.addEventListener("input", () => {
+      this.typing = true;
+      read(!late);
+    });
+    input.addEventListener("change", () => {
+      this.typing = true; // the focus may be moving: what it moves to must not be redrawn now
+      read(true);
+      this.typing = false;
+      setTimeout(() => this.settle());
+    });
+    input.addEventListener("blur", () => {
+      this.typing = false;
+    });
+    const cell = h("div", { class: "cell" }, input, list, wrong);
+    cell.control = input;
+    return cell;
+  }
+
+  completion(input, names) {
+    const list = h(
+      "datalist",
+      { id: newId() },
+      [...new Set(names)].slice(0, 500).map((value) => h("option", { value })),
+    );
+    input.setAttribute("list", list.id);
+    return list;
+  }
+
+  /** A number. `blank`: the value of an empty field; without it, an empty field is wrong. */
+  number(lens, label, { check = () => "", whole = false, blank, ...options } = {}) {
+    return this.text(lens, label, {
+      inputmode: whole ? "numeric" : "decimal",
+      class: "number",
+      ...options,
+      parse: (text) => {
+        if (!text.trim()) return blank === undefined ? "a number is needed" : [blank.value];
+        const value = Number(text);
+        if (!Number.isFinite(value)) return `'${text.trim()}' is not a number`;
+        if (whole && !Number.isSafeInteger(value)) return "a whole number is needed";
+        return check(value) || [value];
+      },
+      show: (value) => (value === undefined || value === null ? "" : value),
+    });
+  }
+
+  /** A choice. `options`: [value, text]; the values are any. */
+  choice(lens, label, options, { what = label, put = null, ...attributes } = {}) {
+    const value = lens.get();
+    const known = options.findIndex(([it]) => it === value);
+    const all =
+      known < 0
+        ? [[value, value === MIXED ? "several values" : `${value ?? "choose …"}`], ...options]
+        : options;
+    const select = h(
+      "select",
+      { "data-key": lens.key, ...attributes },
+      all.map(([it, text], i) => h("option", { value: i, text, selected: it === value })),
+    );
+    select.addEventListener("change", () => {
+      const chosen = all[Number(select.value)][0];
+      if (chosen === MIXED) return;
+      if (put) put(chosen);
+      else this.put(lens, chosen, `Change ${what}`);
+    });
+    return select;
+  }
+
+  check(lens, label, { what = label, absent = false } = {}) {
+    const value = lens.get();
+    const box = h("input", { type: "checkbox", "data-key": lens.key, checked: value === true });
+    box.indeterminate = value === MIXED;
+    box.addEventListener("change", () =>
+      this.put(lens, box.checked === absent ? undefined : box.checked, `Change ${what}`),
+    );
+    return box;
+  }
+
+  button(key, text, act, attributes = {}) {
+    return h("button", { type: "button", text, "data-key": key, onclick: act, ...attributes });
+  }
+
+  /** The button that removes an entry; the focus goes to `next` (a key). */
+  remove(key, what, act, next) {
+    return this.button(
+      `${key} remove`,
+      "×",
+      () => {
+        this.wanted = next ?? null;
+        act();
+      },
+      { class: "icon", "aria-label": `Remove ${what}`, title: `Remove ${what}` },
+    );
+  }
+
+  /** A choice that adds what is chosen. */
+  adder(key, label, names, add) {
+    const select = h(
+      "select",
+      { "data-key": `${key} add`, "aria-label": label },
+      h("option", { value: "", text: `${label} …` }),
+      names.map((name) => h("option", { value: name, text: name })),
+    );
+    select.addEventListener("change", () => select.value && add(select.value));
+    select.disabled = !names.length;
+    return select;
+  }
+
+  /** A field and a button that add an entry with a name. `check(name)` says what is wrong with it. */
+  namer(key, label, check, add, names = null) {
+    const input = h("input", {
+      type: "text",
+      spellcheck: "false",
+      autocomplete: "off",
+      "aria-label": label,
+      placeholder: label,
+      "data-key": `${key} add`,
+    });
+    const wrong = h("p", { class: "wrong", id: newId(), role: "alert", hidden: true });
+    const act = () => {
+      const problem = check(input.value);
+      wrong.textContent = problem;
+      wrong.hidden = !problem;
+      input.toggleAttribute("aria-invalid", Boolean(problem));
+      if (problem) {
+        input.setAttribute("aria-invalid", "true");
+        input.setAttribute("aria-describedby", wrong.id);
+        input.focus();
+      } else add(input.value);
+    };
+    input.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter") return;
+      event.preventDefault();
+      act();
+    });
+    return h(
+      "div",
+      { class: "adder" },
+      h(
+        "div",
+        { class: "entry" },
+        input,
+        names && this.completion(input, names),
+        this.button(`${key} add it`, "Add", act, { "aria-label": `Add: ${label}` }),
+      ),
+      wrong,
+    );
+  }
+}

@@ -1,0 +1,167 @@
+// Values that `gspn fit` learns from logs: durations, outcomes, failures, rates. Each may say what it was learned
+// from; a value that is changed by hand no longer comes from there.
+
+import { h, number, plural } from "../dom.js";
+import { changed } from "./plan_document.js";
+import { problemOf, resolved } from "./schema.js";
+import { numbersField, objectForm, schemaField, wordOf } from "./schema_form.js";
+
+const without = (value) => changed(value, { of: undefined });
+const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+
+/** A lens at a value that may say what it was learned from: if something else of it is changed, that goes. */
+export function learned(lens) {
+  return lens.as(
+    (value) => value,
+    (value, before) => {
+      if (!value?.of || !before?.of || !same(value.of, before.of)) return value;
+      return same(without(value), without(before)) ? value : without(value);
+    },
+  );
+}
+
+/** What a value was learned from, in words. */
+export function evidenceText(of) {
+  if (!of) return "";
+  const from = of.logs?.length ? ` in ${of.logs.join(", ")}` : "";
+  const interval = of.interval
+    ? `; 95 % interval ${number(of.interval[0])} to ${number(of.interval[1])}`
+    : "";
+  return `learned from ${plural(of.observations, "observation")}${from}${interval}`;
+}
+
+const KEYS = {
+  exponential: ["mean"],
+  erlang: ["mean", "phases"],
+  gamma: ["mean", "shape"],
+  lognormal: ["mean", "sigma"],
+  deterministic: ["mean"],
+  uniform: ["low", "high"],
+  empirical: ["quantiles"],
+  "hyper-erlang": ["branches"],
+};
+const FOLLOWS = ["uniform", "empirical", "hyper-erlang"]; // their mean follows from the rest
+const START = { mean: 1, phases: 2, shape: 2, sigma: 0.5, low: 0, high: 2 };
+
+const kindOf = (value) => value?.distribution ?? "exponential";
+
+/** The mean of a duration, as far as the form needs one. */
+function meanOf(value) {
+  const kind = kindOf(value);
+  if (kind === "uniform") return (value.low + value.high) / 2;
+  if (kind === "hyper-erlang")
+    return value.branches.reduce((sum, branch) => sum + branch.probability * branch.mean, 0);
+  if (kind === "empirical") {
+    const q = value.quantiles;
+    return q.slice(1).reduce((sum, it, i) => sum + (it + q[i]) / 2, 0) / (q.length - 1);
+  }
+  return value.mean;
+}
+
+/** What is wrong with a duration beyond its schema. As in model/duration.py. */
+export function durationProblem(value) {
+  const kind = kindOf(value);
+  for (const key of KEYS[kind] ?? []) if (value[key] === undefined) return `${key} is missing`;
+  const foreign = Object.keys(value).find(
+    (key) => !["distribution", "of", "mean", ...KEYS[kind]].includes(key),
+  );
+  if (foreign) return `${foreign} does not belong to ${kind}`;
+  if (!FOLLOWS.includes(kind) && kind !== "deterministic" && !(value.mean > 0))
+    return "the mean is more than 0";
+  if (kind === "lognormal" && value.sigma > 10) return "sigma is at most 10";
+  if (kind === "uniform" && !(value.low < value.high)) return "low is below high";
+  if (kind === "empirical") {
+    const q = value.quantiles;
+    if (q.some((it, i) => i && it < q[i - 1]) || q[0] === q.at(-1))
+      return "the times are listed from the shortest to the longest";
+  }
+  if (kind === "hyper-erlang") {
+    const sum = value.branches.reduce((total, branch) => total + branch.probability, 0);
+    if (Math.abs(sum - 1) > 1e-6) return `the probabilities add up to ${number(sum)}, not to 1`;
+  }
+  if (FOLLOWS.includes(kind) && value.mean !== undefined) {
+    const mean = meanOf(value);
+    if (Math.abs(value.mean - mean) > 0.01 * mean)
+      return `the mean follows as ${number(mean)} s: leave it out`;
+  }
+  return "";
+}
+
+/** The value with another distribution, of the same mean as far as that is known. */
+function withKind(value, kind) {
+  const mean = meanOf(value) || 1;
+  const result = { distribution: kind };
+  for (const key of KEYS[kind]) result[key] = value[key] ?? START[key];
+  if ("mean" in result) result.mean = mean;
+  if (kind === "uniform") Object.assign(result, { low: mean / 2, high: 1.5 * mean });
+  if (kind === "empirical") result.quantiles = [mean / 2, mean, 1.5 * mean];
+  if (kind === "hyper-erlang") result.branches = [{ probability: 1, phases: 1, mean }];
+  return result;
+}
+
+export function durationForm(form, lens, title, schema) {
+  const whole = form.whole(
+    learned(lens),
+    (value) => problemOf(schema, value, form.schema) || durationProblem(value),
+  );
+  const value = whole.get() ?? {};
+  const kind = kindOf(value);
+  const distribution = whole.as(
+    kindOf,
+    (chosen, before) => withKind(before ?? {}, chosen),
+    "distribution",
+  );
+  const shown = [
+    ...KEYS[kind],
+    ...(value.mean !== undefined && !KEYS[kind].includes("mean") ? ["mean"] : []),
+  ];
+  return [
+    form.labelled(
+      "Distribution",
+      form.choice(
+        distribution,
+        `${title}: distribution`,
+        schema.properties.distribution.enum.map((it) => [it, it]),
+      ),
+    ),
+    shown.map((key) => {
+      const part = resolved(schema.properties[key], form.schema);
+      const at = whole.at(key);
+      const name = key === "mean" ? "Mean (s)" : wordOf(key);
+      return key === "quantiles"
+        ? form.labelled(name, numbersField(form, part, at, name), part.description)
+        : schemaField(form, part, at, name, {}, !(key === "mean" && FOLLOWS.includes(kind)));
+    }),
+    form.verdict(whole),
+    evidence(form, schema, whole, title),
+  ];
+}
+
+/** What the value was learned from: in words, and as a form. */
+export function evidence(form, schema, lens, title) {
+  const of = lens.at("of");
+  const part = resolved(schema.properties.of, form.schema);
+  return [
+    of.get() && h("p", { class: "muted", text: evidenceText(of.get()) }),
+    form.section(
+      of.key,
+      "Learned from",
+      false,
+      of.get()
+        ? [
+            objectForm(
+              form,
+              part,
+              form.whole(of, (value) => problemOf(part, value, form.schema)),
+              title,
+            ),
+            form.remove(of.key, "what it was learned from", () =>
+              form.put(of, undefined, `Remove what ${title} was learned from`),
+            ),
+          ]
+        : form.button(`${of.key} add`, "Say what it was learned from", () =>
+            form.put(of, { observations: 0 }, `Say what ${title} was learned from`),
+          ),
+    ),
+  ];
+}

@@ -1,0 +1,658 @@
+// The policy as a table: a column for each place that the rows speak of, a row for each marking, and the transitions
+// that it chooses. Beside it, the rows that the optimiser proposes.
+
+import { h, plural } from "../dom.js";
+import { get } from "../api.js";
+import { PlanForm } from "./property_panel.js";
+import { Lens } from "./form.js";
+import { choiceText } from "../policy_table.js";
+import { NAMES } from "./schema_form.js";
+
+const ROWS = 50; // on one page of the table
+const TOLERANCE = 1e-6; // as in model/policy.py
+
+/** Why the choice of a row is not one; "" if it is. */
+export function problemOfChoice(choose) {
+  const values = Object.values(choose).map(Number);
+  if (!values.length) return ""; // the robots wait
+  if (values.some((value) => !(value >= 0))) return "a probability is at least 0";
+  const sum = values.reduce((total, value) => total + value, 0);
+  return Math.abs(sum - 1) <= TOLERANCE
+    ? ""
+    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not to 1`;
+}
+
+const wild = (cell) => cell === "-";
+
+/** Which rows never apply, because an earlier one has the same marking and speaks of the same transitions, and which
+ * matter only where others do not: number of the row (from 0) -> what to say. */
+export function overlaps(rows) {
+  const seen = new Map();
+  const found = new Map();
+  rows.forEach((row, i) => {
+    const marking = row.marking.map((cell) => (wild(cell) ? "-" : Number(cell))).join(" ");
+    const before = seen.get(marking) ?? [];
+    const covered = before.find((at) => {
+      const other = rows[at].choose;
+      const names = Object.keys(row.choose).filter((name) => Number(row.choose[name]) > 0);
+      return (
+        !Object.keys(other).length ||
+        (names.length && names.every((name) => Number(other[name]) > 0))
+      );
+    });
+    if (covered !== undefined)
+      found.set(
+        i,
+        `row ${covered + 1} has the same marking and comes first: this row never applies`,
+      );
+    seen.set(marking, [...before, i]);
+  });
+  return found;
+}
+
+export class PolicyPanel extends PlanForm {
+  constructor(mode) {
+    super(mode, "policy", "Policy");
+    this.first = 0; // the first row on the page of the table
+    this.proposed = null;
+    this.listen(mode, "findings");
+  }
+
+  get policy() {
+    return this.document.policy ?? { places: [], rows: [] };
+  }
+
+  /** A lens at the policy; without places and rows there is none. */
+  lens() {
+    return new Lens(
+      "policy",
+      () => this.policy,
+      (value, label, merge) =>
+        this.document.edit(
+          label,
+          () => ({
+            policy: value.places.length || value.rows.length || value.description ? value : null,
+          }),
+          merge,
+        ),
+    );
+  }
+
+  row(i) {
+    return this.lens().at("rows").at(i, { given: true });
+  }
+
+  content() {
+    const { policy } = this;
+    this.immediate = NAMES.immediate(this.state);
+    const last = Math.max(0, Math.floor((policy.rows.length - 1) / ROWS) * ROWS);
+    this.first = Math.min(this.first, last);
+    return [
+      policy.scopes &&
+        h("p", {
+          class: "muted",
+          text: "This policy has parts of subnets, written by the package: edit the plan that has the subnets instead.",
+        }),
+      h("p", {
+        class: "muted",
+        text: policy.rows.length
+          ? "A row with fewer “-” (any number) takes precedence; between equals, the first. " +
+            "Weights decide where no row matches."
+          : "There are no rows: the weights of the transitions decide.",
+      }),
+      this.columns(policy),
+      policy.rows.length > 0 && this.table(policy),
+      h(
+        "div",
+        { class: "buttons" },
+        this.button("policy.rows add", "Add a row", () => this.addRow(), {
+          disabled: !this.immediate.length,
+          title: this.immediate.length ? "" : "The net has no immediate transition to choose",
+        }),
+      ),
+      this.general(),
+      this.section("policy proposed", "Rows that the optimiser proposes", false, () =>
+        this.proposals(),
+      ),
+    ];
+  }
+
+  // -- columns ---------------------------------------------------------------------------------------
+
+  columns(policy) {
+    const lens = this.lens();
+    const offered = NAMES.places(this.state).filter((name) => !policy.places.includes(name));
+    return h(
+      "fieldset",
+      {},
+      h("legend", { text: "Places that the rows speak of" }),
+      h(
+        "ul",
+        { class: "chips" },
+        policy.places.map((name, i) =>
+          h(
+            "li",
+            {},
+            h("span", { text: name }),
+            i > 0 &&
+              this.button(`policy.places.${name} left`, "←", () => this.moveColumn(i, i - 1), {
+                class: "icon",
+                "aria-label": `Move the column ${name} to the left`,
+              }),
+            this.remove(
+              `policy.places.${name}`,
+              `the column ${name}`,
+              () =>
+                this.put(
+                  lens,
+                  withoutColumn(this.policy, i),
+                  `Remove the column ${name} of the policy`,
+                ),
+              "policy.places add",
+            ),
+          ),
+        ),
+      ),
+      this.adder("policy.places", "Add a column", offered, (name) => {
+        this.wanted = "policy.places add";
+        const { policy: now } = this;
+        this.put(
+          lens,
+          {
+            ...now,
+            places: [...now.places, name],
+            rows: now.rows.map((row) => ({ ...row, marking: [...row.marking, "-"] })),
+          },
+          `Add the column ${name} to the policy`,
+        );
+      }),
+    );
+  }
+
+  moveColumn(from, to) {
+    const { policy } = this;
+    const moved = (list) => {
+      const result = [...list];
+      result.splice(to, 0, ...result.splice(from, 1));
+      return result;
+    };
+    this.wanted = `policy.places.${policy.places[from]} left`;
+    this.put(
+      this.lens(),
+      {
+        ...policy,
+        places: moved(policy.places),
+        rows: policy.rows.map((row) => ({ ...row, marking: moved(row.marking) })),
+      },
+      `Move the column ${policy.places[from]} of the policy`,
+    );
+  }
+
+  // -- rows ------------------------------------------------------------------------------------------
+
+  table(policy) {
+    const marks = this.marks(policy);
+    const page = policy.rows.slice(this.first, this.first + ROWS);
+    const turn = (key, text, to, disabled) =>
+      this.button(
+        `policy ${key}`,
+        text,
+        () => {
+          this.first = to;
+          this.refresh();
+        },
+        { disabled },
+      );
+    return [
+      h(
+        "div",
+        { class: "scroll", tabindex: "0", role: "region", "aria-label": "Rows of the policy" },
+        h(
+          "table",
+          { class: "ed-policy" },
+          h(
+            "thead",
+            {},
+            h(
+              "tr",
+              {},
+              h("th", { scope: "col", text: "Row" }),
+              policy.places.map((name) => h("th", { scope: "col", text: name })),
+              h("th", { scope: "col", text: "Chooses" }),
+              h("th", { scope: "col" }, h("span", { class: "unseen", text: "Change the rows" })),
+            ),
+          ),
+          h(
+            "tbody",
+            {},
+            page.map((row, i) =>
+              this.tableRow(policy, row, this.first + i, marks.get(this.first + i)),
+            ),
+          ),
+        ),
+      ),
+      policy.rows.length > ROWS &&
+        h(
+          "div",
+          { class: "buttons" },
+          turn("earlier", "Earlier rows", this.first - ROWS, this.first === 0),
+          turn("later", "More rows", this.first + ROWS, this.first + ROWS >= policy.rows.length),
+          h("span", {
+            class: "muted",
+            role: "status",
+            text: `${this.first + 1} to ${this.first + page.length} of ${plural(policy.rows.length, "row")}`,
+          }),
+        ),
+    ];
+  }
+
+  /** What is said of rows: row (from 0) -> [texts]. From the check, and what the table itself shows. */
+  marks(policy) {
+    const found = new Map();
+    const add = (i, text) => found.set(i, [...(found.get(i) ?? []), text]);
+    if (policy !== this.judged) {
+      this.judged = policy;
+      this.overlaps = overlaps(policy.rows);
+    }
+    for (const [i, text] of this.overlaps) add(i, text);
+    for (const { text, elements } of this.mode.findings ?? [])
+      for (const { kind, name } of elements ?? []) if (kind === "row") add(Number(name) - 1, text);
+    return found;
+  }
+
+  tableRow(policy, row, i, marks = []) {
+    const lens = this.row(i);
+    const named = (what, act, text, disabled = false) =>
+      this.button(`policy.rows.${i} ${what}`, text, act, {
+        class: "icon",
+        "aria-label": `${what} row ${i + 1}`,
+        title: `${what} row ${i + 1}`,
+        disabled,
+      });
+    return h(
+      "tr",
+      { class: marks.length ? "marked" : "" },
+      h("th", { scope: "row" }, String(i + 1)),
+      policy.places.map((place, at) => h("td", {}, this.cell(lens.at("marking").at(at), place, i))),
+      h(
+        "td",
+        {},
+        this.choose(lens, row, i),
+        marks.map((text) => h("p", { class: "mark", text: `⚠ ${text}` })),
+      ),
+      h(
+        "td",
+        { class: "row-buttons" },
+        named("Move up", () => this.moveRow(i, i - 1), "↑", i === 0),
+        named("Move down", () => this.moveRow(i, i + 1), "↓", i === policy.rows.length - 1),
+        named(
+          "Duplicate",
+          () => this.insertRow(i + 1, row, `Duplicate row ${i + 1} of the policy`),
+          "⧉",
+        ),
+        this.remove(`policy.rows.${i}`, `row ${i + 1}`, () => this.removeRow(i), "policy.rows add"),
+      ),
+    );
+  }
+
+  cell(lens, place, i) {
+    return this.text(lens, `${place} in row ${i + 1}`, {
+      "aria-label": `${place} in row ${i + 1}`,
+      class: "cell-input",
+      inputmode: "numeric",
+      what: `row ${i + 1} of the policy`,
+      show: (value) => String(value),
+      parse: (text) => {
+        const said = text.trim();
+        if (said === "-" || said === "") return ["-"];
+        return /^\d{1,9}$/.test(said) ? [Number(said)] : "a number of tokens, or - for any";
+      },
+    });
+  }
+
+  /** The transitions of a row and their probabilities. What does not add up to 1 stays here. */
+  choose(row, value, i) {
+    const whole = this.whole(row.at("choose"), problemOfChoice);
+    const now = whole.get() ?? {};
+    const names = Object.keys(now);
+    const what = `row ${i + 1} of the policy`;
+    const renamed = (name, to) => {
+      const entries = Object.entries(whole.get()).map(([key, share]) => [
+        key === name ? to : key,
+        share,
+      ]);
+      this.wanted = `${whole.key}.${to} name`;
+      this.put(whole, Object.fromEntries(entries), `Change ${what}`);
+    };
+    const offered = this.immediate.filter((name) => !(name in now));
+    return h(
+      "div",
+      { class: "chosen" },
+      names.length === 0 && h("span", { class: "muted", text: "the robots wait" }),
+      names.map((name) =>
+        h(
+          "div",
+          { class: "entry" },
+          this.choice(
+            new Lens(
+              `${whole.key}.${name} name`,
+              () => name,
+              () => false,
+            ),
+            name,
+            [name, ...offered].map((it) => [it, it]),
+            {
+              "aria-label": `Transition of row ${i + 1}`,
+              put: (to) => to !== name && renamed(name, to),
+            },
+          ),
+          this.number(whole.at(name), `probability of ${name} in row ${i + 1}`, {
+            "aria-label": `Probability of ${name} in row ${i + 1}`,
+            what,
+            check: (share) => (share < 0 || share > 1 ? "between 0 and 1" : ""),
+          }),
+          this.remove(
+            `${whole.key}.${name}`,
+            `${name} from row ${i + 1}`,
+            () => {
+              const { [name]: gone, ...rest } = whole.get();
+              this.put(
+                whole,
+                gone === 1 || Number(gone) === 0 ? rest : fitted(rest),
+                `Change ${what}`,
+              );
+            },
+            `${whole.key} add`,
+          ),
+        ),
+      ),
+      this.verdict(whole),
+      h(
+        "div",
+        { class: "entry" },
+        this.adder(whole.key, `Add to row ${i + 1}`, offered, (name) => {
+          this.wanted = `${whole.key}.${name}`;
+          const before = whole.get() ?? {};
+          const full = Object.keys(before).length > 0;
+          this.put(whole, { ...before, [name]: full ? 0 : 1 }, `Change ${what}`);
+        }),
+        names.length > 1 &&
+          this.button(
+            `${whole.key} fit`,
+            "Scale to 1",
+            () => this.put(whole, fitted(whole.get()), `Change ${what}`),
+            {
+              "aria-label": `Scale the probabilities of row ${i + 1} to 1`,
+            },
+          ),
+      ),
+    );
+  }
+
+  addRow() {
+    const { policy } = this;
+    const first =
+      this.mode.selection && [...this.mode.selection].find((key) => key.startsWith("transition:"));
+    const chosen = first?.slice("transition:".length);
+    const transition = this.immediate.includes(chosen) ? chosen : this.immediate[0];
+    this.insertRow(
+      policy.rows.length,
+      { marking: policy.places.map(() => "-"), choose: { [transition]: 1 } },
+      "Add a row to the policy",
+    );
+  }
+
+  insertRow(at, row, label) {
+    const { policy } = this;
+    const rows = [...policy.rows];
+    rows.splice(at, 0, { ...row });
+    this.drafts.clear(); // they are kept by the number of the row
+    if (at >= this.first + ROWS) this.first = Math.floor(at / ROWS) * ROWS;
+    this.wanted = policy.places.length
+      ? `policy.rows.${at}.marking.0`
+      : `policy.rows.${at} Duplicate`;
+    this.put(this.lens(), { ...policy, rows }, label);
+  }
+
+  removeRow(i) {
+    const { policy } = this;
+    this.drafts.clear();
+    this.put(
+      this.lens(),
+      { ...policy, rows: policy.rows.filter((_, at) => at !== i) },
+      `Remove row ${i + 1} of the policy`,
+    );
+  }
+
+  moveRow(from, to) {
+    const { policy } = this;
+    const rows = [...policy.rows];
+    rows.splice(to, 0, ...rows.splice(from, 1));
+    this.drafts.clear();
+    this.wanted = `policy.rows.${to} ${to < from ? "Move up" : "Move down"}`;
+    this.put(this.lens(), { ...policy, rows }, `Move row ${from + 1} of the policy`);
+  }
+
+  /** The description of the policy, and whether a marking without a row is a fault. */
+  general() {
+    const { policy } = this;
+    if (!policy.rows.length) return null;
+    const strict = this.plan("strict");
+    return [
+      this.labelled(
+        "Description",
+        this.text(this.lens().at("description"), "the description of the policy"),
+      ),
+      this.labelled(
+        "A marking without a row is a fault (strict)",
+        this.check(strict, "strict", { absent: false }),
+        this.part("strict").description,
+      ),
+    ];
+  }
+
+  // -- what the optimiser proposes -------------------------------------------------------------------
+
+  proposals() {
+    const shown = this.proposed;
+    return [
+      h("p", {
+        class: "muted",
+        text: "A policy that was computed for the file, on the tab Optimise, beside the rows here.",
+      }),
+      this.button("policy look", "Look for a computed policy", () => this.look()),
+      h(
+        "div",
+        { role: "status" },
+        shown && (shown.text ? h("p", { text: shown.text }) : this.proposedRows(shown)),
+      ),
+    ];
+  }
+
+  async look(start = 0) {
+    try {
+      const { job } = await get("optimised", { id: this.mode.id });
+      if (!job) this.proposed = { text: "None was computed for this file yet." };
+      else {
+        const page = await get(`analysis/${job}/rows`, { from: start, limit: ROWS });
+        this.proposed = { job, start, ...page };
+      }
+    } catch (error) {
+      this.proposed = { text: error.message };
+    }
+    this.refresh();
+  }
+
+  proposedRows({ places, rows, total, changed, start }) {
+    const same = places.join("\n") === this.policy.places.join("\n");
+    return [
+      h("p", {
+        class: "muted",
+        text: `${changed} of ${plural(total, "row")} choose differently; they come first.`,
+      }),
+      h(
+        "div",
+        { class: "scroll", tabindex: "0", role: "region", "aria-label": "Proposed rows" },
+        h(
+          "table",
+          { class: "ed-policy" },
+          h(
+            "thead",
+            {},
+            h(
+              "tr",
+              {},
+              ["Marking", "Now", "Proposed", "Take"].map((text) => h("th", { scope: "col", text })),
+            ),
+          ),
+          h(
+            "tbody",
+            {},
+            rows.map((row) => {
+              const now = same ? this.present(row.marking) : null;
+              return h(
+                "tr",
+                {},
+                h("td", { text: markingText(places, row.marking) }),
+                h("td", { text: now ? choiceText(now.choose) : "no such row" }),
+                h(
+                  "td",
+                  {},
+                  Object.keys(row.choose).length ? choiceText(row.choose) : "wait",
+                  " ",
+                  row.differs === true && h("span", { class: "badge warn", text: "differs" }),
+                ),
+                h(
+                  "td",
+                  {},
+                  this.button(`take ${row.number}`, "Take over", () => this.take(places, [row]), {
+                    "aria-label": `Take over the proposed row ${row.number}`,
+                  }),
+                ),
+              );
+            }),
+          ),
+        ),
+      ),
+      h(
+        "div",
+        { class: "buttons" },
+        this.button("take all", "Take over the whole policy", () => this.takeAll()),
+        start > 0 && this.button("proposed earlier", "Earlier rows", () => this.look(start - ROWS)),
+        start + rows.length < total &&
+          this.button("proposed later", "More rows", () => this.look(start + ROWS)),
+      ),
+    ];
+  }
+
+  present(marking) {
+    return this.policy.rows.find(
+      (row) => row.marking.map(String).join() === marking.map(String).join(),
+    );
+  }
+
+  /** Take proposed rows over: each replaces the row of the same marking, or comes before those with more wildcards. */
+  take(places, taken) {
+    const unknown = [...new Set(taken.flatMap(({ choose }) => Object.keys(choose)))].find(
+      (name) => !this.immediate.includes(name),
+    );
+    if (unknown !== undefined) {
+      this.mode.say(`The net here has no immediate transition '${unknown}' any more.`);
+      return;
+    }
+    let { policy } = this;
+    const missing = places.filter((name) => !policy.places.includes(name));
+    if (missing.some((name) => !NAMES.places(this.state).includes(name))) {
+      this.mode.say(`The net here has no place '${missing[0]}' any more.`);
+      return;
+    }
+    policy = {
+      ...policy,
+      places: [...policy.places, ...missing],
+      rows: policy.rows.map((row) => ({
+        ...row,
+        marking: [...row.marking, ...missing.map(() => "-")],
+      })),
+    };
+    for (const { marking, choose } of taken) {
+      const cells = policy.places.map((name) =>
+        places.includes(name) ? marking[places.indexOf(name)] : "-",
+      );
+      const key = cells.map(String).join();
+      const at = policy.rows.findIndex((row) => row.marking.map(String).join() === key);
+      const row = { marking: cells, choose };
+      policy.rows =
+        at < 0
+          ? [...policy.rows, row]
+          : policy.rows.map((it, i) => (i === at ? { ...it, choose } : it));
+    }
+    this.drafts.clear();
+    this.put(
+      this.lens(),
+      policy,
+      taken.length === 1 ? "Take over a proposed row" : "Take over the proposed policy",
+    );
+  }
+
+  async takeAll() {
+    try {
+      const { job } = this.proposed;
+      const rows = [];
+      let page;
+      do {
+        page = await get(`analysis/${job}/rows`, { from: rows.length, limit: 500 });
+        rows.push(...page.rows);
+      } while (page.rows.length && rows.length < page.total);
+      rows.sort((a, b) => a.number - b.number);
+      const names = new Set(NAMES.places(this.state));
+      const foreign = page.places.find((name) => !names.has(name));
+      const unknown = rows
+        .flatMap(({ choose }) => Object.keys(choose))
+        .find((it) => !this.immediate.includes(it));
+      if (foreign ?? unknown) {
+        this.mode.say(`The net here has no '${foreign ?? unknown}' any more.`);
+        return;
+      }
+      this.drafts.clear();
+      this.put(
+        this.lens(),
+        {
+          ...this.policy,
+          places: page.places,
+          rows: rows.map(({ marking, choose }) => ({ marking, choose })),
+        },
+        "Take over the proposed policy",
+      );
+    } catch (error) {
+      this.mode.say(error.message);
+    }
+  }
+}
+
+/** A policy without a column. */
+function withoutColumn(policy, i) {
+  return {
+    ...policy,
+    places: policy.places.filter((_, at) => at !== i),
+    rows: policy.rows.map((row) => ({ ...row, marking: row.marking.filter((_, at) => at !== i) })),
+  };
+}
+
+/** Probabilities scaled so that they add up to 1. */
+function fitted(choose) {
+  const names = Object.keys(choose);
+  const sum = names.reduce((total, name) => total + Number(choose[name]), 0);
+  return Object.fromEntries(
+    names.map((name) => [
+      name,
+      Number((sum > 0 ? Number(choose[name]) / sum : 1 / names.length).toPrecision(12)),
+    ]),
+  );
+}
+
+const markingText = (places, marking) =>
+  places
+    .map((name, i) => [name, marking[i]])
+    .filter(([, cell]) => !wild(cell))
+    .map(([name, cell]) => `${name}: ${cell}`)
+    .join(", ") || "any marking";

@@ -1,0 +1,157 @@
+// The robots of a plan: their names, where they start, and actions of their own.
+
+import { h } from "../dom.js";
+import { NAMES, group, schemaField } from "./schema_form.js";
+
+/** The robots of a plan as a list of {name, place, actions}; those that it does not name are given by its tokens. */
+export function robotsOf({ plan, net }) {
+  if (Array.isArray(plan.robots)) return plan.robots;
+  if (plan.robots) return Object.entries(plan.robots).map(([name, place]) => ({ name, place }));
+  let count = 0;
+  return net.places
+    .filter(({ name }) => !plan.resource_places?.includes(name))
+    .flatMap(({ name, tokens }) =>
+      Array.from({ length: Math.min(tokens ?? 0, 1000) }, () => ({
+        name: `robot_${++count}`,
+        place: name,
+      })),
+    );
+}
+
+/** The robots in the form in which the plan has them: an object as long as none has actions of its own. */
+function written(robots, before) {
+  return Array.isArray(before) || robots.some(({ actions }) => actions)
+    ? robots
+    : Object.fromEntries(robots.map(({ name, place }) => [name, place]));
+}
+
+/** A lens at the list of robots. */
+export const robotsLens = (form) =>
+  form.plan("robots", false).as(
+    () => robotsOf(form.state),
+    (robots, before) => robots && written(robots, before),
+  );
+
+function free(robots) {
+  let n = robots.length + 1;
+  while (robots.some(({ name }) => name === `robot_${n}`)) n++;
+  return `robot_${n}`;
+}
+
+/** Add a robot in a place. */
+export function addRobot(form, place) {
+  const lens = robotsLens(form);
+  const robots = lens.get();
+  const name = free(robots);
+  form.wanted = `plan.robots.${robots.length}.name`;
+  form.put(lens, [...robots, { name, place }], `Add the robot ${name}`);
+}
+
+export function robotsForm(form, _lens, title) {
+  const lens = robotsLens(form);
+  const robots = lens.get();
+  const named = form.document.plan.robots !== undefined;
+  const places = NAMES.actionPlaces(form.state);
+  return group(
+    title,
+    !named &&
+      h("p", {
+        class: "muted",
+        text:
+          "The plan names no robots: there is one for each token of the initial marking. " +
+          "The first change names them.",
+      }),
+    h(
+      "div",
+      { class: "rows" },
+      robots.map((robot, i) => robotRow(form, lens, robot, i, places)),
+    ),
+    h(
+      "div",
+      { class: "buttons" },
+      form.button(
+        "plan.robots add",
+        "Add a robot",
+        () => addRobot(form, robots.at(-1)?.place ?? places[0]),
+        {
+          disabled: !places.length,
+        },
+      ),
+      named &&
+        form.button(
+          "plan.robots by tokens",
+          "As the tokens say",
+          () => form.put(form.plan("robots", false), undefined, "Leave the robots to the tokens"),
+          { title: "One robot for each token of the initial marking, without names in the plan" },
+        ),
+    ),
+  );
+}
+
+export function robotRow(form, lens, robot, i, places) {
+  const at = lens.at(i, { given: true });
+  const name = at.at("name");
+  const actions = at.at("actions", { drop: true });
+  const mapped = NAMES.actionPlaces(form.state).filter(
+    (place) => !(place in (robot.actions ?? {})),
+  );
+  return h(
+    "div",
+    { class: "robot-row", role: "group", "aria-label": `Robot ${robot.name}` },
+    h(
+      "div",
+      { class: "entry" },
+      form.text(name, `name of the robot ${robot.name}`, {
+        "aria-label": "Name of the robot",
+        late: true,
+        parse: (text) => {
+          if (!text.trim()) return "a name is needed";
+          return lens.get().some((other, at_) => at_ !== i && other.name === text)
+            ? "another robot has this name"
+            : [text];
+        },
+      }),
+      form.choice(
+        at.at("place"),
+        `place of the robot ${robot.name}`,
+        places.map((place) => [place, place]),
+        { "aria-label": `Initial place of ${robot.name}` },
+      ),
+      form.remove(
+        at.key,
+        `the robot ${robot.name}`,
+        () => form.put(at, undefined, `Remove the robot ${robot.name}`),
+        "plan.robots add",
+      ),
+    ),
+    form.section(
+      actions.key,
+      `Actions of its own${robot.actions ? ` (${Object.keys(robot.actions).length})` : ""}`,
+      false,
+      Object.keys(robot.actions ?? {}).map((place) => {
+        const own = actions.at(place, { given: true });
+        return group(
+          place,
+          schemaField(
+            form,
+            { $ref: "#/definitions/action" },
+            own,
+            `Action of ${robot.name} in ${place}`,
+          ),
+          form.remove(own.key, `the action of ${robot.name} in ${place}`, () =>
+            form.put(own, undefined, `Remove an action of ${robot.name}`),
+          ),
+        );
+      }),
+      form.adder(actions.key, `Another action of ${robot.name} in`, mapped, (place) =>
+        form.put(
+          actions.at(place),
+          form.document.plan.actions[place]?.plan === undefined
+            ? (form.document.plan.actions[place] ?? null)
+            : null,
+          `Give ${robot.name} an action of its own`,
+        ),
+      ),
+    ),
+  );
+}

@@ -1,0 +1,148 @@
+// The JSON Schema of plan files, which the server has: the forms are made from it, and what is typed is checked
+// against it before it enters the plan.
+
+import { changed } from "./plan_document.js";
+
+let loaded = null;
+
+/** The schema; it is fetched once. */
+export function planSchema() {
+  loaded ??= fetch("/plan.schema.json", { credentials: "same-origin" }).then((answer) => {
+    if (!answer.ok) throw new Error(`the schema of plans cannot be read (${answer.status})`);
+    return answer.json();
+  });
+  loaded.catch(() => {
+    loaded = null;
+  });
+  return loaded;
+}
+
+/** A part of the schema with its reference followed; what stands beside the reference is kept. */
+export function resolved(schema, root) {
+  if (!schema?.$ref) return schema;
+  const found = schema.$ref
+    .replace(/^#\//, "")
+    .split("/")
+    .reduce((at, key) => at[key], root);
+  return resolved({ ...found, ...changed(schema, { $ref: undefined }) }, root);
+}
+
+export function typeOf(value) {
+  if (value === null) return "null";
+  if (Array.isArray(value)) return "array";
+  return typeof value;
+}
+
+function isType(value, type) {
+  const found = typeOf(value);
+  return type === "integer" ? Number.isInteger(value) : found === type;
+}
+
+const WORDS = {
+  string: "text",
+  number: "a number",
+  integer: "a whole number",
+  boolean: "yes or no",
+  array: "a list",
+  object: "an object",
+  null: "nothing",
+};
+
+/** What is wrong with a value of an object of the plan, in words; "" if nothing is. It begins with the key where
+ * that is inside. */
+export function problemOf(schema, value, root) {
+  const s = resolved(schema, root);
+  if (s === true || s === undefined) return "";
+  if (s.type) {
+    const types = [s.type].flat();
+    if (!types.some((type) => isType(value, type)))
+      return `${types.map((type) => WORDS[type]).join(" or ")} is needed`;
+  }
+  if (s.enum && !s.enum.includes(value)) return `one of ${s.enum.join(", ")} is needed`;
+  if (typeof value === "number") {
+    const bound = numberProblem(s, value);
+    if (bound) return bound;
+  }
+  if (typeof value === "string") {
+    if (s.minLength && value.length < s.minLength) return "it is empty";
+    if (s.pattern && !new RegExp(s.pattern, "u").test(value))
+      return s.description ? `the form is: ${s.description}` : "it has not the right form";
+  }
+  if (Array.isArray(value)) {
+    const found = listProblem(s, value, root);
+    if (found) return found;
+  } else if (typeOf(value) === "object") {
+    const found = objectProblem(s, value, root);
+    if (found) return found;
+  }
+  for (const part of s.allOf || []) {
+    const found = problemOf(part, value, root);
+    if (found) return found;
+  }
+  if (s.not && !problemOf(s.not, value, root))
+    return s.not.required
+      ? `${s.not.required.join(" and ")} exclude each other`
+      : "it is not allowed";
+  if (s.oneOf) {
+    const found = s.oneOf.map((form) => problemOf(form, value, root));
+    if (!found.includes("")) return nearest(s.oneOf, found, value, root);
+  }
+  return "";
+}
+
+/** What is wrong with the form that a value is most likely meant to have. */
+function nearest(forms, problems, value, root) {
+  const likely = forms.findIndex((form) => {
+    const s = resolved(form, root);
+    return typeOf(value) === "object"
+      ? s.type === "object" && s.required?.length && s.required[0] in value
+      : [s.type].flat().some((type) => type && isType(value, type));
+  });
+  return problems[likely] || problems.find((text) => !text.endsWith("is needed")) || problems[0];
+}
+
+function numberProblem(s, value) {
+  if (!Number.isFinite(value)) return "a number is needed";
+  if (s.minimum !== undefined && value < s.minimum) return `at least ${s.minimum}`;
+  if (s.maximum !== undefined && value > s.maximum) return `at most ${s.maximum}`;
+  if (s.exclusiveMinimum !== undefined && value <= s.exclusiveMinimum)
+    return `more than ${s.exclusiveMinimum}`;
+  if (s.exclusiveMaximum !== undefined && value >= s.exclusiveMaximum)
+    return `less than ${s.exclusiveMaximum}`;
+  return "";
+}
+
+function listProblem(s, value, root) {
+  if (s.minItems && value.length < s.minItems)
+    return s.minItems === 1 ? "an entry is needed" : `${s.minItems} entries are needed`;
+  if (s.maxItems && value.length > s.maxItems) return `at most ${s.maxItems} entries`;
+  if (s.uniqueItems) {
+    const twice = value.find((item, i) => value.indexOf(item) < i);
+    if (twice !== undefined) return `'${twice}' occurs twice`;
+  }
+  if (s.items)
+    for (const [i, item] of value.entries()) {
+      const found = problemOf(s.items, item, root);
+      if (found) return `entry ${i + 1}: ${found}`;
+    }
+  return "";
+}
+
+function objectProblem(s, value, root) {
+  const missing = (s.required || []).find((key) => !(key in value));
+  if (missing) return `${missing} is missing`;
+  for (const [key, needed] of Object.entries(s.dependencies || {}))
+    if (key in value)
+      for (const other of needed) if (!(other in value)) return `${key} needs ${other}`;
+  for (const [key, item] of Object.entries(value)) {
+    if (s.propertyNames) {
+      const found = problemOf({ type: "string", ...s.propertyNames }, key, root);
+      if (found) return `the name '${key}': ${found}`;
+    }
+    const known = s.properties?.[key] ?? s.additionalProperties;
+    if (known === false) return `${key} does not belong here`;
+    const found = problemOf(known, item, root);
+    if (found) return `${key}: ${found}`;
+  }
+  return "";
+}

@@ -1,0 +1,531 @@
+"""The panels of the mode EDIT: what is typed there is in the plan, or is said to be wrong; no key of a
+plan file is without a form; a name is changed wherever it occurs."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.plan_json import (
+    plan_from_json,
+    plan_to_json,
+    plan_to_short_json,
+    schema,
+)
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.visualizer.documents import Folder
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.standalone_run import StandaloneRun
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PLAN = {
+    "plan": "shop",
+    "net": {
+        "places": [
+            {"name": "Fetch", "tokens": 2},
+            {"name": "Sort"},
+            {"name": "Rest room"},
+            {"name": "Charger", "tokens": 1},
+            {"name": "Sorted"},
+        ],
+        "transitions": [
+            {"name": "fetched", "timed": True, "rate": 0.5},
+            {"name": "sorted", "weight": 3},
+            {"name": "plug_in"},
+            {"name": "unplug", "timed": True, "rate": 0.1},
+        ],
+        "arcs": [
+            {"from": "Fetch", "to": "fetched"},
+            {"from": "fetched", "to": "Sort"},
+            {"from": "Sort", "to": "sorted"},
+            {"from": "sorted", "to": "Fetch"},
+            {"from": "sorted", "to": "Sorted"},
+            {"from": "Sort", "to": "plug_in"},
+            {"from": "Charger", "to": "plug_in"},
+            {"from": "plug_in", "to": "Rest room"},
+            {"from": "Rest room", "to": "unplug"},
+            {"from": "unplug", "to": "Charger"},
+            {"from": "unplug", "to": "Fetch"},
+        ],
+    },
+    "policy": {
+        "places": ["Charger", "Rest room"],
+        "rows": [
+            {"marking": [1, "-"], "choose": {"sorted": 0.8, "plug_in": 0.2}},
+            {"marking": ["-", "-"], "choose": {"sorted": 1}},
+        ],
+    },
+    "actions": {"Fetch": "actions.fetch", "Sort": "actions.sort", "Rest room": None},
+    "resource_places": ["Charger", "Sorted"],
+    "robots": {"robot_1": "Fetch", "robot_2": "Fetch"},
+    "spawn": ["Fetch"],
+    "on_failure": {"Sort": "fire plug_in", "*": "wait"},
+    "timeout": {"Sort": 60},
+    "routing": {"sorted": {"Sort": "Fetch"}},
+    "on_lost": "hold",
+    "on_evict": {"Rest room": {"Charger": 1}},
+    "durations": {
+        "Fetch": {
+            "mean": 2,
+            "distribution": "gamma",
+            "shape": 4,
+            "of": {"observations": 537, "logs": ["run.jsonl"], "interval": [1.18, 2.2]},
+        }
+    },
+    "outcomes": {"Sort": {"probabilities": {"sorted": 0.5, "plug_in": 0.5}}},
+    "failures": {"Fetch": {"probability": 0.02}},
+    "rates": {"fetched": {"rate": 0.6}},
+    "chance": ["Sort"],
+    "events": {"unplug": {"topic": "door", "type": "std_msgs/Bool", "when": "data", "hold": True}},
+    "tasks": {"done": ["sorted"]},
+    "until": "Sorted >= 100 and 'Rest room' == 0",
+    "seed": 7,
+}
+
+EVERYWHERE = """async (documents) => {
+  const { renamed, without } = await import("/static/js/edit/rename.js");
+  const found = [];
+  for (const state of documents)
+    for (const [kind, list] of [["place", "places"], ["transition", "transitions"]])
+      for (const { name } of state.net[list]) {
+        const there = { ...state, ...renamed(state, kind, name, "it's new") };
+        const back = { ...there, ...renamed(there, kind, "it's new", name) };
+        const { state: rest, said } = without(state, [`${kind}:${name}`]);
+        found.push({ kind, name, there, same: JSON.stringify(back) === JSON.stringify(state), rest, said });
+      }
+  return found;
+}"""
+
+
+def document(data):
+    plan = {key: value for key, value in data.items() if key not in ("net", "policy")}
+    return {"plan": plan, "net": data["net"], "policy": data.get("policy")}
+
+
+def plan_of(parts):
+    data = {**parts["plan"], "net": parts["net"]}
+    if parts["policy"] is not None:
+        data["policy"] = parts["policy"]
+    return plan_from_json(data)
+
+
+def names_in(value):
+    """All texts of a document, keys and values. An action server has a name of its own."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield key
+            if key != "server":
+                yield from names_in(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from names_in(item)
+    else:
+        yield value
+
+
+@pytest.fixture(name="editor")
+def _editor(site, open_page, tmp_path):
+    """Opens a plan in the mode EDIT."""
+    folder = tmp_path / "shop"
+    folder.mkdir()
+    (folder / "actions.py").write_text(
+        "def fetch():\n    '''Fetches.'''\n\n\ndef sort():\n    pass\n"
+    )
+    (folder / "plan.json").write_text(json.dumps(PLAN, indent=2))
+    runs = str(tmp_path / "runs")
+    project = Project(
+        Folder(str(folder)), lambda opened: StandaloneRun(opened, runs), runs=runs, edits=True
+    )
+    page = open_page(
+        site(project).address, ready=False, expect_errors=True, reduced_motion="reduce"
+    )
+    page.wait_for_selector("#opening button")
+    page.click("#opening button:has-text('plan.json')")
+    page.wait_for_selector("body[data-ready]")
+    page.click("#ed-open")
+    page.wait_for_function("() => window.gspn?.edit")
+    page.wait_for_selector("#ed-tab-policy")
+    return page
+
+
+def state(page):
+    return page.evaluate("() => gspn.edit.document.state")
+
+
+def choose(page, *keys):
+    page.evaluate("(keys) => gspn.edit.choose(keys)", list(keys))
+
+
+def settle(page):
+    """Wait until the panel that is shown is drawn as the document is."""
+    page.wait_for_function(
+        "() => gspn.edit.parts.every((part) => !part.stale || !part.element?.getClientRects().length)"
+    )
+
+
+def control(page, key):
+    return page.locator("[data-key=%s]:visible" % json.dumps(key))
+
+
+def enter(page, key, text):
+    """Fill a field and leave it."""
+    control(page, key).fill(text)
+    page.keyboard.press("Tab")
+    settle(page)
+
+
+def unfold(page, panel):
+    """Open every section of a panel, also those that are made meanwhile."""
+    page.click("#ed-tab-%s" % panel)
+    page.wait_for_selector("#ed-%s *" % panel)
+    while page.evaluate(
+        """(id) => {
+          const closed = [...document.querySelectorAll(`#${id} details:not([open])`)];
+          for (const details of closed) details.open = true;
+          return closed.length;
+        }""",
+        "ed-%s" % panel,
+    ):
+        settle(page)
+
+
+def keys_of(page):
+    return set(
+        page.evaluate(
+            "() => [...document.querySelectorAll('.ed-form [data-key]')].map((it) => it.dataset.key)"
+        )
+    )
+
+
+def test_a_node_is_renamed_and_removed_wherever_a_plan_names_it(editor):
+    """Every node of the plan here and of the shipped plans gets another name and its own back; and is
+    removed. What is left reads as a plan each time."""
+    shipped = [
+        json.loads(json.dumps(plan_to_short_json(read_plan(str(path)))))
+        for path in sorted((ROOT / "plans").glob("*/plan.json"))
+        if len(read_plan(str(path)).net.places) < 60
+    ]
+    documents = [document(data) for data in [PLAN, *shipped]]
+    assert len(documents) > 4
+    found = editor.evaluate(EVERYWHERE, documents)
+    assert len(found) > 60
+    for case in found:
+        where = "%s %s" % (case["kind"], case["name"])
+        assert case["same"], where
+        assert case["name"] not in set(names_in(case["there"])), where
+        assert plan_of(case["there"]).net
+        assert case["name"] not in set(names_in(case["rest"])), where
+        try:
+            plan_of(case["rest"])
+        except GspnError as error:
+            pytest.fail("without %s: %s" % (where, error))
+    gone = {case["name"]: case["said"] for case in found[:9]}
+    assert "the robot 'robot_1', which starts there" in gone["Fetch"]
+    assert "the column 'Rest room' of the policy" in gone["Rest room"]
+    assert any("until" in text for text in gone["Sorted"])
+    assert "row 2 of the policy, which chose nothing else" in gone["sorted"]
+    # the texts of the condition and of the rules follow the names
+    renamed = next(case for case in found if case["name"] == "Rest room")
+    assert renamed["there"]["plan"]["until"] == 'Sorted >= 100 and "it\'s new" == 0'
+    renamed = next(case for case in found if case["name"] == "plug_in")
+    assert renamed["there"]["plan"]["on_failure"]["Sort"] == "fire it's new"
+    # nothing else has changed: the plan with the other name is the same plan
+    plan = plan_of(document(PLAN))
+    assert plan_to_json(plan_of(found[0]["there"]))["seed"] == plan_to_json(plan)["seed"]
+
+
+def test_properties_of_what_is_selected(editor, axe, picture):
+    page = editor
+    choose(page, "place:Fetch")
+    # what is wrong is said at the field and stays out of the plan; typing is one edit
+    before = state(page)
+    name = "net.place:Fetch"
+    tokens = control(page, name + ".tokens")
+    tokens.fill("two")
+    page.wait_for_selector("#ed-properties .wrong:has-text(\"'two' is not a number\")")
+    assert tokens.get_attribute("aria-invalid") == "true"
+    assert state(page) == before
+    tokens.fill("")
+    tokens.press_sequentially("31")
+    assert state(page)["net"]["places"][0]["tokens"] == 31
+    assert page.locator("#ed-properties [aria-invalid]").count() == 0
+    page.click("#ed-undo")
+    assert state(page) == before
+    assert tokens.input_value() == "2"
+    # a name: not one that is taken; then it is another everywhere, and stays selected
+    enter(page, name + ".name", "sorted")
+    page.wait_for_selector(
+        "#ed-properties .wrong:has-text(\"there is a transition 'sorted' already\")"
+    )
+    enter(page, name + ".name", "Shelf")
+    page.wait_for_selector("#ed-properties h2:has-text('Shelf')")
+    now = state(page)
+    assert "Fetch" not in set(names_in(now))
+    assert now["plan"]["robots"] == {"robot_1": "Shelf", "robot_2": "Shelf"}
+    page.click("#ed-undo")
+    assert state(page) == before
+    # a transition of the other kind keeps no key that does not apply
+    choose(page, "transition:fetched")
+    control(page, "net.transition:fetched.timed").select_option(label="immediate")
+    assert set(state(page)["net"]["transitions"][0]) == {"name", "position"}
+    page.click("#ed-undo")
+    control(page, "net.transition:fetched.servers.endless").check()
+    assert state(page)["net"]["transitions"][0]["servers"] is None
+    # several at once: what they have in common
+    choose(page, "transition:sorted", "transition:plug_in")
+    priority = control(page, "net.transition.priority")
+    assert priority.input_value() == "1"
+    assert control(page, "net.transition.weight").get_attribute("placeholder") == "several values"
+    enter(page, "net.transition.priority", "4")
+    assert [t.get("priority") for t in state(page)["net"]["transitions"]] == [None, 4, 4, None]
+    # an arc, and the same arc after an edit that came from elsewhere
+    choose(page, "arc:Charger>plug_in")
+    enter(page, "net.arc:Charger>plug_in.weight", "2")
+    assert state(page)["net"]["arcs"][6]["weight"] == 2
+    control(page, "net.arc:Charger>plug_in.inhibitor").check()
+    assert state(page)["net"]["arcs"][6]["inhibitor"] is True
+    page.click("#ed-undo")
+    assert not control(page, "net.arc:Charger>plug_in.inhibitor").is_checked()
+    # an action that is not whole yet stays in the form
+    choose(page, "place:Sort")
+    key = "plan.actions.Sort"
+    control(page, key + ".kind").select_option(label="a call of a service")
+    page.wait_for_selector("#ed-properties .wrong:has-text('Not in the plan yet')")
+    assert state(page)["plan"]["actions"]["Sort"] == "actions.sort"
+    enter(page, key + ".service", "shelf")
+    enter(page, key + ".type", "std_srvs/SetBool")
+    assert state(page)["plan"]["actions"]["Sort"] == {
+        "service": "shelf",
+        "type": "std_srvs/SetBool",
+    }
+    control(page, key + ".request add").fill("data")
+    page.keyboard.press("Enter")
+    control(page, key + ".request.data kind").select_option(label="from data")
+    enter(page, key + ".request.data", "task.pose")
+    control(page, key + ".outcomes add").select_option("aborted")
+    control(page, key + ".outcomes.aborted").select_option(label="plug_in")
+    assert state(page)["plan"]["actions"]["Sort"] == {
+        "service": "shelf",
+        "type": "std_srvs/SetBool",
+        "request": {"data": {"from": "task.pose"}},
+        "outcomes": {"aborted": "plug_in"},
+    }
+    # what was learned says from what; a value that is changed by hand no longer does
+    choose(page, "place:Fetch")
+    unfold(page, "properties")
+    page.wait_for_selector(
+        "#ed-properties :text('537 observations in run.jsonl; 95 % interval 1.18 to 2.2')"
+    )
+    picture(page, "edit_properties")
+    axe(page, "the properties of a place")
+    page.set_viewport_size({"width": 1440, "height": 900})
+    enter(page, "plan.durations.Fetch.mean", "3")
+    assert state(page)["plan"]["durations"]["Fetch"] == {
+        "mean": 3,
+        "distribution": "gamma",
+        "shape": 4,
+    }
+    control(page, "plan.durations.Fetch.distribution").select_option("uniform")
+    assert state(page)["plan"]["durations"]["Fetch"] == {
+        "distribution": "uniform",
+        "low": 1.5,
+        "high": 4.5,
+    }
+    enter(page, "plan.durations.Fetch.low", "9")
+    page.wait_for_selector("#ed-properties .wrong:has-text('low is below high')")
+    assert state(page)["plan"]["durations"]["Fetch"]["low"] == 1.5
+    plan_of(state(page))
+
+
+def test_every_key_of_a_plan_has_a_form(editor, axe, picture):
+    """The keys of the schema, compared with the controls of the panels."""
+    page = editor
+    before = state(page)
+    whole = schema()
+    kinds = {
+        form["required"][0]: form
+        for form in whole["definitions"]["action"]["oneOf"]
+        if "required" in form
+    }
+    examples = {
+        "function": {"function": "actions.fetch", "settings": {"speed": 1}},
+        "server": {"server": "move_base"},
+        "service": {"service": "s", "type": "a/B"},
+        "publish": {"publish": "s", "type": "a/B"},
+        "wait_for": {"wait_for": "s", "type": "a/B"},
+        "command": {"command": ["ls"]},
+        "plan": {"plan": "other.json", "entry": "A", "exit": "B"},
+    }
+    assert set(kinds) | {"plan"} == set(examples)
+    page.evaluate(
+        """(examples) => gspn.edit.document.edit("all kinds", ({ plan, net }) => ({
+          plan: {
+            ...plan,
+            actions: Object.fromEntries(Object.entries(examples).map(([kind, it]) => [`P_${kind}`, it])),
+            robots: [{ name: "r", place: "P_server", actions: { P_server: examples.command } }],
+            durations: Object.fromEntries([["gamma", { shape: 1, mean: 1 }], ["erlang", { phases: 2, mean: 1 }],
+              ["lognormal", { sigma: 1, mean: 1 }], ["uniform", { low: 1, high: 2 }], ["empirical", { quantiles: [1, 2] }],
+              ["hyper-erlang", { branches: [{ probability: 1, phases: 1, mean: 1 }] }]]
+              .map(([distribution, rest]) => [`P_${distribution}`, { distribution, ...rest, of: { observations: 3 } }])),
+            agreement: { evict_after: 5 },
+            on_failure: { "*": { retry: 3, delay: 1 } },
+          },
+          net: { ...net, places: [...net.places, ...Object.keys(examples).map((kind) => ({ name: `P_${kind}` }))] },
+        }))""",
+        examples,
+    )
+    unfold(page, "plan")
+    keys = keys_of(page)
+    picture(page, "edit_plan")
+
+    def has(key):
+        return any(found == key or found.startswith((key + ".", key + " ")) for found in keys)
+
+    missing = [
+        key
+        for key in whole["properties"]
+        if key not in ("net", "policy", "subnets") and not has("plan." + key)
+    ]
+    definitions = whole["definitions"]
+    for kind, form in [*kinds.items(), ("plan", definitions["subnet"])]:
+        own = "kind" if kind == "function" else kind
+        wanted = set(form["properties"]) - ({"function"} if own == "kind" else set())
+        missing += [
+            "%s: %s" % (kind, key)
+            for key in wanted
+            if not has("plan.actions.P_%s.%s" % (kind, key))
+        ]
+    for key in definitions["duration"]["properties"]:
+        if not any(
+            has("plan.durations.P_%s.%s" % (kind, key))
+            for kind in definitions["duration"]["properties"]["distribution"]["enum"]
+        ):
+            missing.append("duration: " + key)
+    for path, part in (
+        ("plan.events.unplug", whole["properties"]["events"]["additionalProperties"]),
+        ("plan.agreement", whole["properties"]["agreement"]),
+        ("plan.tasks", whole["properties"]["tasks"]),
+        ("plan.outcomes.Sort", whole["properties"]["outcomes"]["additionalProperties"]),
+        ("plan.failures.Fetch", whole["properties"]["failures"]["additionalProperties"]),
+        ("plan.rates.fetched", whole["properties"]["rates"]["additionalProperties"]),
+        ("plan.durations.P_gamma.of", definitions["evidence"]),
+        (
+            "plan.durations.P_hyper-erlang.branches.0",
+            definitions["duration"]["properties"]["branches"]["items"],
+        ),
+        ("plan.robots.0", whole["properties"]["robots"]["oneOf"][1]["items"]),
+        (
+            "plan.on_failure.*",
+            whole["properties"]["on_failure"]["additionalProperties"]["oneOf"][1],
+        ),
+    ):
+        missing += [
+            "%s.%s" % (path, key) for key in part["properties"] if not has("%s.%s" % (path, key))
+        ]
+    assert not missing
+    net = definitions["net"]["properties"]
+    page.click("#ed-tab-properties")
+    for key, part in (
+        ("place:Fetch", "places"),
+        ("transition:unplug", "transitions"),
+        ("transition:sorted", "transitions"),
+        ("arc:Fetch>fetched", "arcs"),
+    ):
+        choose(page, key)
+        page.wait_for_selector("#ed-properties h2")
+        settle(page)
+        keys = keys_of(page)
+        timed = key == "transition:unplug"
+        other = (
+            {"weight", "priority"}
+            if timed
+            else {"rate", "servers"}
+            if part == "transitions"
+            else {"from", "to"}
+        )
+        assert [
+            k
+            for k in net[part]["items"]["properties"]
+            if k not in other and not has("net.%s.%s" % (key, k))
+        ] == []
+    choose(page)
+    # the plan as a whole: robots, a condition, a time-out, an event, parameters
+    page.click("#ed-undo")
+    assert state(page) == before
+    unfold(page, "plan")
+    enter(page, "plan.until", "Gone >= 1")
+    page.wait_for_selector("#ed-plan .wrong:has-text(\"there is no place 'Gone'\")")
+    enter(page, "plan.until", "Sorted >= 5")
+    page.click("[data-key='plan.robots add']")
+    enter(page, "plan.robots.2.name", "robot_1")
+    page.wait_for_selector("#ed-plan .wrong:has-text('another robot has this name')")
+    enter(page, "plan.robots.2.name", "carrier")
+    control(page, "plan.timeout add").select_option("*")
+    enter(page, "plan.timeout.*", "0")
+    page.wait_for_selector("#ed-plan .wrong:has-text('more than 0')")
+    enter(page, "plan.timeout.*", "90")
+    enter(page, "plan.events.unplug.topic", "")
+    page.wait_for_selector("#ed-plan .wrong:has-text('type needs topic')")
+    enter(page, "plan.events.unplug.topic", "gate")
+    control(page, "plan.parameters add").fill("speed")
+    page.keyboard.press("Enter")
+    enter(page, "plan.parameters.speed", "fast")
+    now = state(page)["plan"]
+    assert now["until"] == "Sorted >= 5"
+    assert now["robots"] == {"robot_1": "Fetch", "robot_2": "Fetch", "carrier": "Fetch"}
+    assert now["timeout"] == {"Sort": 60, "*": 90}
+    assert now["events"]["unplug"] == {**PLAN["events"]["unplug"], "topic": "gate"}
+    assert now["parameters"] == {"speed": "fast"}
+    plan_of(state(page))
+    axe(page, "the plan")
+
+
+def test_the_policy_as_a_table(editor, axe, picture):
+    page = editor
+    before = state(page)
+    page.click("#ed-tab-policy")
+    page.wait_for_selector("#ed-policy table")
+    row = "policy.rows.0"
+    # probabilities enter the plan when they add up to 1
+    enter(page, row + ".choose.sorted", "0.5")
+    page.wait_for_selector("#ed-policy .wrong:has-text('add up to 0.7, not to 1')")
+    assert state(page)["policy"] == PLAN["policy"]
+    enter(page, row + ".choose.plug_in", "0.5")
+    assert state(page)["policy"]["rows"][0]["choose"] == {"sorted": 0.5, "plug_in": 0.5}
+    assert page.locator("#ed-policy .wrong:visible").count() == 0
+    enter(page, row + ".marking.0", "many")
+    page.wait_for_selector("#ed-policy .wrong:has-text('a number of tokens, or - for any')")
+    enter(page, row + ".marking.0", "2")
+    # rows: duplicated (which never applies, and is marked), moved, removed; columns
+    control(page, row + " Duplicate").click()
+    page.wait_for_selector("#ed-policy tr.marked:has-text('this row never applies')")
+    assert len(state(page)["policy"]["rows"]) == 3
+    control(page, "policy.rows.1 Move down").click()
+    assert [r["marking"] for r in state(page)["policy"]["rows"]] == [[2, "-"], ["-", "-"], [2, "-"]]
+    control(page, "policy.rows.2 remove").click()
+    control(page, "policy.places add").select_option("Sort")
+    assert state(page)["policy"]["places"] == ["Charger", "Rest room", "Sort"]
+    assert [r["marking"] for r in state(page)["policy"]["rows"]] == [[2, "-", "-"], ["-", "-", "-"]]
+    control(page, "policy.places.Charger remove").click()
+    assert [r["marking"] for r in state(page)["policy"]["rows"]] == [["-", "-"], ["-", "-"]]
+    control(page, "policy.rows add").click()
+    settle(page)
+    assert page.evaluate("() => document.activeElement.dataset.key") == "policy.rows.2.marking.0"
+    control(page, "policy.rows.2.choose.plug_in name").select_option(label="sorted")
+    assert state(page)["policy"]["rows"][2]["choose"] == {"sorted": 1}
+    # a finding of the check is shown at its row
+    page.evaluate(
+        """() => {
+          gspn.edit.findings = [{ level: "warning", text: "it is never reached", elements: [{ kind: "row", name: "3" }] }];
+          gspn.edit.dispatchEvent(new CustomEvent("findings", { detail: gspn.edit.findings }));
+        }"""
+    )
+    page.wait_for_selector("#ed-policy tr.marked:has-text('it is never reached')")
+    picture(page, "edit_policy")
+    axe(page, "the policy")
+    plan_of(state(page))
+    while page.is_enabled("#ed-undo"):
+        page.click("#ed-undo")
+    assert state(page) == before
