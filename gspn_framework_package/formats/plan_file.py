@@ -208,6 +208,23 @@ def is_plan(path: str) -> bool:
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
+def plan_from_parts(
+    data: Mapping[str, Any], net: Mapping[str, Any], policy: Optional[Mapping[str, Any]], path: str
+) -> Plan:
+    """Return the plan of parts that an editor holds, as it will be read once they are saved.
+
+    :param data: the object of the plan file without ``net`` and ``policy``.
+    :param net: the net as a JSON object.
+    :param policy: the policy as a JSON object, None for none.
+    :param path: the plan file. It need not exist; subnets and functions are in its folder.
+    :raises GspnError: the plan cannot be read; see :func:`read_plan`.
+    """
+    whole = {**data, "net": net}
+    if policy is not None:
+        whole["policy"] = policy
+    return _own_form(JsonDocument(whole, ""), path, (os.path.realpath(path),), {})
+
+
 def _own_form(
     document: JsonDocument,
     path: str,

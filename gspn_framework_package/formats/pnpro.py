@@ -366,7 +366,7 @@ def to_bytes(net: Net) -> bytes:
         nodes, edges = etree.SubElement(gspn, "nodes"), etree.SubElement(gspn, "edges")
         for place in net.places:
             node = etree.SubElement(nodes, "place", name=place.name, marking=str(place.tokens))
-            _write_position(node, place.position, "place")
+            write_position(node, place.position, "place")
         for transition in net.transitions:
             node = etree.SubElement(nodes, "transition", name=transition.name)
             if transition.timed:
@@ -378,7 +378,7 @@ def to_bytes(net: Net) -> bytes:
                 node.set("type", "IMM")
                 node.set("weight", number_text(transition.weight))
                 node.set("priority", str(transition.priority))
-            _write_position(node, transition.position, node.get("type", ""))
+            write_position(node, transition.position, node.get("type", ""))
         for arc in net.arcs:
             kind = "INPUT" if arc.source in net.place_index else "OUTPUT"
             etree.SubElement(
@@ -392,7 +392,8 @@ def to_bytes(net: Net) -> bytes:
     return serialise(root, depth=4)
 
 
-def _write_position(node: etree._Element, where: Optional[Position], kind: str) -> None:
+def write_position(node: etree._Element, where: Optional[Position], kind: str) -> None:
+    """Write the position of a node: place, EXP or IMM."""
     if where is not None:
         node.set("x", number_text(round(where[0] / UNIT + _CORNER[kind], 9)))
         node.set("y", number_text(where[1] / UNIT))
