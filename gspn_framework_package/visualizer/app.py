@@ -25,13 +25,7 @@ from gspn_framework_package.visualizer.activity import whole_number
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.editing import routes as editing
-from gspn_framework_package.visualizer.guard import (
-    OPERATOR,
-    SECURITY_HEADERS,
-    Guard,
-    LoginError,
-    is_loopback,
-)
+from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.optimise_form import FormError
 from gspn_framework_package.visualizer.optimised import ROWS, ExistsError
@@ -152,13 +146,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/hello")
     def hello() -> Dict[str, Any]:
-        edits = project.edits and flask.g.role == OPERATOR
-        return {
-            "version": __version__,
-            "role": flask.g.role,
-            "edits": edits,
-            **project.to_json(),
-        }
+        role = flask.g.role
+        offer = editing.offer(project, role)
+        return {"version": __version__, "role": role, **offer, **project.to_json()}
 
     # -- opening -----------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Dict, Iterable, Optional
 
 from gspn_framework_package.execution.phase import phases_to_json
 from gspn_framework_package.model.errors import InputError
@@ -87,6 +87,7 @@ class Project:
         if self._folder is None:
             raise InputError("no folder is served here")
         folder, name = self._folder, self._folder.name(path)
+        self._drop_outdated(FILE_KEY + name)
         session = self.sessions.get_or_open(FILE_KEY + name, lambda: self._make(folder, name), room)
         self._take_note(lambda run: self.path_of(run.log) == name)
         return session
@@ -101,6 +102,26 @@ class Project:
             known = self.sessions.known(key)
             return known or self.open(key[len(FILE_KEY) :], room)
         return self.sessions.get(key)
+
+    def renew(self, paths: Iterable[str]) -> None:
+        """Close the sessions of files that were saved, and of plans with subnets, so that they are
+        read anew. A plan that is being executed goes on as it was started; its session is renewed
+        when it is next opened after the end.
+
+        :param paths: the files, relative to the folder.
+        """
+        keys = {FILE_KEY + path for path in paths}
+        for session in self.sessions.all():
+            plan = session.document.plan
+            uses = session.key.startswith(FILE_KEY) and plan is not None and bool(plan.subnets)
+            if session.key in keys or uses:
+                session.outdated = True
+                self._drop_outdated(session.key)
+
+    def _drop_outdated(self, key: str) -> None:
+        session = self.sessions.known(key)
+        if session is not None and session.outdated and session.loss is not None:
+            self.sessions.drop(session, "the plan was saved: it is opened anew")
 
     def told(self, text: str) -> str:
         """A message without this machine's folders, which viewers need not know."""

@@ -47,6 +47,8 @@ class Session:
         self.reopens = reopens
         self.touched = False
         """Whether it has received a command."""
+        self.outdated = False
+        """Whether its file has been saved since it was opened."""
         self._lock = threading.RLock()
         self._layout = threading.Lock()
         self._starting = False
@@ -115,6 +117,8 @@ class Session:
                 "this net can be simulated, not executed",
                 hint="only plans of the folder that 'gspn serve' was started on are executed",
             )
+        if self.outdated:
+            raise RefusedError("the plan was saved since it was opened here", hint="open it again")
         if self._start_execution is None:
             raise RefusedError("plans are not executed from here")
         if fields.get("confirmed") is not True:
@@ -189,6 +193,19 @@ class Sessions:
             if key in self._sessions:
                 self._sessions.move_to_end(key)
             return self._sessions.get(key)
+
+    def all(self) -> List[Session]:
+        """All open sessions."""
+        with self._lock:
+            return list(self._sessions.values())
+
+    def drop(self, session: Session, why: str) -> None:
+        """Close a session, and tell its viewers why."""
+        with self._lock:
+            if self._sessions.get(session.key) is not session:
+                return
+            del self._sessions[session.key]
+        session.close(why)
 
     def get_or_open(self, key: str, make: Callable[[], Session], room: bool = True) -> Session:
         """The session of that key, which is made if there is none.

@@ -10,8 +10,13 @@ import flask
 from flask import Response, request
 
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.visualizer.editing.export import exported
 from gspn_framework_package.visualizer.editing.open_document import Opened
-from gspn_framework_package.visualizer.editing.workshop import Workshop
+from gspn_framework_package.visualizer.editing.workshop import (
+    ConflictError,
+    Workshop,
+    template_names,
+)
 from gspn_framework_package.visualizer.guard import OPERATOR, Refusal
 from gspn_framework_package.visualizer.project import FILE_KEY, Project
 
@@ -49,9 +54,63 @@ def add_routes(app: flask.Flask, project: Project, body: Body) -> None:
     def path() -> str:
         return path_of_key(request.args.get("id", ""))
 
+    def new_plan(made: str) -> Response:
+        return answer({"path": made, "id": project.open(made).key})
+
     @app.route(PREFIX)
     def open_for_editing() -> Response:
         return answer(_told(workshop.open(path()), workshop))
+
+    @app.route(PREFIX + "/save", methods=["POST"])
+    def save() -> Response:
+        fields = body()
+        try:
+            saved = workshop.save(path(), fields.get("etag"), fields.get("document"))
+        except ConflictError as error:
+            theirs = {"etag": error.theirs.etag, "document": error.theirs.document}
+            return answer({"error": project.told(str(error)), "theirs": theirs}, 412)
+        if saved.written:
+            project.renew([saved.opened.path, *saved.written])
+        return answer(
+            {
+                "etag": saved.opened.etag,
+                "files": saved.opened.files_to_json(),
+                "written": saved.written,
+                "notes": saved.notes,
+            }
+        )
+
+    @app.route(PREFIX + "/save_as", methods=["POST"])
+    def save_as() -> Response:
+        fields = body()
+        return new_plan(workshop.save_as(path(), fields.get("document"), fields.get("name")))
+
+    @app.route(PREFIX + "/new", methods=["POST"])
+    def new() -> Response:
+        fields = body()
+        return new_plan(workshop.new(fields.get("template", ""), fields.get("name")))
+
+    @app.route(PREFIX + "/draft", methods=["POST"])
+    def draft() -> Response:
+        fields = body()
+        kept = workshop.keep_draft(path(), fields.get("etag"), fields.get("document"))
+        return answer({"kept": kept})
+
+    @app.route(PREFIX + "/export", methods=["POST"])
+    def export() -> Response:
+        fields = body()
+        file = exported(workshop, path(), fields.get("document"), fields.get("format"))
+        response = Response(file.data, mimetype=file.mimetype)
+        response.headers["Content-Disposition"] = "attachment; filename=%s" % file.name
+        if file.notes:
+            response.headers["X-Gspn-Notes"] = json.dumps(file.notes)
+        return response
+
+
+def offer(project: Project, role: str) -> Dict[str, Any]:
+    """What the page is told of the editor: whether it may be used, and the templates of plans."""
+    edits = project.edits and role == OPERATOR
+    return {"edits": edits, "templates": template_names() if edits else []}
 
 
 def path_of_key(key: str) -> str:
@@ -74,7 +133,8 @@ def _told(opened: Opened, workshop: Workshop) -> Dict[str, Any]:
         "document": opened.document,
         "files": opened.files_to_json(),
         "scale": opened.scale,
+        "laid_out": opened.laid_out,
         "notes": list(opened.parts.notes),
-        "draft": None,
+        "draft": workshop.drafts.of(opened.path, opened.etag),
         "read_only": workshop.read_only(opened),
     }

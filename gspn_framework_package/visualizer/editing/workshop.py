@@ -3,9 +3,66 @@
 from __future__ import annotations
 
 import os
+import re
+import secrets
+import shutil
+import threading
+from typing import Any, Dict, List, NamedTuple, Optional
 
+from gspn_framework_package.analysis.plan.completion import complete
+from gspn_framework_package.formats import pipe
+from gspn_framework_package.formats.draft import ReadOptions
+from gspn_framework_package.formats.json_update import update_json
+from gspn_framework_package.formats.net_json import net_from_json
+from gspn_framework_package.formats.net_update import same_net
+from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
+from gspn_framework_package.formats.plan_parts import JsonObject
+from gspn_framework_package.formats.xml_tree import parse_xml
+from gspn_framework_package.making import templates
+from gspn_framework_package.model.errors import GspnError, InputError, RefusedError, UsageError
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.visualizer.documents import Folder
-from gspn_framework_package.visualizer.editing.open_document import Opened, open_document
+from gspn_framework_package.visualizer.editing.atomic import recover, write_all
+from gspn_framework_package.visualizer.editing.belongings import Belongings
+from gspn_framework_package.visualizer.editing.drafts import Drafts
+from gspn_framework_package.visualizer.editing.open_document import (
+    Opened,
+    open_document,
+    with_positions,
+)
+from gspn_framework_package.visualizer.editing.saving import changes_of, document_in, unfinished
+
+NET_FILE = "net.xml"
+POLICY_FILE = "policy.json"
+
+FEW_ROWS = 40
+"""A policy of more rows gets a file of its own in a new plan."""
+
+EMPTY: JsonObject = {
+    "plan": {"actions": {}},
+    "net": {"places": [], "transitions": [], "arcs": []},
+    "policy": None,
+}
+
+
+class ConflictError(RefusedError):
+    """The files have changed since they were opened. ``theirs`` is what they say now."""
+
+    def __init__(self, theirs: Opened) -> None:
+        super().__init__(
+            "somebody has changed the plan since you opened it: nothing was saved",
+            hint="compare your changes with theirs",
+            file=theirs.path,
+        )
+        self.theirs = theirs
+
+
+class Saved(NamedTuple):
+    """A document after saving: as it is on disk now, which files were written, and notes."""
+
+    opened: Opened
+    written: List[str]
+    notes: List[str]
 
 
 class Workshop:
@@ -13,10 +70,28 @@ class Workshop:
 
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
+        self.drafts = Drafts(folder)
+        self._lock = threading.Lock()
 
     def open(self, path: str) -> Opened:
-        """Open a plan or net for editing. :raises GspnError: it cannot be opened."""
-        return open_document(self.folder, path)
+        """Open a plan or net for editing. A bare net is completed to a plan.
+
+        :raises GspnError: it cannot be opened.
+        """
+        with self._lock:
+            return self._open(path)
+
+    def _open(self, path: str) -> Opened:
+        whole = self.folder.resolve(path)
+        recover(self.folder, whole if os.path.isdir(whole) else os.path.dirname(whole))
+        opened = open_document(self.folder, path)
+        if opened.parts.plan_file and (opened.document["plan"] or not opened.parts.thesis):
+            return opened
+        completed = complete(net_from_json(opened.parts.net))
+        document = dict(completed.document)
+        document["net"] = with_positions(document["net"])[0]
+        notes = (*opened.parts.notes, *completed.notes)
+        return opened._replace(document=document, parts=opened.parts._replace(notes=notes))
 
     def read_only(self, opened: Opened) -> str:
         """Why the document cannot be saved where it is; "" if it can."""
@@ -29,3 +104,235 @@ class Workshop:
             if not os.access(os.path.dirname(file), os.W_OK | os.X_OK):
                 return "nothing can be written in the folder of %s" % os.path.basename(file)
         return ""
+
+    def save(self, path: str, etag: object, document: object) -> Saved:
+        """Save a document in the files that it was opened from.
+
+        :param etag: the hash of the files that it was opened from.
+        :raises ConflictError: the files have changed since.
+        :raises GspnError: it cannot be saved; then no file has changed.
+        """
+        new = document_in(document)
+        if not isinstance(etag, str):
+            raise UsageError("'etag' is missing")
+        with self._lock:
+            opened = self._opened_again(path)
+            if opened.etag != etag:
+                raise ConflictError(opened)
+            reason = self.read_only(opened)
+            if reason:
+                raise RefusedError(reason, file=opened.path)
+            changes = changes_of(opened, new)
+            if changes.contents:
+                place = os.path.dirname(opened.parts.plan_file)
+                write_all(self.folder, place, changes.contents)
+                opened = self._open(path)
+            self.drafts.forget(opened.path)
+        return Saved(opened, [self._name(file) for file in changes.contents], changes.notes)
+
+    def keep_draft(self, path: str, etag: object, document: object) -> bool:
+        """Keep unsaved work, or forget it.
+
+        :param document: the document, or None to forget the draft. It may be unfinished.
+        :returns: whether there is a draft now.
+        :raises GspnError: it cannot be kept.
+        """
+        name = self._name(self._whole(path))
+        with self._lock:
+            if document is None:
+                self.drafts.forget(name)
+                return False
+            kept = unfinished(document)
+            if not isinstance(etag, str) or len(etag) > 200:
+                raise UsageError("'etag' is missing")
+            self.drafts.keep(name, etag, kept)
+        return True
+
+    def _whole(self, path: str) -> str:
+        """The absolute path of a file that is open, which somebody may have deleted since."""
+        try:
+            return self.folder.resolve(self.folder.name(path))
+        except UsageError:
+            raise
+        except InputError:
+            whole = os.path.realpath(os.path.join(self.folder.root, path))
+            if self.folder.inside(whole) is None:
+                raise
+            return whole
+
+    def _opened_again(self, path: str) -> Opened:
+        try:
+            return self._open(path)
+        except GspnError as error:
+            raise RefusedError(
+                "the plan on disk cannot be opened any more, so nothing was saved: %s" % error,
+                hint="save it as another plan",
+            ) from None
+
+    def _name(self, file: str) -> str:
+        return os.path.relpath(file, self.folder.root)
+
+    def save_as(self, path: str, document: object, name: object) -> str:
+        """Save a document as a new plan in a folder of its own, with the functions and subnets that
+        it uses.
+
+        :param path: the file that it was opened from.
+        :returns: the path of the new plan.
+        :raises GspnError: it cannot be saved; then there is no such folder.
+        """
+        new = document_in(document)
+        target = self._new_folder(name)
+        with self._lock:
+            whole = self._whole(path)
+            belongings = Belongings(self.folder, whole, new["plan"])
+            made = self._begin(target)
+            try:
+                for inner, data in {**belongings.contents(), **contents_of(new)}.items():
+                    _write(os.path.join(made, inner), data)
+                read_plan(made)
+                return self._finish(made, target)
+            except BaseException as error:
+                raise self._undone(made, target, error) from None
+
+    def new(self, template: object, name: object) -> str:
+        """Make a new plan: of a template, or with nothing in it.
+
+        :returns: the path of the new plan.
+        :raises GspnError: there is no such template, or it cannot be written.
+        """
+        known = template_names()
+        if not isinstance(template, str) or (template and template not in known):
+            raise UsageError("there is no such template", hint="there are %s" % ", ".join(known))
+        target = self._new_folder(name)
+        with self._lock:
+            made = self._begin(target)
+            try:
+                if template:
+                    os.rmdir(made)
+                    templates.write(template, made, plan=os.path.basename(target))
+                else:
+                    plan = {"plan": os.path.basename(target), **EMPTY["plan"]}
+                    for inner, data in contents_of({**EMPTY, "plan": plan}).items():
+                        _write(os.path.join(made, inner), data)
+                return self._finish(made, target)
+            except BaseException as error:
+                raise self._undone(made, target, error) from None
+
+    def _new_folder(self, name: object) -> str:
+        if not isinstance(name, str) or not re.fullmatch(r"\w([\w .+-]{0,79}[\w+-])?", name):
+            raise UsageError(
+                "that is not the name of a folder",
+                hint="letters, digits, '_', '-' and '.', at most 80",
+            )
+        target = os.path.join(self.folder.root, name)
+        if os.path.lexists(target):
+            raise RefusedError("it exists already", hint="choose another name", file=name)
+        return target
+
+    def _begin(self, target: str) -> str:
+        """A folder that becomes ``target`` when it is complete."""
+        made = os.path.join(self.folder.root, ".gspn_new_" + secrets.token_hex(6))
+        try:
+            os.mkdir(made)
+        except OSError as error:
+            raise InputError(
+                "cannot make it: %s" % error.strerror, file=os.path.basename(target)
+            ) from None
+        return made
+
+    def _finish(self, made: str, target: str) -> str:
+        if os.path.lexists(target):
+            raise RefusedError(
+                "it exists already", hint="choose another name", file=os.path.basename(target)
+            )
+        os.rename(made, target)
+        return os.path.join(os.path.basename(target), PLAN_FILE)
+
+    def _undone(self, made: str, target: str, error: BaseException) -> BaseException:
+        shutil.rmtree(made, ignore_errors=True)
+        name = os.path.basename(target)
+        if isinstance(error, OSError):
+            return InputError("cannot write it: %s" % error.strerror, file=name)
+        if isinstance(error, GspnError) and error.file:
+            error.file = error.file.replace(made, name)
+        return error
+
+    def everything_of(self, path: str, document: object) -> Dict[str, bytes]:
+        """The plan as a folder, as it would be if the document were saved: the content of each
+        file, by its path in the folder.
+
+        :raises GspnError: a file cannot be read.
+        """
+        new = document_in(document)
+        opened = self.open(path)
+        whole = self.folder.resolve(opened.path)
+        belongings = Belongings(self.folder, whole, new["plan"])
+        contents = belongings.contents()
+        parts = opened.parts
+        if not parts.plan_file or parts.thesis:
+            contents.update(contents_of(new))
+        else:
+            changed = changes_of(opened, new).contents
+            place = os.path.dirname(parts.plan_file)
+            for file in parts.files:
+                inner = os.path.relpath(file, place)
+                if not inner.startswith(os.pardir):
+                    contents[inner] = changed.get(file) or _read(file)
+            if any(os.path.relpath(f, place).startswith(os.pardir) for f in parts.files):
+                contents.update(contents_of(new))
+        return contents
+
+
+def template_names() -> List[str]:
+    """The names of the templates of new plans."""
+    return list(templates.names())
+
+
+def contents_of(document: JsonObject) -> Dict[str, bytes]:
+    """The files of a new plan, by name: the net in PIPE XML if that can hold it."""
+    plan, net, policy = (document[key] for key in ("plan", "net", "policy"))
+    contents: Dict[str, bytes] = {}
+    first = {key: plan[key] for key in ("$schema", "plan", "description") if key in plan}
+    drawn = _in_pipe(net)
+    if drawn is not None:
+        contents[NET_FILE] = drawn
+    whole: JsonObject = {**first, "net": net if drawn is None else NET_FILE}
+    if policy is not None:
+        many = len(policy["rows"]) > FEW_ROWS
+        whole["policy"] = POLICY_FILE if many else policy
+        if many:
+            contents[POLICY_FILE] = _json(policy)
+    whole.update((key, value) for key, value in plan.items() if key not in whole)
+    contents[PLAN_FILE] = _json(whole)
+    return contents
+
+
+def _in_pipe(data: JsonObject) -> Optional[bytes]:
+    """The net as a PIPE file; None if such a file cannot hold it."""
+    try:
+        net: Net = net_from_json(data)
+        drawn = pipe.to_bytes(net)
+        return (
+            drawn
+            if same_net(pipe.from_xml(parse_xml(drawn), None, ReadOptions())[0], net)
+            else None
+        )
+    except GspnError:
+        return None
+
+
+def _json(data: Any) -> bytes:
+    return (update_json("{\n  \n}", data) + "\n").encode()
+
+
+def _write(path: str, data: bytes) -> None:
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    with open(path, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _read(path: str) -> bytes:
+    with open(path, "rb") as file:
+        return file.read()

@@ -1,0 +1,104 @@
+"""Drafts: unsaved work, kept by the server outside the files of the plans."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import time
+from typing import Any, Dict, Optional
+
+from gspn_framework_package.formats.plan_parts import JsonObject
+from gspn_framework_package.formats.source import read_bytes
+from gspn_framework_package.model.errors import InputError, RefusedError
+from gspn_framework_package.visualizer.documents import Folder
+from gspn_framework_package.visualizer.editing.atomic import write_all
+
+DRAFTS = ".gspn_drafts"
+"""The folder of the drafts, in the served folder."""
+
+MOST = 200
+"""How many drafts are kept."""
+
+BYTES = 16_000_000
+"""Largest draft, in bytes."""
+
+
+class Drafts:
+    """The drafts of one served folder, one for each file."""
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._place = os.path.join(folder.root, DRAFTS)
+
+    def keep(self, path: str, etag: str, document: JsonObject) -> None:
+        """Keep a draft in the place of an earlier one.
+
+        :param path: the file that is edited.
+        :param etag: the hash of its files when it was opened.
+        :raises GspnError: it cannot be kept.
+        """
+        draft = {"path": path, "etag": etag, "saved_at": time.time(), "document": document}
+        data = json.dumps(draft, ensure_ascii=False, allow_nan=False).encode()
+        if len(data) > BYTES:
+            raise InputError("it is too large for a draft: save it")
+        if os.path.islink(self._place):
+            raise RefusedError("%s is a link: no drafts are kept there" % DRAFTS)
+        file = self._file(path)
+        try:
+            os.makedirs(self._place, mode=0o700, exist_ok=True)
+            if not os.path.lexists(file) and len(os.listdir(self._place)) >= MOST:
+                self._make_room()
+        except OSError as error:
+            raise InputError(
+                "no draft can be kept: %s" % error.strerror,
+                file=DRAFTS,
+                hint="save the plan, or download it, before you leave the page",
+            ) from None
+        if os.path.islink(file):
+            raise RefusedError("the draft is a link: it is not written")
+        write_all(self._folder, self._place, {file: data})
+
+    def _make_room(self) -> None:
+        """Forget the drafts of files that are gone. :raises RefusedError: there are none."""
+        for name in os.listdir(self._place):
+            draft = self._read(os.path.join(self._place, name))
+            if draft is None or not os.path.exists(
+                os.path.join(self._folder.root, str(draft.get("path")))
+            ):
+                with contextlib.suppress(OSError):
+                    os.unlink(os.path.join(self._place, name))
+        if len(os.listdir(self._place)) >= MOST:
+            raise RefusedError(
+                "%d drafts are kept already" % MOST, hint="save some, or delete some in %s" % DRAFTS
+            )
+
+    def of(self, path: str, etag: str) -> Optional[Dict[str, Any]]:
+        """The draft of a file: ``document``, the ``etag`` that it was made on, when it was
+        ``saved_at`` (s since 1970), and whether the files have changed since (``outdated``)."""
+        draft = self._read(self._file(path))
+        if draft is None or draft.get("path") != path:
+            return None
+        found = {key: draft.get(key) for key in ("document", "etag", "saved_at")}
+        return {**found, "outdated": draft.get("etag") != etag}
+
+    def forget(self, path: str) -> None:
+        """Delete the draft of a file, if there is one."""
+        with contextlib.suppress(OSError):
+            os.unlink(self._file(path))
+
+    def _file(self, path: str) -> str:
+        digest = hashlib.sha256(path.encode(errors="surrogateescape")).hexdigest()
+        return os.path.join(self._place, digest[:32] + ".json")
+
+    def _read(self, file: str) -> Optional[Dict[str, Any]]:
+        """The content of a draft; None if there is none that can be read."""
+        try:
+            if os.path.islink(self._place) or os.path.islink(file) or not os.path.isfile(file):
+                return None
+            draft = json.loads(read_bytes(file, BYTES))
+        except (InputError, ValueError, RecursionError):
+            return None
+        is_draft = isinstance(draft, dict) and isinstance(draft.get("document"), dict)
+        return draft if is_draft else None
