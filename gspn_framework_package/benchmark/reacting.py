@@ -1,5 +1,5 @@
 """How fast a team reacts to events, what a flood of messages costs, and whether every task is done
-once although robots are killed.
+once although robots are killed or stopped, or the network is cut.
 
 ``python3 -m gspn_framework_package.benchmark.reacting`` (needs ROS)
 
@@ -10,8 +10,9 @@ once although robots are killed.
   second, none of which changes the condition; without them; and that of a process that only
   subscribes to such a topic.
 - *tasks*: tasks come in on a topic, events interrupt the robots that deliver them, and robots are
-  killed and restarted. At the end every task must be done exactly once by the log, and the history
-  checker looks at all logs.
+  killed and restarted, or stopped, or cut off from each other (which needs root). At the end every
+  task must be done exactly once by the log, no visit may have ended twice, and the history checker
+  looks at all logs (see :mod:`.reacting_tasks`).
 """
 
 from __future__ import annotations
@@ -27,31 +28,31 @@ import statistics
 import subprocess
 import sys
 import time
-from collections import Counter
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 import psutil
 
-from gspn_framework_package.benchmark.faults.team import (
-    BRIEF,
-    PATIENCE,
-    LaunchedTeam,
-    RestartableMaster,
-)
+from gspn_framework_package.benchmark.faults.team import PATIENCE, RestartableMaster
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.netns.main import why_not
 from gspn_framework_package.benchmark.processes import cpu_seconds
+from gspn_framework_package.benchmark.reacting_tasks import COLUMNS as TASK_COLUMNS
+from gspn_framework_package.benchmark.reacting_tasks import (
+    FAULTS,
+    launched,
+    measure_tasks,
+    publisher,
+)
 from gspn_framework_package.benchmark.team_run import need_ros
-from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.model.action import EXEC_GSPN, FunctionAction, ServerAction
+from gspn_framework_package.model.action import EXEC_GSPN, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import ExecutionError, GspnError
-from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
+from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation
 
 PARTS = ("interrupts", "flood", "tasks")
 FLOOD = 1000
 """Messages a second."""
-EVICT_AFTER = 3.0
 MODULE = "gspn_framework_package.benchmark.reacting"
 
 Row = Dict[str, Any]
@@ -74,34 +75,6 @@ def guard_plan(robots: int) -> Plan:
         events={
             "low": EventSource("battery", "std_msgs/Float32", "data < 0.2", edge=True),
         },
-    ).validate()
-
-
-def courier_plan(robots: int) -> Plan:
-    """Robots wait for orders and deliver them; an event lets one begin its delivery anew."""
-    net = (
-        NetBuilder("courier")
-        .place("Wait", robots)
-        .place("Deliver")
-        .place("Orders", capacity=20)
-        .exponential("order", rate=1, outputs="Orders")
-        .immediate("take", inputs=["Wait", "Orders"], outputs="Deliver")
-        .exponential("delivered", rate=1, inputs="Deliver", outputs="Wait")
-        .exponential("bump", rate=1, inputs="Deliver", outputs="Deliver")
-        .build()
-    )
-    return Plan(
-        net,
-        name="courier",
-        actions={"Wait": None, "Deliver": FunctionAction(BRIEF, "Deliver")},
-        resource_places=frozenset(["Orders"]),
-        robots=tuple(RobotSpec("robot_%d" % n, "Wait") for n in range(1, robots + 1)),
-        events={
-            "order": EventSource("/orders", "std_msgs/String", json="data"),
-            "bump": EventSource("bump", "std_msgs/Empty", resume=True),
-        },
-        tasks=Tasks(("Orders",), ("delivered",)),
-        on_evict={"Deliver": {"Orders": 1}},
     ).validate()
 
 
@@ -133,30 +106,6 @@ class WorkServer:
     def _end(self, goal: Any) -> None:
         self.cancelled.put(time.monotonic())
         goal.set_canceled()
-
-
-@contextlib.contextmanager
-def launched(robots: int, mode: Synchronisation, plan: Plan) -> Iterator[LaunchedTeam]:
-    """A team that is ended, and whose files are removed, at the end of the block."""
-    team = LaunchedTeam(robots, mode, EVICT_AFTER, plan)
-    try:
-        yield team
-    finally:
-        team.end()
-        team.discard()
-
-
-def publisher(topic: str, message: Any, connections: int = 1) -> Any:
-    """A publisher that has its subscribers. :raises ExecutionError: they do not come."""
-    import rospy
-
-    found = rospy.Publisher(topic, message, queue_size=1000, tcp_nodelay=True)
-    deadline = time.monotonic() + PATIENCE
-    while found.get_num_connections() < connections:
-        if time.monotonic() > deadline:
-            raise ExecutionError("nobody subscribes to %s" % topic)
-        time.sleep(0.02)
-    return found
 
 
 # -- interrupts ------------------------------------------------------------------------------------
@@ -269,104 +218,6 @@ def _listen(topic: str) -> None:
     rospy.spin()
 
 
-# -- tasks -----------------------------------------------------------------------------------------
-
-
-def measure_tasks(robots: int, mode: Synchronisation, seconds: float, rate: float) -> Row:
-    """Let tasks and events come for ``seconds``, together ``rate`` a second, while robots are
-    killed; then wait until all is done, and look at the logs."""
-    from std_msgs.msg import Empty, String
-
-    source = random.Random(2)
-    with launched(robots, mode, courier_plan(robots)) as team:
-        team.wait_until(team.is_complete, "the start")
-        orders = publisher("/orders", String, robots)
-        bumps = [publisher("/%s/bump" % name, Empty) for name in team.first]
-        sent: List[str] = []
-        kills, restart_at, victim = 0, 0.0, ""
-        began = time.monotonic()
-        kill_at = began + 3.0
-        for tick in range(int(seconds * rate)):
-            time.sleep(max(0.0, began + tick / rate - time.monotonic()))
-            if tick % 2:
-                source.choice(bumps).publish()
-            else:
-                sent.append("order %d" % len(sent))
-                orders.publish(json.dumps({"id": sent[-1], "number": len(sent)}))
-            now = time.monotonic()
-            if victim and now >= restart_at:
-                team.start(victim)
-                victim, kill_at = "", now + source.uniform(3.0, 6.0)
-            elif not victim and now >= kill_at:
-                victim = source.choice(team.first)
-                restart_at = now + source.choice([0.0, 1.0, EVICT_AFTER + 2.0])
-                team.kill(victim)
-                kills += 1
-        if victim:
-            team.start(victim)
-        published = time.monotonic() - began
-        ended = ended_tasks(team)
-        deadline = time.monotonic() + PATIENCE + seconds
-        while sum(ended["done"].values()) < len(sent) and time.monotonic() < deadline:
-            time.sleep(2.0)
-            ended = ended_tasks(team)
-        drained = time.monotonic() - began
-        team.rest()
-        ended = ended_tasks(team)
-        evictions = sum(1 for e in _entries(team) if e["entry"] == "evict")
-        interrupts = sum(1 for e in _entries(team) if e["entry"] == "interrupt")
-        team.end()
-        violation = team.verdict().violation
-        tracebacks = team.tracebacks()
-    done = ended["done"]
-    return {
-        "part": "tasks",
-        "mode": mode.value,
-        "robots": robots,
-        "seconds": round(published),
-        "all_done_after": round(drained),
-        "tasks": len(sent),
-        "done_once": sum(1 for task in sent if done[task] == 1),
-        "lost": sum(1 for task in sent if not done[task]),
-        "twice": sum(1 for count in done.values() if count > 1),
-        "dropped": sum(ended["dropped"].values()),
-        "interrupts": interrupts,
-        "kills": kills,
-        "evictions": evictions,
-        "tracebacks": len(tracebacks),
-        "logs": "rule %d: %s" % violation if violation else "valid",
-    }
-
-
-def ended_tasks(team: LaunchedTeam) -> Dict[str, Counter[str]]:
-    """How often each task has ended, by the longest log: those that are done, and those that were
-    dropped."""
-    found: Dict[str, Counter[str]] = {"done": Counter(), "dropped": Counter()}
-    for record in _slots(team):
-        for firing in record["firings"]:
-            for task, _, target in firing.get("tasks", ()):
-                if target in found:
-                    found[target][task] += 1
-    return found
-
-
-def _entries(team: LaunchedTeam) -> Iterator[Dict[str, Any]]:
-    for record in _slots(team):
-        yield from record["entries"]
-
-
-def _slots(team: LaunchedTeam) -> List[Dict[str, Any]]:
-    """The slots of the log that is the longest of those that know all of them."""
-    known: List[Dict[int, Dict[str, Any]]] = [
-        {r["slot"]: r for r in read_log(team.log_file(name)).records if r["kind"] == "slot"}
-        for name in team.first
-    ]
-    merged: Dict[int, Dict[str, Any]] = {}
-    for slots in known:
-        merged.update(slots)
-    return [merged[slot] for slot in sorted(merged)]
-
-
 # -- the command -----------------------------------------------------------------------------------
 
 COLUMNS: Dict[str, Tuple[str, ...]] = {
@@ -378,32 +229,8 @@ COLUMNS: Dict[str, Tuple[str, ...]] = {
         "cpu_of_a_mere_subscriber",
         "log_bytes_written",
     ),
-    "tasks": (
-        "mode",
-        "robots",
-        "seconds",
-        "all_done_after",
-        "tasks",
-        "done_once",
-        "lost",
-        "twice",
-        "dropped",
-        "interrupts",
-        "kills",
-        "evictions",
-        "tracebacks",
-        "logs",
-    ),
+    "tasks": TASK_COLUMNS,
 }
-
-
-def is_well(row: Row) -> bool:
-    """Whether a row of the tasks shows that each was done once, and nothing else went wrong."""
-    return row["part"] != "tasks" or (
-        row["done_once"] == row["tasks"]
-        and not (row["twice"] or row["dropped"] or row["tracebacks"])
-        and row["logs"] == "valid"
-    )
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -415,11 +242,19 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--mode", choices=[m.value for m in Synchronisation])
     parser.add_argument("--samples", type=int, default=300, metavar="N", help="interrupts (300)")
     parser.add_argument(
+        "--faults",
+        choices=FAULTS,
+        nargs="+",
+        default=["kills", "pauses"],
+        help="what happens while tasks come (kills pauses); cuts of the network need root",
+    )
+    parser.add_argument(
         "--seconds", type=float, default=60.0, metavar="S", help="how long tasks come (60)"
     )
     parser.add_argument(
         "--rate", type=float, default=20.0, metavar="N", help="tasks and events a second (20)"
     )
+    parser.add_argument("--seed", type=int, default=2, metavar="N", help="of the faults (2)")
     parser.add_argument(
         "--window", type=float, default=10.0, metavar="S", help="seconds to measure a flood (10)"
     )
@@ -431,6 +266,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if args.publish or args.listen:
         (_publish if args.publish else _listen)(args.publish or args.listen)
         return 0
+    reason = why_not() if "tasks" in args.part and "cuts" in args.faults else ""
+    if reason:
+        raise UsageError("the network cannot be cut here: %s" % reason)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the running team is ended
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
     work: List[Tuple[str, Callable[[], Row]]] = []
@@ -443,19 +281,25 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 name, values = measure_interrupts, (args.robots, mode, args.samples)
                 work.append((part, lambda v=values, f=name: f(*v)))  # type: ignore[misc]
             else:
-                given = (args.robots, mode, args.seconds, args.rate)
-                work.append((part, lambda v=given: measure_tasks(*v)))  # type: ignore[misc]
+                for fault in args.faults:
+                    given = (fault, args.robots, mode, args.seconds, args.rate, args.seed)
+                    told = "%s, %s, %s" % (part, fault, mode.value)
+                    work.append((told, lambda v=given: measure_tasks(*v)))  # type: ignore[misc]
     rows: List[Row] = []
     master = RestartableMaster()
     master.start()
-    interrupted = False
+    interrupted = failed = False
     try:
         import rospy
 
         rospy.init_node("reacting", anonymous=True, disable_signals=True)
         for part, measure in work:
             print("reacting: %s ..." % part, file=sys.stderr, flush=True)
-            rows.append(measure())
+            try:
+                rows.append(measure())
+            except ExecutionError as error:
+                print("reacting: error: %s" % error, file=sys.stderr)
+                failed = True
     except KeyboardInterrupt:
         print("reacting: interrupted", file=sys.stderr)
         interrupted = True
@@ -470,7 +314,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 head = [c.replace("_", " ") for c in COLUMNS[part]]
                 print(table(head, [[row[c] for c in COLUMNS[part]] for row in found]), end="\n\n")
         print(machine_line())
-    if not all(map(is_well, rows)):
+    if failed:
         return 1
     return 130 if interrupted else 0
 

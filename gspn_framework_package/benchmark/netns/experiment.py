@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import time
 from dataclasses import replace
-from typing import Any, Callable, Dict, Sequence, Tuple
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.log_tail import LogTail
 from gspn_framework_package.benchmark.netns.logs import AgreedHistory, check_history
@@ -27,18 +27,16 @@ PATIENCE = 40.0
 """Seconds within which an expected event must happen."""
 
 
-def plan_for(robots: int, mode: str, evict_after: float) -> Plan:
-    """The net of thesis Figure 6.1 with short actions. In partial synchronisation, the places
-    before a resource or a choice of the policy need the team's agreement; the others are
+def tokens_work() -> Plan:
+    """The net of thesis Figure 6.1 with three robots and short actions. In partial synchronisation,
+    the places before a resource or a choice of the policy need the team's agreement; the others are
     private."""
-    plan = tokens_plan().for_robots(robots)
+    plan = tokens_plan().for_robots(3)
     return replace(
         plan,
         actions={
             p: None if a is None else FunctionAction(WORK, p) for p, a in plan.actions.items()
         },
-        synchronisation=Synchronisation(mode),
-        timing=Timing(evict_after, 0.0),
     )
 
 
@@ -49,17 +47,28 @@ class PartitionExperiment:
     :param mode: ``full`` or ``partial``.
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
     :param delay: one-way delay (s) from any node to any other.
+    :param plan: what the team executes; by default three robots execute the net of thesis
+        Figure 6.1.
+    :param others: more nodes of the network, for programs that are no robots.
     """
 
     def __init__(
-        self, mode: str, *, robots: int = 3, evict_after: float = 15.0, delay: float = 0.0
+        self,
+        mode: str,
+        *,
+        evict_after: float = 15.0,
+        delay: float = 0.0,
+        plan: Optional[Plan] = None,
+        others: Sequence[str] = (),
     ) -> None:
         self.partial = mode == "partial"
         self.began = self.cut_at = self.healed_at = 0.0
-        plan = plan_for(robots, mode, evict_after)
+        if plan is None:
+            plan = tokens_work()
+        plan = replace(plan, synchronisation=Synchronisation(mode), timing=Timing(evict_after, 0.0))
         self.robots = [robot.name for robot in plan.robots]
         self._places = plan.action_places
-        self.network = Network([MASTER, *self.robots], delay)
+        self.network = Network([MASTER, *self.robots, *others], delay)
         self.folder = tempfile.mkdtemp(prefix="gspn_netns_")
         self._team = NamespaceTeam(self.network, plan, self.folder)
 
@@ -85,6 +94,15 @@ class PartitionExperiment:
             self.network.__exit__()
             if kind is None or not issubclass(kind, Exception):  # no failure, or interrupted
                 shutil.rmtree(self.folder, ignore_errors=True)
+
+    def run_beside(self, node: str, words: Sequence[str]) -> None:
+        """Start a program in the namespace of a node that is no robot; it must stay until the team
+        ends."""
+        self._team.start(node, words)
+
+    def said(self, node: str) -> str:
+        """What a node has printed."""
+        return self._team.output(node)
 
     # -- what the logs say -------------------------------------------------------------------------
 
@@ -157,13 +175,14 @@ class PartitionExperiment:
 
     def part(self, *groups: Sequence[str]) -> None:
         """Cut the network into groups of nodes."""
-        self._cut(partition(groups))
+        self.cut(partition(groups))
 
     def drop(self, sources: Sequence[str], targets: Sequence[str]) -> None:
         """Drop everything from a source to a target; the other direction stays open."""
-        self._cut(one_way(sources, targets))
+        self.cut(one_way(sources, targets))
 
-    def _cut(self, cuts: Cuts) -> None:
+    def cut(self, cuts: Cuts) -> None:
+        """Cut the traffic of these pairs of nodes, and only that."""
         self.read()
         self.network.cut(cuts)
         self.cut_at = self.healed_at = time.monotonic()
@@ -205,12 +224,20 @@ class PartitionExperiment:
         return caught - self.healed_at
 
     def finish(self) -> AgreedHistory:
-        """Let every robot move on, pause the team, check that all replicas end in the same state,
-        end the team, and check the history.
+        """Let every robot move on, then :meth:`rest`.
 
         :raises GspnError: the replicas differ, or the history is not valid.
         """
         self.wait_for_moves(self.robots, 5, "of each robot at the end")
+        return self.rest()
+
+    def rest(self, quiet: float = 0.0) -> AgreedHistory:
+        """Pause the team, check that all replicas end in the same state, end the team, and check
+        the history.
+
+        :param quiet: how long (s) nothing may change before all counts as in that state.
+        :raises GspnError: the replicas differ, or the history is not valid.
+        """
         problem = ["not asked"]
 
         def paused() -> bool:
@@ -221,7 +248,16 @@ class PartitionExperiment:
             self.wait(paused, "the team to pause")
         except ExecutionError as error:
             raise ExecutionError("%s: %s" % (error.message, problem[0]), file=self.folder) from None
-        self.wait(self._alike, "all logs to end alike")
+        last: Tuple[Tuple[int, ...], float] = ((), 0.0)
+
+        def at_rest() -> bool:
+            nonlocal last
+            written = tuple(len(log.records) for log in self.read().values())
+            if not self._alike() or written != last[0]:
+                last = (written, time.monotonic())
+            return self._alike() and time.monotonic() - last[1] >= quiet
+
+        self.wait(at_rest, "all logs to end alike")
         self._team.end()
         return check_history([self._team.logs[r].path for r in self.robots])
 

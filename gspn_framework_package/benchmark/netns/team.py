@@ -66,12 +66,12 @@ class NamespaceTeam:
         with open(os.path.join(self._folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(self._plan), file)
         try:
-            self._start(MASTER, ["rosmaster", "--core", "-p", str(MASTER_PORT)])
+            self.start(MASTER, ["rosmaster", "--core", "-p", str(MASTER_PORT)])
             self._await_master()
             for name in self.robots:
                 told = {"plan": self._folder, "robot": name, "run": RUN, "log_dir": self._folder}
                 words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in told.items()]
-                self._start(
+                self.start(
                     name,
                     [sys.executable, "-c", _NODE, "__ns:=/" + name, "__name:=executor", *words],
                 )
@@ -117,8 +117,10 @@ class NamespaceTeam:
         return "" if "success: True" in done.stdout else done.stdout.strip()
 
     def end(self) -> None:
-        """End the robots in order, then the master; kill those that do not end within 5 s."""
-        for names in (self.robots, [MASTER]):
+        """End the other programs, then the robots in order, then the master; kill those that do not
+        end within 5 s."""
+        others = [name for name in self._processes if name not in (MASTER, *self.robots)]
+        for names in (others, self.robots, [MASTER]):
             running = [self._processes[name] for name in names if name in self._processes]
             for process in running:
                 if process.poll() is None:
@@ -133,8 +135,9 @@ class NamespaceTeam:
         for log in self.logs.values():
             log.read()
 
-    def _start(self, node: str, words: Sequence[str]) -> None:
-        with open(self._output(node), "wb") as output:
+    def start(self, node: str, words: Sequence[str]) -> None:
+        """Start a program in the namespace of a node; it must run until the team ends."""
+        with open(self._output_file(node), "wb") as output:
             self._processes[node] = subprocess.Popen(
                 self._network.command(node, words),
                 env=self._environment(node),
@@ -169,9 +172,13 @@ class NamespaceTeam:
             PYTHONPATH=os.pathsep.join(filter(None, paths)),
         )
 
-    def _output(self, node: str) -> str:
+    def output(self, node: str) -> str:
+        """What the program of a node has printed."""
+        with open(self._output_file(node), encoding="utf-8", errors="replace") as file:
+            return file.read()
+
+    def _output_file(self, node: str) -> str:
         return os.path.join(self._folder, node + ".txt")
 
     def _said(self, node: str) -> str:
-        with open(self._output(node), encoding="utf-8", errors="replace") as file:
-            return " / ".join(line.strip() for line in file.readlines()[-3:])
+        return " / ".join(line.strip() for line in self.output(node).splitlines()[-3:])
