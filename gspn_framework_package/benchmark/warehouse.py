@@ -190,7 +190,14 @@ def measure(robots: int, minutes: float, factor: float, seed: int) -> Dict[str, 
         "verdict": "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation,
         **{
             key: watcher.report.get(key)
-            for key in ("distance", "contacts_between_robots", "contacts_with_solids")
+            for key in (
+                "distance",
+                "contacts_between_robots",
+                "contacts_with_solids",
+                "visits_of_people",
+                "contacts_with_people",
+                "nearest_to_people",
+            )
         },
     }
 
@@ -268,7 +275,8 @@ def _watch(
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the benchmark; returns 0: every order was done exactly once, 1: otherwise."""
+    """Run the benchmark; returns 0: every order was done exactly once, and nobody touched the
+    person; 1: otherwise."""
     parser = argparse.ArgumentParser(
         prog="benchmark.warehouse", description="The warehouse with the whole system."
     )
@@ -287,7 +295,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         for name, value in result.items():
             print("%-28s %s" % (name.replace("_", " "), value))
     once = result["orders"] > 0 and result["done_once"] == result["orders"]
-    return int(not once or result["dropped"] > 0 or result["verdict"] != "valid")
+    wrong = result["dropped"] > 0 or result["contacts_with_people"] or result["verdict"] != "valid"
+    return int(not once or bool(wrong))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import sys
 from typing import Any, Iterator, Tuple
 
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.world.room import Cylinder, Obstacle, Pose, RobotType, Room
+from gspn_framework_package.world.room import Cylinder, Obstacle, Person, Pose, RobotType, Room
 
 
 @contextlib.contextmanager
@@ -115,6 +115,28 @@ def make_solid(client: Any, solid: Obstacle) -> None:
         [solid.at[0], solid.at[1], solid.height / 2],
         pybullet.getQuaternionFromEuler([0, 0, yaw]),
     )
+
+
+AWAY = (0.0, 0.0, -10.0)
+"""Where the body of a person who is away is kept: below the floor."""
+
+
+def make_person(client: Any, person: Person) -> int:
+    """Create a person, an upright cylinder with a head, who is away; return its id."""
+    shape = client.createCollisionShape(
+        pybullet.GEOM_CYLINDER, radius=person.radius, height=person.height
+    )
+    head = person.radius * 0.6
+    length = person.height - 2 * head
+    look = client.createVisualShapeArray(
+        shapeTypes=[pybullet.GEOM_CYLINDER, pybullet.GEOM_SPHERE],
+        radii=[person.radius, head],
+        lengths=[length, 0.0],
+        halfExtents=[[0, 0, 0]] * 2,
+        rgbaColors=[list(rgba(person.color)), [0.85, 0.68, 0.55, 1.0]],
+        visualFramePositions=[[0, 0, -head], [0, 0, person.height / 2 - head]],
+    )
+    return int(client.createMultiBody(0, shape, look, AWAY))
 
 
 def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:

@@ -6,11 +6,13 @@ class.
 
 from __future__ import annotations
 
+import random
 from typing import Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.world.avoidance import OtherRobot
 from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.navigation import Navigator, Observation
+from gspn_framework_package.world.people import Walker, halted
 from gspn_framework_package.world.physics import TIME_STEP, Physics
 from gspn_framework_package.world.room import Pose, Room
 
@@ -28,6 +30,9 @@ class DrivingTeam:
     :param robots: their names.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
+    :param seed: of the times at which people come.
+
+    :ivar people: the people of the room, whether they are there or not.
     """
 
     def __init__(
@@ -36,6 +41,7 @@ class DrivingTeam:
         robots: Sequence[str],
         poses: Optional[Sequence[Pose]] = None,
         gui: bool = False,
+        seed: int = 0,
     ) -> None:
         self.room = room
         self.physics = Physics(room, robots, poses, gui)
@@ -44,6 +50,10 @@ class DrivingTeam:
         self.navigators: Dict[str, Navigator] = {
             name: Navigator(self.grid, index) for index, name in enumerate(robots)
         }
+        self.people: Tuple[Walker, ...] = tuple(
+            Walker(person, room, random.Random("%d %d" % (seed, number)))
+            for number, person in enumerate(room.people)
+        )
         self._teleop: Dict[str, Tuple[float, float, float]] = {}
 
     @property
@@ -73,8 +83,13 @@ class DrivingTeam:
         return peers
 
     def step(self) -> None:
-        """Advance by :data:`CONTROL_PERIOD`: one command for each robot, then the physics."""
+        """Advance by :data:`CONTROL_PERIOD`: a step of each person, one command for each robot,
+        then the physics."""
         peers = self.peers()
+        poses = [peer.pose for peer in peers]
+        for number, walker in enumerate(self.people):
+            walker.step(self.time, CONTROL_PERIOD, poses)
+            self.physics.place_person(number, walker.at)
         for me in peers:
             navigator = self.navigators[me.name]
             if navigator.active:
@@ -82,7 +97,10 @@ class DrivingTeam:
                 command = navigator.step(Observation(self.time, me.pose, others), CONTROL_PERIOD)
             else:
                 command = self._by_hand(me.name)
-            self.physics.drive(me.name, *command)
+            speed, turn_rate = command
+            if halted(me.pose, speed, self.room.robot.radius, self.people):
+                speed = 0.0
+            self.physics.drive(me.name, speed, turn_rate)
         for _ in range(CONTROL_STEPS):
             self.physics.step()
 

@@ -12,12 +12,13 @@ For each robot, in its namespace, the node has the interface of a real one. It
 For all robots, it publishes ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint),
 ``/map`` (latched), and for the page ``/world/room`` (std_msgs/String, JSON, latched),
 ``/world/state`` (JSON, at most ten per second of wall time) and ``/world/referee`` (JSON, the
-referee's counts, once per second).
+referee's counts, once per second). In a room into which people walk, it publishes ``/person``
+(std_msgs/Bool, latched): whether somebody is there.
 
 Private parameters: ``room`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
 separated by commas), ``real_time_factor`` (1 is real time, 0 as fast as possible), ``gui``,
-``duration`` (seconds of world time, 0 for no limit), ``record`` (file to record the run in, for
-``gspn film``).
+``seed`` (of the times at which people come), ``duration`` (seconds of world time, 0 for no limit),
+``record`` (file to record the run in, for ``gspn film``).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan, Temperature
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 
 from gspn_framework_package.model.errors import GspnError, InputError
@@ -118,13 +119,19 @@ class WorldNode:
     :param robots: names of the robots, which are also their namespaces.
     :param real_time_factor: seconds of world time per second of wall time; 0: as fast as possible.
     :param gui: open PyBullet's window.
+    :param seed: of the times at which people come.
     """
 
     def __init__(
-        self, room: Room, robots: List[str], real_time_factor: float = 1.0, gui: bool = False
+        self,
+        room: Room,
+        robots: List[str],
+        real_time_factor: float = 1.0,
+        gui: bool = False,
+        seed: int = 0,
     ) -> None:
         self._factor = real_time_factor
-        self.team = DrivingTeam(room, robots, gui=gui)
+        self.team = DrivingTeam(room, robots, gui=gui, seed=seed)
         self.referee = Referee(self.team)
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._clock = rospy.Publisher("/clock", Clock, queue_size=1)
@@ -136,6 +143,11 @@ class WorldNode:
         self._robots = [_Robot(name, self.team, self._inbox.put) for name in robots]
         self._map.publish(messages.map_message(self.team.grid, MAP_FRAME))
         self._room.publish(json.dumps(room.as_json()))
+        self._somebody = False
+        self._person: Any = None
+        if room.people:
+            self._person = rospy.Publisher("/person", Bool, queue_size=5, latch=True)
+            self._person.publish(Bool(False))
         self.recorder: Optional[Recorder] = None
         self._steps = 0
         self._reported = 0.0
@@ -151,6 +163,7 @@ class WorldNode:
                 break
         self.team.step()
         self.referee.watch()
+        self._tell_of_people()
         if self.recorder is not None:
             self.recorder.record()
         self._steps += 1
@@ -169,6 +182,13 @@ class WorldNode:
             self._reported = wall
             self._report.publish(json.dumps(self.referee.report()))
 
+    def _tell_of_people(self) -> None:
+        """Publish whether somebody is there, when that changes."""
+        somebody = any(walker.at is not None for walker in self.team.people)
+        if somebody != self._somebody:
+            self._somebody = somebody
+            self._person.publish(Bool(somebody))
+
     def state(self) -> Dict[str, Any]:
         """The current state for the page."""
         heat = self.team.room.temperature
@@ -176,6 +196,15 @@ class WorldNode:
             "time": round(self.team.time, 3),
             "real_time_factor": round(self.real_time_factor, 2),
             "robots": {robot.name: robot.state() for robot in self._robots},
+            "people": [
+                {
+                    "at": [round(walker.at[0], 3), round(walker.at[1], 3)],
+                    "radius": walker.person.radius,
+                    "color": walker.person.color,
+                }
+                for walker in self.team.people
+                if walker.at is not None
+            ],
             "hot_spots": [
                 {"at": spot.at(self.team.time), "radius": spot.radius, "excess": spot.excess}
                 for spot in heat.hot_spots
@@ -225,7 +254,8 @@ def main() -> int:
             number_parameter("real_time_factor", 1.0),
             number_parameter("duration", 0.0),
         )
-        node = WorldNode(room, robots, factor, bool(rospy.get_param("~gui", False)))
+        gui, seed = bool(rospy.get_param("~gui", False)), int(number_parameter("seed", 0))
+        node = WorldNode(room, robots, factor, gui, seed)
         speed = "%g times real time" % factor if factor else "as fast as it goes"
         rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)
         recording = str(rospy.get_param("~record", ""))

@@ -1,8 +1,8 @@
 """The room and its robots as PyBullet bodies: wheels, motors, contacts, a laser scanner, encoders.
 
 Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn
-on the floor; a simulation never sets a pose after the start. The time step is fixed, and the caller
-decides how fast to step.
+on the floor; a simulation never sets their pose after the start (that of people, it does). The time
+step is fixed, and the caller decides how fast to step.
 """
 
 from __future__ import annotations
@@ -13,18 +13,24 @@ from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import (
+    AWAY,
     BODY_BOTTOM,
     BODY_HEIGHT,
     connect,
     make_floor,
+    make_person,
     make_robot,
     make_solid,
 )
-from gspn_framework_package.world.room import Pose, Room
+from gspn_framework_package.world.room import Point, Pose, Room
 from gspn_framework_package.world.window import set_up_window
 
 TIME_STEP = 1.0 / 120.0
 """Duration of one physics step, in seconds."""
+
+TOUCH = 0.001
+"""Metres between a robot and a person that count as a contact; Bullet keeps bodies that press on
+each other less than half of that apart."""
 
 
 @dataclass
@@ -33,15 +39,18 @@ class Contacts:
 
     :ivar robots: contacts between two robots, by pair of names in alphabetical order.
     :ivar solids: contacts of a robot with a wall or an obstacle, by name of the robot.
+    :ivar people: contacts of a robot with a person, by name of the robot.
     """
 
     robots: Dict[Tuple[str, str], int] = field(default_factory=dict)
     solids: Dict[str, int] = field(default_factory=dict)
+    people: Dict[str, int] = field(default_factory=dict)
 
     @property
     def total(self) -> int:
         """The number of all contacts."""
-        return sum(self.robots.values()) + sum(self.solids.values())
+        counts = (self.robots, self.solids, self.people)
+        return sum(sum(count.values()) for count in counts)
 
 
 @dataclass
@@ -88,6 +97,9 @@ class Physics:
         self._floor = make_floor(self._client, room)
         for solid in room.solids():
             make_solid(self._client, solid)
+        self._people = [make_person(self._client, person) for person in room.people]
+        self._where: List[Optional[Point]] = [None] * len(room.people)
+        self._met: Set[Tuple[str, int]] = set()
         self._bodies: Dict[str, _Body] = {}
         for name, pose in zip(robots, starts):
             unique_id = make_robot(self._client, room.robot, pose, colour_of(name))
@@ -154,6 +166,18 @@ class Physics:
         turned = self._client.getQuaternionFromEuler([0, 0, pose.yaw])
         self._client.resetBasePositionAndOrientation(body, [pose.x, pose.y, height], turned)
 
+    def place_person(self, number: int, at: Optional[Point]) -> None:
+        """Move a person of the room to a point; None: away."""
+        if at == self._where[number]:
+            return
+        self._where[number] = at
+        height = self.room.people[number].height
+        self._client.resetBasePositionAndOrientation(
+            self._people[number],
+            AWAY if at is None else [at[0], at[1], height / 2],
+            [0.0, 0.0, 0.0, 1.0],
+        )
+
     def step(self) -> None:
         """Advance by :data:`TIME_STEP`."""
         for body in self._bodies.values():
@@ -163,6 +187,7 @@ class Physics:
         for body in self._bodies.values():
             self._read_encoders(body)
         self._count_contacts()
+        self._count_meetings()
 
     def advance(self, seconds: float) -> None:
         """Advance by the number of steps that brings the time nearest to ``time + seconds``."""
@@ -214,7 +239,7 @@ class Physics:
         touching: Set[Tuple[str, str]] = set()
         for name, body in self._bodies.items():
             for contact in self._client.getContactPoints(bodyA=body.unique_id, linkIndexA=-1):
-                if contact[2] == self._floor or contact[8] > 0.0:
+                if contact[2] == self._floor or contact[2] in self._people or contact[8] > 0.0:
                     continue
                 other = self._names.get(contact[2], "")
                 touching.add((min(name, other), max(name, other)))
@@ -225,6 +250,19 @@ class Physics:
             else:
                 self.contacts.solids[second] = self.contacts.solids.get(second, 0) + 1
         self._touching = touching
+
+    def _count_meetings(self) -> None:
+        """Count contacts with people. They are upright cylinders, as robots are, so the distance
+        tells; Bullet leaves out contacts of a body that sleeps with one that is moved."""
+        met: Set[Tuple[str, int]] = set()
+        for number, at in enumerate(self._where):
+            if at is None:
+                continue
+            reach = self.room.robot.radius + self.room.people[number].radius + TOUCH
+            met |= {(n, number) for n in self.robots if self.pose(n).distance(at) < reach}
+        for name, _ in met - self._met:
+            self.contacts.people[name] = self.contacts.people.get(name, 0) + 1
+        self._met = met
 
     # ---- measurements ------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ It judges by the true poses in the world, not by the belief of any robot or plan
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import asdict, dataclass, field
 from typing import Any, Deque, Dict, List, Set, Tuple
@@ -108,6 +109,8 @@ class Referee:
         }
         self._shared: Set[Tuple[str, Tuple[str, ...]]] = set()
         self._watched = team.time
+        self.nearest_to_people = math.inf
+        """Least distance between a robot and a person, in metres."""
 
     def watch(self) -> None:
         """Evaluate the current poses of all robots."""
@@ -121,6 +124,8 @@ class Referee:
             tally.distance += moved if moved > 1e-4 else 0.0
             track.pose = pose
             self._watch_goal(robot, track, tally, time)
+            for walker in team.people:
+                self.nearest_to_people = min(self.nearest_to_people, walker.gap(pose, radius))
             for name in names:
                 away = team.room.locations[name].area.distance((pose.x, pose.y))
                 if away < radius:
@@ -161,6 +166,17 @@ class Referee:
             self.together.append((time, name, robots))
         self._shared = shared
 
+    def _report_people(self) -> Dict[str, Any]:
+        """What the report says in a room into which people walk."""
+        if not self._team.people:
+            return {}
+        nearest = self.nearest_to_people
+        return {
+            "visits_of_people": sum(walker.visits for walker in self._team.people),
+            "contacts_with_people": sum(self._team.physics.contacts.people.values()),
+            "nearest_to_people": None if math.isinf(nearest) else round(nearest, 3),
+        }
+
     def report(self) -> Dict[str, Any]:
         """All counts, ready for JSON."""
         contacts = self._team.physics.contacts
@@ -173,6 +189,7 @@ class Referee:
             "distance": round(sum(tally.distance for tally in tallies), 2),
             "contacts_between_robots": sum(contacts.robots.values()),
             "contacts_with_solids": sum(contacts.solids.values()),
+            **self._report_people(),
             "stuck_minutes": round(sum(tally.stuck for tally in tallies) / 60, 3),
             "goals_reached": sum(tally.reached for tally in tallies),
             "goals_aborted": sum(tally.aborted for tally in tallies),

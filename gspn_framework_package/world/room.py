@@ -167,6 +167,28 @@ class TemperatureField:
 
 
 @dataclass(frozen=True)
+class Person:
+    """Somebody who walks into the room now and then, and out again.
+
+    :param path: comes in at the first point, goes from point to point, and leaves at the last.
+    :param away_mean: mean of the exponential time between two visits, seconds.
+    :param speed: metres per second.
+    :param stands: seconds at each point between the first and the last.
+    :param radius: metres.
+    :param height: metres.
+    :param color: of the body.
+    """
+
+    path: Tuple[Point, ...]
+    away_mean: float
+    speed: float = 0.8
+    stands: float = 0.0
+    radius: float = 0.2
+    height: float = 1.7
+    color: str = "#d98c3f"
+
+
+@dataclass(frozen=True)
 class RobotType:
     """Size and limits of the robots. The defaults are those of TurtleBot3 Burger (ROBOTIS
     e-manual).
@@ -208,6 +230,7 @@ class Room:
     :param spawn: the start poses of the robots, in the order of the team.
     :param temperature: the temperature field.
     :param robot: size and limits of the robots.
+    :param people: who walks in.
     """
 
     name: str
@@ -219,6 +242,7 @@ class Room:
     spawn: Tuple[Pose, ...] = ()
     temperature: TemperatureField = TemperatureField()
     robot: RobotType = RobotType()
+    people: Tuple[Person, ...] = ()
 
     def wall_boxes(self) -> List[Box]:
         """The walls as boxes, one per straight section, long enough to close the corners."""

@@ -1,13 +1,14 @@
 """Checks that robots can use a room, beyond what a schema can express.
 
-Every pose that a robot is to stand in is free; locations have an interior, their sweeps lie inside
-and their waiting poses outside; the poses of one group do not overlap; and a path leads from every
-pose to every other.
+Every pose that a robot is to stand in is free, as is every point of a person's path; locations have
+an interior, their sweeps lie inside and their waiting poses outside; the poses of one group do not
+overlap; and a path leads from every pose to every other.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import List, Tuple
 
 from gspn_framework_package.model.errors import InputError
@@ -46,6 +47,14 @@ def check_room(room: Room, document: YamlDocument) -> None:
     for name, place in room.locations.items():
         _check_apart(room, ("locations", name, "bay"), place.bay, document)
     _check_ways(room, poses, document)
+    for number, person in enumerate(room.people):
+        points: List[Tuple[Path, Pose]] = [
+            (("people", number, "path", i), Pose(*p)) for i, p in enumerate(person.path)
+        ]
+        wide = replace(room, robot=replace(room.robot, radius=person.radius))
+        for path, pose in points:
+            _check_fits(wide, path, pose, document, "a person")
+        _check_ways(wide, points, document, "a person")
 
 
 def _check_location(room: Room, place: Location, document: YamlDocument) -> List[Tuple[Path, Pose]]:
@@ -86,16 +95,18 @@ def _check_location(room: Room, place: Location, document: YamlDocument) -> List
     return outside + sweep
 
 
-def _check_fits(room: Room, path: Path, pose: Pose, document: YamlDocument) -> None:
+def _check_fits(
+    room: Room, path: Path, pose: Pose, document: YamlDocument, who: str = "a robot"
+) -> None:
     clearance = float(room.clearance(pose.x, pose.y))
     if clearance < room.robot.radius:
         raise InputError(
-            "a robot does not fit there: the nearest wall or obstacle is %.3f m away"
-            % max(clearance, 0.0),
+            "%s does not fit there: the nearest wall or obstacle is %.3f m away"
+            % (who, max(clearance, 0.0)),
             file=document.file,
             line=document.line(path),
             element=path_text(path),
-            hint="a robot needs %g m" % room.robot.radius,
+            hint="%s needs %g m" % (who, room.robot.radius),
         )
 
 
@@ -114,7 +125,9 @@ def _check_apart(
                 )
 
 
-def _check_ways(room: Room, poses: List[Tuple[Path, Pose]], document: YamlDocument) -> None:
+def _check_ways(
+    room: Room, poses: List[Tuple[Path, Pose]], document: YamlDocument, who: str = "a robot"
+) -> None:
     """Check that a path leads from each pose to the first one, which suffices since paths work both
     ways."""
     if len(poses) < 2:
@@ -128,5 +141,5 @@ def _check_ways(room: Room, poses: List[Tuple[Path, Pose]], document: YamlDocume
                 file=document.file,
                 line=document.line(path),
                 element=path_text(path),
-                hint="a robot needs gaps of %g m and more" % (2 * room.robot.radius + 0.1),
+                hint="%s needs gaps of %g m and more" % (who, 2 * room.robot.radius + 0.1),
             )

@@ -21,6 +21,7 @@ from gspn_framework_package.world.room import (
     HotSpot,
     Location,
     Obstacle,
+    Person,
     Point,
     Pose,
     RobotType,
@@ -99,6 +100,19 @@ SCHEMA: Dict[str, Any] = _record(
             ),
         },
     ),
+    people={
+        "type": "array",
+        "items": _record(
+            ["path", "away_mean"],
+            path={"type": "array", "items": _POINT, "minItems": 2},
+            away_mean=_POSITIVE,
+            speed=_POSITIVE,
+            stands=_NOT_NEGATIVE,
+            radius=_POSITIVE,
+            height=_POSITIVE,
+            color=_COLOR,
+        ),
+    },
     robot=_record(
         [],
         scan_rays={"type": "integer", "minimum": 1, "maximum": 10_000},
@@ -247,4 +261,8 @@ def _build(data: Mapping[str, Any]) -> Room:
             ),
         ),
         robot=RobotType(**data.get("robot", {})),
+        people=tuple(
+            Person(**{**entry, "path": tuple(_point(point) for point in entry["path"])})
+            for entry in data.get("people", [])
+        ),
     )

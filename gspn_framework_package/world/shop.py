@@ -1,5 +1,4 @@
-"""What happens around the robots of plans/warehouse: customers order, batteries run down, and a
-person walks in now and then.
+"""What happens around the robots of plans/warehouse: customers order, and batteries run down.
 
 It knows no ROS and no clock; :mod:`.shop_node` connects it to the robots.
 """
@@ -41,7 +40,6 @@ SCHEMA = _record(
     battery=_record(
         range=_POSITIVE, charger=_numbers(2), reach=_POSITIVE, charge_seconds=_POSITIVE
     ),
-    person=_record(away_mean=_POSITIVE, stays=_POSITIVE),
 )
 """The JSON schema of ``shop.yaml``."""
 
@@ -68,13 +66,12 @@ class CustomerOrder:
 
 
 class Shop:
-    """The customers, the batteries and the person.
+    """The customers and the batteries.
 
     :param settings: an object that fits :data:`SCHEMA`.
     :param seed: of all that is random.
     :param run: what the ids of the orders begin with.
 
-    :ivar person: whether the person is there.
     :ivar ordered: the ids of all orders so far.
     """
 
@@ -85,13 +82,11 @@ class Shop:
         self._levels: Dict[str, float] = {}
         self._seen: Dict[str, Tuple[Pose, float]] = {}
         self._due: List[Tuple[float, CustomerOrder]] = []
-        self._next_order = self._after(0.0, "orders", "mean")
-        self._next_walk = self._after(0.0, "person", "away_mean")
-        self.person = False
+        self._next_order = self._after(0.0)
         self.ordered: List[str] = []
 
-    def _after(self, now: float, what: str, mean: str) -> float:
-        return now + self._random.expovariate(1.0 / self._settings[what][mean])
+    def _after(self, now: float) -> float:
+        return now + self._random.expovariate(1.0 / self._settings["orders"]["mean"])
 
     def orders(self, now: float, is_open: bool = True) -> List[CustomerOrder]:
         """The orders that are sent now (s). Each is sent twice; new ones only while the shop is
@@ -100,7 +95,7 @@ class Shop:
         self._due = [(when, order) for when, order in self._due if when > now]
         new = []
         while is_open and self._next_order <= now:
-            self._next_order = self._after(self._next_order, "orders", "mean")
+            self._next_order = self._after(self._next_order)
             name = self._random.choice(sorted(self._settings["shelves"]))
             number = len(self.ordered) + 1
             pose = Pose(*self._settings["shelves"][name])
@@ -108,17 +103,6 @@ class Shop:
             self.ordered.append(new[-1].id)
             self._due.append((now + self._settings["orders"]["repeat_after"], new[-1]))
         return repeated + new
-
-    def walk(self, now: float) -> bool:
-        """Let the person come and go; returns whether they have just done so."""
-        if now < self._next_walk:
-            return False
-        self.person = not self.person
-        if self.person:
-            self._next_walk = now + self._settings["person"]["stays"]
-        else:
-            self._next_walk = self._after(now, "person", "away_mean")
-        return True
 
     def battery(self, robot: str, pose: Pose, now: float) -> float:
         """The level of a robot's battery, from 0 to 1, after it has been seen at ``pose``."""

@@ -1,9 +1,8 @@
-"""The customers, the batteries and the person of plans/warehouse as a ROS node (see :mod:`.shop`).
+"""The customers and the batteries of plans/warehouse as a ROS node (see :mod:`.shop`).
 
-It publishes ``/orders`` (std_msgs/String, JSON with ``id``, ``shelf`` and ``pose``), ``/person``
-(std_msgs/Bool, latched), and for each robot that has a pose ``ROBOT/battery``
-(sensor_msgs/BatteryState, twice a second). It subscribes to every ``ROBOT/amcl_pose``. Its time is
-that of ROS.
+It publishes ``/orders`` (std_msgs/String, JSON with ``id``, ``shelf`` and ``pose``), and for each
+robot that has a pose ``ROBOT/battery`` (sensor_msgs/BatteryState, twice a second). It subscribes to
+every ``ROBOT/amcl_pose``. Its time is that of ROS.
 
 Private parameters: ``shop`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
 separated by commas), ``seed``, ``orders_for`` (seconds after which nobody orders any more, 0 for
@@ -20,7 +19,7 @@ from typing import Any, Dict
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import BatteryState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
@@ -50,7 +49,6 @@ class ShopNode:
         self._lock = threading.Lock()
         self._poses: Dict[str, Pose] = {}
         self._orders = rospy.Publisher("/orders", String, queue_size=100)
-        self._person = rospy.Publisher("/person", Bool, queue_size=1, latch=True)
         self._batteries = {
             name: rospy.Publisher("/%s/battery" % name, BatteryState, queue_size=1)
             for name in robots
@@ -63,7 +61,6 @@ class ShopNode:
                 name,
                 queue_size=1,
             )
-        self._person.publish(Bool(shop.person))
         self._told = 0.0
 
     def _on_pose(self, message: Any, robot: str) -> None:
@@ -77,8 +74,6 @@ class ShopNode:
         is_open = not self._orders_for or since < self._orders_for
         for order in self._shop.orders(since, is_open):
             self._orders.publish(String(json.dumps(order.to_json())))
-        if self._shop.walk(since):
-            self._person.publish(Bool(self._shop.person))
         if now - self._told >= BATTERY_PERIOD:
             self._told = now
             with self._lock:

@@ -198,7 +198,11 @@ def test_feedback_and_the_room_are_shown(told, open_page, picture):
     told.told.hub.set_latest("room", {**room, "locations": locations, "robot_radius": 0.3})
     told.told.hub.set_latest(
         "world",
-        {"time": 1.0, "robots": {"robot_1": {"pose": [4, 4, 0.5], "path": [[4, 4], [6, 6]]}}},
+        {
+            "time": 1.0,
+            "robots": {"robot_1": {"pose": [4, 4, 0.5], "path": [[4, 4], [6, 6]]}},
+            "people": [{"at": [7, 2], "radius": 0.2, "color": "#0af00b"}],
+        },
     )
     page.wait_for_selector("#room canvas")
     inked = """() => { const c = document.querySelector('#room canvas'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
@@ -206,6 +210,9 @@ def test_feedback_and_the_room_are_shown(told, open_page, picture):
     page.wait_for_function(
         "(script) => eval(script)() > 500".replace("eval(script)", "(%s)" % inked), arg=0
     )
+    coloured = """() => { const c = document.querySelector('#room canvas'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+      for (let i = 0; i < d.length; i += 4) if (d[i] === 10 && d[i + 1] === 240 && d[i + 2] === 11) return true; return false; }"""
+    page.wait_for_function(coloured)  # the person
     picture(page, "room")
     page.click("#room-close")
     assert page.is_hidden("#room")

@@ -49,13 +49,6 @@ def test_a_battery_runs_down_on_the_way_and_is_charged_at_the_charger(settings):
     assert shop.battery("other", Pose(0.0, 0.0), 5000.0) == 1.0
 
 
-def test_the_person_comes_and_goes(settings):
-    shop = Shop(settings, seed=3)
-    times = [second for second in range(2000) if shop.walk(float(second))]
-    assert len(times) > 6
-    assert {b - a for a, b in zip(times[::2], times[1::2])} == {settings["person"]["stays"]}
-
-
 def test_a_robot_can_stand_wherever_the_plan_sends_it(settings):
     room = load_room(FOLDER + "/warehouse.yaml")
     actions = read_plan(FOLDER + "/room.json").actions
@@ -82,7 +75,7 @@ def test_a_robot_can_stand_wherever_the_plan_sends_it(settings):
     "change, said",
     [
         (("range: 120", "range: 0"), "battery"),
-        (("stays: 12", "stay: 12"), "person"),
+        (("reach: 0.2", "rich: 0.2"), "battery"),
         (("mean: 22", "mean: often"), "orders"),
         (("shelves:", "shelves: ["), "not YAML"),
     ],

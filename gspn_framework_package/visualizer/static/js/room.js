@@ -106,6 +106,18 @@ export class Room {
         c.globalAlpha = 1;
       }
     }
+    for (const person of world?.people || []) {
+      const [x, y] = at(person.at);
+      const radius = Math.max(7, person.radius * k);
+      c.fillStyle = person.color;
+      c.beginPath();
+      c.ellipse(x, y, radius, radius * 0.7, 0, 0, 7);
+      c.fill();
+      c.fillStyle = ink("--ink");
+      c.beginPath();
+      c.arc(x, y, radius * 0.4, 0, 7);
+      c.fill();
+    }
     for (const [name, robot] of Object.entries(world?.robots || {})) {
       const [px, py, yaw] = robot.pose;
       const [x, y] = at([px, py]);
