@@ -131,7 +131,7 @@ def publisher(topic: str, message: Any, connections: int = 1) -> Any:
     return found
 
 
-class Feed:
+class OrderSender:
     """Publishes orders and events in turn; needs a node, and a team that listens.
 
     :param robots: who listens.
@@ -171,7 +171,7 @@ class Feed:
 # -- what the logs say -----------------------------------------------------------------------------
 
 
-class Outcome(NamedTuple):
+class LoggedTasks(NamedTuple):
     """What the agreed log of a team says about its tasks and interrupts.
 
     :ivar done: task -> how often it was done.
@@ -188,7 +188,7 @@ class Outcome(NamedTuple):
     two_winners: int
 
 
-def outcome(logs: Iterable[Iterable[Record]]) -> Outcome:
+def outcome(logs: Iterable[Iterable[Record]]) -> LoggedTasks:
     """What the slots of all logs together say.
 
     :param logs: the records of each robot's log. A robot that has joined may lack slots.
@@ -209,7 +209,7 @@ def outcome(logs: Iterable[Iterable[Record]]) -> Outcome:
             for task, _, target in firing.get("tasks", ()):
                 if target in ended:
                     ended[target][task] += 1
-    return Outcome(
+    return LoggedTasks(
         ended["done"],
         ended["dropped"],
         kinds["interrupt"],
@@ -219,7 +219,7 @@ def outcome(logs: Iterable[Iterable[Record]]) -> Outcome:
     )
 
 
-def make_row(sent: Sequence[str], found: Outcome, verdict: Verdict) -> Row:
+def make_row(sent: Sequence[str], found: LoggedTasks, verdict: Verdict) -> Row:
     """The figures of a run: what was ordered, and what became of it."""
     return {
         "tasks": len(sent),
@@ -322,22 +322,22 @@ def measure_processes(
     """Kill or stop robots while orders come; the figures."""
     with launched(robots, mode, courier_plan(robots)) as team:
         team.wait_until(team.is_complete, "the start")
-        feed, trouble = Feed(team.first, seed), Trouble(team, fault, seed)
+        sender, trouble = OrderSender(team.first, seed), Trouble(team, fault, seed)
         began = time.monotonic()
-        feed.run(seconds, rate, trouble.go_on)
+        sender.run(seconds, rate, trouble.go_on)
         trouble.end()
         published = time.monotonic() - began
 
-        def found() -> Outcome:
+        def found() -> LoggedTasks:
             return outcome(team.read(name).records for name in team.first)
 
-        _wait_for_all(feed.sent, found, seconds)
+        _wait_for_all(sender.sent, found, seconds)
         drained = time.monotonic() - began
         team.rest()
-        feed.close()
+        sender.close()
         team.end()
         logs = [read_log(team.log_file(name)).records for name in team.first]
-        row = make_row(feed.sent, outcome(logs), team.verdict())
+        row = make_row(sender.sent, outcome(logs), team.verdict())
         row.update(number_of_faults=trouble.count, tracebacks=len(team.tracebacks()))
         require(is_well(row), "not as it must be: %s" % row)
     return {**_head(fault, robots, mode, published, drained), **row}
@@ -354,7 +354,7 @@ def _head(fault: str, robots: int, mode: Synchronisation, published: float, drai
     }
 
 
-def _wait_for_all(sent: Sequence[str], found: Callable[[], Outcome], seconds: float) -> None:
+def _wait_for_all(sent: Sequence[str], found: Callable[[], LoggedTasks], seconds: float) -> None:
     """Wait until all orders are done. What is missing after that time shows in the figures."""
     deadline = time.monotonic() + PATIENCE + seconds
     while not set(sent) <= set(found().done) and time.monotonic() < deadline:
@@ -399,9 +399,9 @@ def measure_cuts(robots: int, mode: Synchronisation, seconds: float, rate: float
     with PartitionExperiment(
         mode.value, plan=plan, others=[SENDER], evict_after=EVICT_AFTER
     ) as lab:
-        feed = ["--seconds", str(seconds), "--rate", str(rate), "--seed", str(seed)]
-        feed += ["--robots", *lab.robots]
-        lab.run_beside(SENDER, [sys.executable, "-m", MODULE, *feed])
+        words = ["--seconds", str(seconds), "--rate", str(rate), "--seed", str(seed)]
+        words += ["--robots", *lab.robots]
+        lab.run_beside(SENDER, [sys.executable, "-m", MODULE, *words])
         lab.wait(lambda: "begun" in lab.said(SENDER), "the first order", PATIENCE)
         began = time.monotonic()
         lab.pass_time(FIRST)
@@ -414,7 +414,7 @@ def measure_cuts(robots: int, mode: Synchronisation, seconds: float, rate: float
         published = time.monotonic() - began
         sent = ["order %d" % n for n in range(int(lab.said(SENDER).rsplit("sent", 1)[1]))]
 
-        def found() -> Outcome:
+        def found() -> LoggedTasks:
             return outcome(log.records for log in lab.read().values())
 
         _wait_for_all(sent, found, seconds)
@@ -454,10 +454,10 @@ def main() -> int:
     parser.add_argument("--robots", nargs="+", required=True)
     args = parser.parse_args()
     rospy.init_node("sender", anonymous=True)
-    feed = Feed(args.robots, args.seed)
+    sender = OrderSender(args.robots, args.seed)
     print("begun", flush=True)
-    feed.run(args.seconds, args.rate, lambda: None)
-    print("sent %d" % len(feed.sent), flush=True)
+    sender.run(args.seconds, args.rate, lambda: None)
+    print("sent %d" % len(sender.sent), flush=True)
     rospy.spin()
     return 0
 
