@@ -187,11 +187,16 @@ class _Reducer(Turn):
         assert t is not None
         if self.state.is_known(t, entry.id):
             return
+        self.state.submitted.append((t, Task(entry.id, entry.data)))
         known = self.state.known.setdefault(t, {})
         known[entry.id] = None
-        if len(known) > KNOWN_TASKS:
-            del known[next(iter(known))]
-        self.state.submitted.append((t, Task(entry.id, entry.data)))
+        # the id of a task that still waits is not forgotten; tasks of one transition wait in order
+        waits = next(task.id for other, task in self.state.submitted if other == t)
+        while len(known) > KNOWN_TASKS:
+            oldest = next(iter(known))
+            if oldest == waits:
+                break
+            del known[oldest]
 
     # -- membership and the operator ---------------------------------------------------------------
 

@@ -69,9 +69,10 @@ class Cargo:
         ids = self._known.setdefault(entry.transition, [])
         ids.append(entry.id)
         self._known_set.add(key)
-        if len(ids) > REMEMBERED:
-            self._known_set.discard((entry.transition, ids.pop(0)))
         self.outside.append((entry.transition, LoggedTask(entry.id, entry.data)))
+        waiting = next(task.id for t, task in self.outside if t == entry.transition)
+        while len(ids) > REMEMBERED and ids[0] != waiting:
+            self._known_set.discard((entry.transition, ids.pop(0)))
 
     def returned(self, robot: str, place: str, tokens: int) -> None:
         """A robot that is gone gives back tokens of a queue: the first of them is its task."""

@@ -7,9 +7,10 @@ from typing import Any, List
 import pytest
 from game_driver import Run, make_plan
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, token_game
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
+from gspn_framework_package.execution.history import cargo
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.data import check_values
@@ -191,6 +192,24 @@ def test_a_task_waits_until_its_transition_is_enabled():
     assert [task.id for _, task in run.state.submitted] == ["o5", "o6"]
     assert run.done("a", "delivered") == ["delivered", "take", "order"]
     assert [task.id for _, task in run.state.submitted] == ["o6"]
+
+
+def test_a_task_that_waits_is_never_forgotten(monkeypatch):
+    monkeypatch.setattr(token_game, "KNOWN_TASKS", 2)
+    monkeypatch.setattr(cargo, "REMEMBERED", 2)
+    run = shop()
+    checker = cargo.Cargo(run.game.plan, {}, {})
+    for number in [*range(1, 9), 5, 8]:  # one is carried, three are in the queue, four wait outside
+        run.feed(submit(number))
+        checker.comes(submit(number))
+    assert [task.id for _, task in run.state.submitted] == ["o5", "o6", "o7", "o8"]
+    assert [task.id for _, task in checker.outside] == ["o%d" % n for n in range(1, 9)]
+    for _ in range(6):
+        run.done("a", "delivered")
+    run.feed(submit(9))
+    order = run.game.net.transition_number("order")
+    assert list(run.state.known[order]) == ["o8", "o9"]  # nothing waits: no more than it says
+    assert run.state.submitted == []
 
 
 def test_a_robot_puts_its_task_back():
