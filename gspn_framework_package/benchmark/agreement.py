@@ -61,6 +61,17 @@ SHARES = {
     "react-rivals": 2,
     "react-late": 1,
     "react-archive": 2,
+    "deploy": 24,
+    "deploy-operator": 8,
+    "deploy-power": 6,
+    "deploy-spare": 2,
+    "deploy-tight": 6,
+    "deploy-amnesia": 4,
+    "deploy-calm": 6,
+    "deploy-freeze": 2,
+    "deploy-leave": 1,
+    "deploy-rivals": 2,
+    "deploy-archive": 2,
 }
 """Kinds of schedules, and how often each is drawn."""
 

@@ -58,6 +58,12 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
         if step.slot == wanted:
             ledger = Ledger(TokenGame(log.plan, agents=bool(log.header.get("agents"))))
             ledger.state, ledger.hash = step.state, step.record["hash"]
+            if step.state.adopted is not None:
+                raise InputError(
+                    "in slot %d the team follows another plan than it began with" % wanted,
+                    file=path,
+                    hint="a run can be continued from where it follows the plan in its header",
+                )
             if step.state.ended is not None:
                 raise InputError("the run ended in slot %d" % wanted, file=path)
             return Beginning(log.plan, ledger.snapshot(), ledger.game.agents)

@@ -83,6 +83,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     ),
     "status": Verb(".status", "show what every robot of a running team does and waits for"),
     "breakpoints": Verb(".breakpoints", "halt a robot at a place or a transition, for debugging"),
+    "deploy": Verb(".deploy", "put another plan into a running team, without stopping it"),
     "submit": Verb(".submit", "give a task to a running team"),
     **ORDERS,
 }

@@ -170,6 +170,20 @@ class AttemptFollower:
         names = self.plan.net.transitions
         return {names[t].name: EventCount(*counted) for t, counted in self._counted.items()}
 
+    def _refuse_another_plan(self, record: Record) -> None:
+        """:raises LogError: from this record on, the team follows another plan."""
+        if self._replayer is not None:
+            changed = self._replayer.state.adopted is not None
+        else:
+            entries = record.get("entries", ()) if record["kind"] == "slot" else ()
+            changed = any(entry.get("entry") == "adopt" for entry in entries)
+        if changed:
+            raise LogError(
+                "from slot %s on, the team follows another plan" % record.get("slot"),
+                hint="attempts can be read from runs under one plan only; gspn replay and gspn "
+                "verify read this log",
+            )
+
     def take(self, record: Record) -> List[Attempt]:
         """Take in the next record, and return the attempts that ended with it.
 
@@ -196,6 +210,7 @@ class AttemptFollower:
         kind = record["kind"]
         self._count_exposure(self.now - before)
         self.step = self._replayer.take(record) if self._replayer is not None else None
+        self._refuse_another_plan(record)
         if kind == "slot":
             return self._slot(record)
         if kind == "snapshot":

@@ -615,7 +615,8 @@ def _seconds(value: object) -> Optional[float]:
 
 class Replayed(NamedTuple):
     """A replayed slot of a log. ``state`` is the state after it; replaying the next slot changes it
-    in place. ``commands`` is what it had the robots do.
+    in place. ``commands`` is what it had the robots do, ``adopted`` the plans that the team adopted
+    in it (see :class:`~gspn_framework_package.execution.token_game.Step`).
 
     If the log took over a snapshot instead, ``snapshot`` is true and ``entries`` is empty.
     """
@@ -627,18 +628,22 @@ class Replayed(NamedTuple):
     record: Record
     snapshot: bool = False
     commands: Sequence[Command] = ()
+    adopted: Tuple[Tuple[int, TokenGame], ...] = ()
 
 
 class Replayer:
     """Replays the slots of a log with the token game, record by record.
 
-    :param game: the rules of the plan.
+    :param game: the rules of the plan in the header.
     :param state: the state to start from; by default, the state before the run.
+
+    :ivar game: the rules of the plan that the team follows now.
     """
 
     def __init__(self, game: TokenGame, state: Optional[TeamState] = None) -> None:
-        self._game = game
+        self._first = game
         self.state = state if state is not None else game.new_state()
+        self.game = game.now(self.state)
 
     def take(self, record: Record) -> Optional[Replayed]:
         """Replay the next record of the log.
@@ -651,12 +656,15 @@ class Replayer:
         if record["kind"] == "snapshot":
             # a snapshot that was kept as a starting point changes nothing
             if record["slot"] != self.state.next_slot - 1:
-                self.state = self._game.state_from_json(record["state"])
+                self.state = self._first.state_from_json(record["state"])
+                self.game = self._first.now(self.state)
                 return Replayed(record["slot"], (), [], self.state, record, True)
         elif record["kind"] == "reset":
-            self.state = self._game.new_state()
+            self.game, self.state = self._first, self._first.new_state()
         elif record["kind"] == "slot":
-            return _replay_slot(self._game, self.state, record)
+            step = _replay_slot(self.game, self.state, record)
+            self.game = self._first.now(self.state)
+            return step
         return None
 
 
@@ -686,8 +694,10 @@ def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:
     if slot != state.next_slot:
         raise LogError("slot %s follows where slot %d should" % (slot, state.next_slot))
     batch = tuple(log_entries.from_json(e) for e in record["entries"])
-    firings, commands = game.reduce(state, slot, batch)
-    recorded = [firing_from_json(f, game.net) for f in record["firings"]]
-    if firings != recorded:
+    step = game.reduce(state, slot, batch)
+    recorded = [
+        firing_from_json(f, step.game_of(i, game).net) for i, f in enumerate(record["firings"])
+    ]
+    if step.firings != recorded:
         raise LogError("slot %d leads to other firings than it recorded" % slot)
-    return Replayed(slot, batch, firings, state, record, commands=commands)
+    return Replayed(slot, batch, step.firings, state, record, False, step.commands, step.adopted)

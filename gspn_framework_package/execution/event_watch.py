@@ -56,6 +56,24 @@ class EventWatch:
         self._told: Dict[str, None] = {}
         """Events of this visit that were made into entries, and still hold."""
 
+    def go_on_from(self, before: EventWatch, mapping: Mapping[str, str]) -> None:
+        """Take over what the watch of an earlier plan knows of events that are the same in both.
+
+        :param mapping: names of the earlier plan -> names of this one, where they differ.
+        """
+        same = {}
+        for name, event in before._events.items():
+            new = mapping.get(name, name)
+            if self._events.get(new) == event:
+                same[name] = new
+        self._holds = {same[t]: cause for t, cause in before._holds.items() if t in same}
+        self._came = {same[t]: cause for t, cause in before._came.items() if t in same}
+        self._told = {same[t]: None for t in before._told if t in same}
+        self._since = before._since
+        if before._visit is not None:
+            place = before._visit.place
+            self._visit = before._visit._replace(place=mapping.get(place, place))
+
     def watches(self, transition: str) -> bool:
         """Whether an event could interrupt the robot in its present visit."""
         return self._visit is not None and transition in self._interrupts.get(self._visit.place, ())

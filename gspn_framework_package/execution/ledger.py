@@ -69,8 +69,10 @@ class Item(NamedTuple):
 class Ledger:
     """The state after a prefix of the log.
 
-    :param game: the rules; ledgers may share them.
+    :param game: the rules of the plan that the run begins with; ledgers may share them.
 
+    :ivar first: these rules.
+    :ivar game: the rules that apply now: others once the team has adopted another plan.
     :ivar state: the team after ``length`` slots; changed in place.
     :ivar hash: the end of the hash chain.
     :ivar seen: robot -> (incarnation, number, log) of its newest entry in the log.
@@ -80,7 +82,7 @@ class Ledger:
     """
 
     def __init__(self, game: TokenGame) -> None:
-        self.game = game
+        self.first = self.game = game
         self.state = game.new_state()
         self.hash = first_hash(game.plan)
         self.seen: Dict[str, Tuple[int, int, str]] = {}
@@ -150,7 +152,10 @@ class Ledger:
     ) -> Record:
         """The ``slot`` record of a step that was already made; extends the hash chain."""
         written = [log_entries.to_json(e) for e in entries]
-        firings = [firing_to_json(f, self.game.net) for f in step.firings]
+        before, self.game = self.game, step.game(self.game)
+        firings = [
+            firing_to_json(f, step.game_of(i, before).net) for i, f in enumerate(step.firings)
+        ]
         self.hash = next_hash(self.hash, written, origins, firings)
         return {
             "kind": "slot",
@@ -181,7 +186,7 @@ class Ledger:
         :raises LogError: it is not a snapshot, or not of this plan.
         """
         try:
-            state = self.game.state_from_json(record["state"])
+            state = self.first.state_from_json(record["state"])
             seen = {
                 r: (whole_number(i), whole_number(n), str(x))
                 for r, (i, n, x) in record["seen"].items()
@@ -196,3 +201,4 @@ class Ledger:
             raise LogError("not a snapshot (%r)" % error) from None
         self.state, self.seen, self.logs, self.cast_out = state, seen, logs, cast_out
         self.hash = record["hash"]
+        self.game = self.first.now(state)

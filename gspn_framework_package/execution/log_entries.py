@@ -21,6 +21,9 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 ID_LIMIT = 200
 """Longest id of a task, in characters."""
 
+WHY_LIMIT = 2_000
+"""Longest reason of a robot that cannot follow a plan, in characters."""
+
 
 class Start(NamedTuple):
     """The run begins with this team: ``roster`` holds (robot, place, incarnation); ``witnesses``
@@ -155,6 +158,45 @@ class Stop(NamedTuple):
     reason: str = "stopped by the operator"
 
 
+class StagePlan(NamedTuple):
+    """The operator proposes a new plan for the running team; a newer stage takes its place.
+
+    ``plan`` is the new plan whole, as a header has it, and ``digest`` its hash
+    (:func:`~gspn_framework_package.execution.plan_change.digest_of`). ``mapping`` gives places and
+    transitions of the present net the names that they have in the new one; "" for a resource place
+    whose tokens are dropped. ``folder`` is where its functions are; "" is where they were at the
+    start."""
+
+    plan: Mapping[str, Any]
+    digest: str
+    mapping: Mapping[str, str] = NOTHING
+    folder: str = ""
+
+
+class Staged(NamedTuple):
+    """A member has loaded and checked the staged plan with this number. ``why`` says why it cannot
+    follow it; "" if it can."""
+
+    robot: str
+    incarnation: int
+    stage: int
+    why: str = ""
+
+
+class Adopt(NamedTuple):
+    """The team goes on under the staged plan with this number, from here on. Without effect unless
+    every member can follow it, and the state of the team fits it."""
+
+    stage: int
+
+
+class Unstage(NamedTuple):
+    """The staged plan with this number is given up."""
+
+    stage: int
+    reason: str = "given up by the operator"
+
+
 Entry = Union[
     Start,
     Done,
@@ -170,6 +212,10 @@ Entry = Union[
     Pause,
     Resume,
     Stop,
+    StagePlan,
+    Staged,
+    Adopt,
+    Unstage,
 ]
 
 
@@ -195,17 +241,21 @@ _KINDS: Dict[str, Type[Entry]] = {
     "pause": Pause,
     "resume": Resume,
     "stop": Stop,
+    "stage": StagePlan,
+    "staged": Staged,
+    "adopt": Adopt,
+    "unstage": Unstage,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 _TYPES = {kind: _plain_types(kind) for kind in _KINDS.values()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
-    """The entry as a JSON object: its kind under ``entry``, and its fields; ``data`` and ``cause``
-    only if they are not empty."""
+    """The entry as a JSON object: its kind under ``entry``, and its fields; ``data``, ``cause``
+    and ``mapping`` only if they are not empty."""
     fields = entry._asdict()
     for key in _OPEN:
-        if key in fields:
+        if isinstance(fields.get(key), Mapping):
             if fields[key]:
                 fields[key] = dict(fields[key])
             else:
@@ -266,7 +316,7 @@ def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:
     return Submit(transition, str(task), dict(data))
 
 
-_OPEN = ("data", "cause")
+_OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
 
 
@@ -279,5 +329,13 @@ def _check_open_fields(fields: Dict[str, Any]) -> None:
         why = why_not_kept(cause) if isinstance(cause, dict) else "is not an object"
         if why:
             raise ValueError("its cause %s" % why)
+    if "mapping" in fields:
+        mapping = fields["mapping"]
+        if not isinstance(mapping, dict) or not all(isinstance(v, str) for v in mapping.values()):
+            raise ValueError("its mapping does not map names to names")
+    if "digest" in fields and not isinstance(fields["plan"], dict):
+        raise ValueError("its plan is not an object")
+    if len(fields.get("why", "")) > WHY_LIMIT:
+        raise ValueError("its reason is longer than %d characters" % WHY_LIMIT)
     if len(fields.get("id", "")) > ID_LIMIT:
         raise ValueError("its id is longer than %d characters" % ID_LIMIT)

@@ -83,6 +83,46 @@ class RobotState:
 
 
 @dataclass
+class StagedPlan:
+    """A plan that the team may go on with: the entry ``StagePlan`` that brought it, its
+    ``number``, and who has looked at it."""
+
+    number: int
+    digest: str
+    plan: Mapping[str, Any]
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    folder: str = ""
+    votes: Dict[str, Tuple[int, str]] = field(default_factory=dict)
+    """Member -> its incarnation, and why it cannot follow the plan ("": it can)."""
+
+    def to_json(self) -> Dict[str, Any]:
+        """The plan and the votes as a JSON object."""
+        return {
+            "number": self.number,
+            "digest": self.digest,
+            "plan": dict(self.plan),
+            "mapping": dict(self.mapping),
+            "folder": self.folder,
+            "votes": {name: list(vote) for name, vote in self.votes.items()},
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> StagedPlan:
+        """The plan in a JSON object. :raises KeyError, TypeError, ValueError: it is none."""
+        votes = {str(r): (whole_number(i), str(why)) for r, (i, why) in data["votes"].items()}
+        if not isinstance(data["plan"], dict):
+            raise ValueError("the staged plan is not an object")
+        return cls(
+            whole_number(data["number"]),
+            str(data["digest"]),
+            data["plan"],
+            {str(a): str(b) for a, b in data["mapping"].items()},
+            str(data["folder"]),
+            votes,
+        )
+
+
+@dataclass
 class TeamState:
     """The state of a run after a prefix of its log.
 
@@ -116,6 +156,15 @@ class TeamState:
     queues: Dict[int, List[Task]] = field(default_factory=dict)
     submitted: List[Tuple[int, Task]] = field(default_factory=list)
     known: Dict[int, Dict[str, None]] = field(default_factory=dict)
+    stages: int = 0
+    """How many plans were staged."""
+    staged: Optional[StagedPlan] = None
+    """The plan that the team may go on with."""
+    adopted: Optional[StagedPlan] = None
+    """The plan that the team follows; None: the one that it began with."""
+    renamed: Dict[str, str] = field(default_factory=dict)
+    """Name of a place or transition in an earlier plan -> its name in the present one, where they
+    differ."""
 
     def members(self) -> List[str]:
         """The names of the voters: the robots that are neither lost nor have left, and the
@@ -182,6 +231,7 @@ class TeamState:
             **{key: getattr(self, key) for key in _PLAIN},
             **{key: True for key in ("finished", "fault") if getattr(self, key)},
             **self._reacting_to_json(net),
+            **self._plans_to_json(),
         }
 
     @classmethod
@@ -203,6 +253,7 @@ class TeamState:
                 robot = _robot_from_json(item, net)
                 state.robots[robot.name] = robot
             state._read_reacting(data, net, queues)
+            state._read_plans(data)
             for robot in sorted(state.robots.values(), key=lambda r: r.order):
                 if robot.phase is Phase.DONE:
                     state._index(robot)
@@ -241,6 +292,23 @@ class TeamState:
         for p in queues:
             if len(self.queues.get(p, ())) != self.marking[p]:
                 raise ValueError("a queue does not have as many tasks as tokens")
+
+    def _plans_to_json(self) -> Dict[str, Any]:
+        """The plans that were staged and adopted, if any were."""
+        found: Dict[str, Any] = {
+            "stages": self.stages,
+            "staged": self.staged.to_json() if self.staged else None,
+            "adopted": self.adopted.to_json() if self.adopted else None,
+            "renamed": dict(self.renamed),
+        }
+        return {key: value for key, value in found.items() if value}
+
+    def _read_plans(self, data: Dict[str, Any]) -> None:
+        self.stages = whole_number(data.get("stages", 0))
+        for key in ("staged", "adopted"):
+            if key in data:
+                setattr(self, key, StagedPlan.from_json(data[key]))
+        self.renamed = {str(a): str(b) for a, b in data.get("renamed", {}).items()}
 
     def _check(self) -> None:
         """:raises ValueError: fields have the wrong type, or contradict each other."""

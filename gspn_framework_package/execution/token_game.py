@@ -8,14 +8,22 @@ of the log.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional
+from collections import OrderedDict
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.firing import Command, Firing
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import POLICY, RobotState, Task, TeamState
+from gspn_framework_package.execution.team_state import (
+    POLICY,
+    RobotState,
+    StagedPlan,
+    Task,
+    TeamState,
+)
 from gspn_framework_package.execution.turn import Turn
+from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import LostKind
 
 KNOWN_TASKS = 10_000
@@ -26,10 +34,24 @@ INTERRUPTED = (Phase.DOING, Phase.DONE, Phase.FAILED)
 
 
 class Step(NamedTuple):
-    """The effects of some entries, in order."""
+    """The effects of some entries, in order. ``adopted`` holds the plans that the team adopted in
+    between: (number of firings before it, the rules from there on)."""
 
     firings: List[Firing]
     commands: List[Command]
+    adopted: Tuple[Tuple[int, TokenGame], ...] = ()
+
+    def game(self, before: TokenGame) -> TokenGame:
+        """The rules after these entries."""
+        return self.adopted[-1][1] if self.adopted else before
+
+    def game_of(self, firing: int, before: TokenGame) -> TokenGame:
+        """The rules under which the firing with this number happened, from 0."""
+        game = before
+        for begin, adopted in self.adopted:
+            if firing >= begin:
+                game = adopted
+        return game
 
 
 def robots_in(
@@ -46,8 +68,41 @@ def robots_in(
     return names
 
 
+GAMES = 8
+"""Rules of adopted plans that are kept."""
+
+_games: OrderedDict[Tuple[str, bool], TokenGame] = OrderedDict()
+
+
+def adopted_game(staged: StagedPlan, agents: bool) -> TokenGame:
+    """The rules of a plan that was staged. :raises GspnError: it cannot be read."""
+    key = (staged.digest, agents)
+    game = _games.get(key)
+    if game is None:
+        game = _games[key] = TokenGame(plan_change.plan_of(staged), agents=agents)
+        while len(_games) > GAMES:
+            _games.popitem(last=False)
+    return game
+
+
 class TokenGame(Rules):
-    """The token game of one plan: see :class:`~gspn_framework_package.execution.rules.Rules`."""
+    """The token game of one plan: see :class:`~gspn_framework_package.execution.rules.Rules`.
+
+    While a team goes on under a plan that it adopted, the token game of that plan applies:
+    :meth:`Step.game` after each step, :meth:`now` for a state.
+    """
+
+    def now(self, state: TeamState) -> TokenGame:
+        """The rules that apply in a state of the run that began with this plan."""
+        return adopted_game(state.adopted, self.agents) if state.adopted else self
+
+    def _game_of(self, data: Mapping[str, Any]) -> TokenGame:
+        """The rules that apply in a state that is given as a JSON object."""
+        try:
+            adopted = data.get("adopted")
+            return adopted_game(StagedPlan.from_json(adopted), self.agents) if adopted else self
+        except (KeyError, TypeError, ValueError, AttributeError, GspnError) as error:
+            raise LogError("the adopted plan cannot be read (%s)" % error) from None
 
     def new_state(self) -> TeamState:
         """The state before ``Start``: the resource tokens of the initial marking, and no robots."""
@@ -57,8 +112,12 @@ class TokenGame(Rules):
         return state
 
     def state_from_json(self, data: Dict[str, Any]) -> TeamState:
-        """The state in a JSON object. :raises LogError: it is not a state of this plan."""
-        return TeamState.from_json(data, self.net, self.queues)
+        """The state in a JSON object, of a run that began with this plan.
+
+        :raises LogError: it is not a state of this plan, or of the one that was adopted.
+        """
+        game = self._game_of(data)
+        return TeamState.from_json(data, game.net, game.queues)
 
     def start_entry(self, plan_hash: Optional[str] = None) -> log_entries.Start:
         """The ``Start`` of the plan's own robots, each in its initial place with incarnation 0."""
@@ -78,11 +137,15 @@ class TokenGame(Rules):
                 turn.apply(entry)
                 turn.settle()
         state.next_slot = slot + 1
-        return Step(turn.firings, turn.commands)
+        return Step(turn.firings, turn.commands, tuple(turn.adopted))
 
 
 class _Reducer(Turn):
     """Applies log entries to the state."""
+
+    def __init__(self, game: TokenGame, state: TeamState, slot: int) -> None:
+        super().__init__(game, state, slot)
+        self.adopted: List[Tuple[int, TokenGame]] = []
 
     def apply(self, entry: log_entries.Entry) -> None:
         if isinstance(entry, log_entries.Start):
@@ -90,7 +153,7 @@ class _Reducer(Turn):
         elif isinstance(entry, log_entries.Done):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None:
-                self._done(robot, entry.result, entry.data)
+                self._done(robot, self._now(entry.result), entry.data)
         elif isinstance(entry, log_entries.Failed):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None and robot.attempt == entry.attempt:
@@ -98,21 +161,29 @@ class _Reducer(Turn):
         elif isinstance(entry, log_entries.Retry):
             self._retry(entry.robot)
         elif isinstance(entry, log_entries.Fire):
-            self._environment(entry.transition)
+            self._environment(self._now(entry.transition))
         elif isinstance(entry, log_entries.Interrupt):
-            self._event(entry)
+            self._event(entry._replace(transition=self._now(entry.transition)))
         elif isinstance(entry, log_entries.Submit):
-            self._submit(entry)
+            self._submit(entry._replace(transition=self._now(entry.transition)))
         elif isinstance(entry, log_entries.Join):
-            self._join(entry)
+            self._join(entry._replace(place=self._now(entry.place)))
         elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
             self._depart(entry)
         elif isinstance(entry, log_entries.SetPlace):
-            self._set_place(entry)
+            self._set_place(entry._replace(place=self._now(entry.place)))
         elif isinstance(entry, (log_entries.Pause, log_entries.Resume)):
             self._pause(entry.robot, isinstance(entry, log_entries.Pause))
         elif isinstance(entry, log_entries.Stop):
             self._end(entry.reason, finished=False, stopped=True)
+        elif isinstance(entry, log_entries.StagePlan):
+            self._stage(entry)
+        elif isinstance(entry, log_entries.Staged):
+            self._staged(entry)
+        elif isinstance(entry, log_entries.Adopt):
+            self._adopt(entry)
+        elif isinstance(entry, log_entries.Unstage):
+            self._unstage(entry)
 
     def _start(self, entry: log_entries.Start) -> None:
         if self.state.robots:
@@ -198,10 +269,144 @@ class _Reducer(Turn):
                 break
             del known[oldest]
 
+    # -- a new plan --------------------------------------------------------------------------------
+
+    def _now(self, name: str) -> str:
+        """The name that a place or transition of an earlier plan has in the present one. What was
+        under way when the team adopted it still uses the old one."""
+        return self.state.renamed.get(name, name)
+
+    def _stage(self, entry: log_entries.StagePlan) -> None:
+        self.state.stages += 1
+        self.state.staged = StagedPlan(
+            self.state.stages, entry.digest, entry.plan, entry.mapping, entry.folder
+        )
+
+    def _staged(self, entry: log_entries.Staged) -> None:
+        staged = self.state.staged
+        if staged is None or staged.number != entry.stage:
+            return
+        robot = self.state.robots.get(entry.robot)
+        if robot is not None and (robot.phase.gone or robot.incarnation != entry.incarnation):
+            return
+        speaks = (not entry.robot) if self.rules.agents else robot is not None
+        if speaks or entry.robot in self.state.witnesses:
+            staged.votes[entry.robot] = (entry.incarnation, entry.why)
+
+    def _unstage(self, entry: log_entries.Unstage) -> None:
+        staged = self.state.staged
+        if staged is not None and staged.number == entry.stage:
+            self.state.staged = None
+
+    def _adopt(self, entry: log_entries.Adopt) -> None:
+        present, staged = self.plan, self.state.staged
+        why, new = plan_change.why_not_adopted(self.state, present, entry.stage, self.rules.agents)
+        if why or new is None or staged is None:
+            self._fault(None, "the staged plan is not adopted: %s" % "; ".join(why))
+            return
+        game = adopted_game(staged, self.rules.agents)
+        names = plan_change.NewNames(present, new, staged.mapping)
+        marking = plan_change.new_marking(self.state, present, new, names)
+        robots, asked = self.state.robots.values(), self._asked_for(names)
+        for robot in robots:
+            self._carry_over(robot, names, game)
+        self._carry_tasks_over(names, game)
+        self.state.renamed = plan_change.renamed(self.state.renamed, present, new, staged.mapping)
+        self.rules, self.net, self.plan = game, game.net, game.plan
+        self.adopted.append((len(self.firings), game))
+        self.state.adopted, self.state.staged = staged, None
+        self.state.marking = tuple(marking[p.name] for p in game.net.places)
+        self.state.version += 1  # every draw was made for another policy
+        self._ask_anew(asked)
+
+    def _asked_for(self, names: plan_change.NewNames) -> Dict[str, str]:
+        """What each robot that is done asks for, under its new name; "" for the policy. Then those
+        that are inactive follow."""
+        transitions = self.net.transitions
+        asked = {}
+        for name in self.state.waiting:
+            request = self.state.robots[name].request
+            if request == POLICY:
+                asked[name] = ""
+            else:
+                old = transitions[request].name
+                asked[name] = names.transition(old) or old
+        inactive = [r.name for r in self.state.robots.values() if r.phase is Phase.INACTIVE]
+        return {**asked, **dict.fromkeys(inactive, "")}
+
+    def _carry_over(self, robot: RobotState, names: plan_change.NewNames, game: TokenGame) -> None:
+        """Give a robot the numbers that its place and events have in the new net."""
+        old = self._name(robot.place)
+        place = names.place_number(robot.place)
+        if robot.phase.gone and (
+            place is None or game.is_resource[place] or old in self.plan.on_evict
+        ):
+            # it comes back as a new robot would: its place is no more, or what it held there was
+            # given back
+            place = game.net.place_number(plan_change.home_of(game.plan, robot.name))
+        assert place is not None
+        robot.place = place
+        robot.request = POLICY
+        robot.drawn = None
+        held = {names.transition_number(t): cause for t, cause in robot.held.items()}
+        robot.held = {
+            t: cause
+            for t, cause in held.items()
+            if t is not None and t in game.interrupts and t in game.net.consumers[place]
+        }
+        interrupted = {names.place_number(p): v for p, v in robot.interrupted.items()}
+        robot.interrupted = {p: v for p, v in interrupted.items() if p is not None}
+
+    def _carry_tasks_over(self, names: plan_change.NewNames, game: TokenGame) -> None:
+        """Move queues and waiting tasks to the numbers that their places and transitions have."""
+        state = self.state
+        queues: Dict[int, List[Task]] = {}
+        inherited = set()
+        for p in range(len(self.net.places)):
+            target = names.place_number(p)
+            if target is None or not self._is_resource_of_both(p, target, game):
+                continue
+            inherited.add(target)
+            tasks = state.queues.get(p) or [Task()] * state.marking[p]
+            if target in game.queues and tasks:
+                queues[target] = [*queues.get(target, ()), *tasks]
+        for target in game.queues:
+            tokens = game.net.places[target].tokens
+            if target not in inherited and tokens:
+                queues[target] = [Task()] * tokens
+        state.queues = queues
+        submitted = [(names.transition_number(t), task) for t, task in state.submitted]
+        state.submitted = [(t, task) for t, task in submitted if t is not None]
+        known: Dict[int, Dict[str, None]] = {}
+        for t, ids in state.known.items():
+            number = names.transition_number(t)
+            if number is not None:
+                known.setdefault(number, {}).update(ids)
+        state.known = known
+
+    def _is_resource_of_both(self, p: int, target: int, game: TokenGame) -> bool:
+        """Whether a place holds resources in the present net, and its successor in the new one."""
+        return self.rules.is_resource[p] and game.is_resource[target]
+
+    def _ask_anew(self, asked: Mapping[str, str]) -> None:
+        """Let the robots that are done ask again under the new plan, in their order of completion,
+        as if their actions had just ended."""
+        self.state.waiting.clear()
+        self.state.done_in.clear()
+        for name, result in asked.items():
+            robot = self.state.robots[name]
+            if self.state.ended is None:
+                robot.phase = Phase.DOING
+                self._done(robot, result)
+            elif robot.phase is Phase.DONE:
+                self.state.add_waiting(robot)
+
     # -- membership and the operator ---------------------------------------------------------------
 
     def _join(self, entry: log_entries.Join) -> None:
         if entry.robot in self.state.witnesses:
+            if self.state.staged is not None:  # what it said in an earlier life does not count
+                self.state.staged.votes.pop(entry.robot, None)
             return
         robot = self.state.robots.get(entry.robot)
         if robot is None:

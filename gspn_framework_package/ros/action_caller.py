@@ -176,6 +176,19 @@ class ActionCaller:
         )
         self.poll(now)
 
+    def follow(
+        self,
+        targets: Mapping[str, ActionTarget],
+        timeout: Callable[[str], Optional[float]],
+        own_servers: Optional[Mapping[str, PlaceServer]],
+    ) -> None:
+        """From now on start the actions of another plan; a goal that is under way goes on."""
+        self._targets, self._timeout = targets, timeout
+        for name, server in (own_servers or {}).items():
+            if name not in self._direct:
+                self._direct[name] = DirectConnection(server, self._hand_on)
+        self._spare = [target for target in targets.values() if target.server not in self._direct]
+
     def cancel(self) -> None:
         """Cancel the running goal, if any; nothing more is reported about it."""
         goal, self._goal = self._goal, None

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, Callable, Dict, List, Mapping, Optional
 
 import rospy
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Replica
@@ -32,16 +32,15 @@ from gspn_framework_package.execution.event_log import (
     read_log,
 )
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
-from gspn_framework_package.execution.local_kinds import refuse_commands
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import told_phase
 from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
-from gspn_framework_package.model.errors import ExecutionError, GspnError, LogError
+from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
-from gspn_framework_package.ros.action_kinds import Job, jobs, live_types
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.event_sources import EventSources, Host
 from gspn_framework_package.ros.goal_id import GoalIdentity
@@ -52,6 +51,12 @@ from gspn_framework_package.ros.narrator import Diagnosis, Narrator, level_of
 from gspn_framework_package.ros.node_services import Answer, NodeServices, View, Worker
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServers
+from gspn_framework_package.ros.plan_examination import (
+    jobs_of,
+    why_not_followed,
+    why_refused,
+    with_folder,
+)
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 FAREWELL = 2.0
@@ -136,6 +141,7 @@ class ExecutionNode(Worker):
         self._gone: Dict[str, Phase] = {}
         self._told_length = -1
         self._plan_hash = plan.hash()
+        self._began_with = plan
         self._narrator = Narrator(robot, namespace, options.run)
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
         witness = robot in plan.witness  # votes, but has no token and runs no actions
@@ -146,7 +152,8 @@ class ExecutionNode(Worker):
         self._servers = PlaceServers(plan, robot, namespace) if serves else None
         served = set(self._servers.names) if self._servers else set()
         self.foreign_servers = sorted({t.server for t in targets.values()} - served)
-        self.jobs = {} if witness else self._own_jobs()
+        self._witness = witness
+        self.jobs = {} if witness else jobs_of(plan, robot, namespace, options)
         caller = ActionCaller(
             robot,
             targets,
@@ -182,21 +189,6 @@ class ExecutionNode(Worker):
         self._events.subscribe()
         self._told_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
-
-    def _own_jobs(self) -> Dict[str, Job]:
-        """The actions of this robot that are no action servers.
-
-        :raises GspnError: one does not fit its type, or the ROS graph, or is not allowed.
-        """
-        if not self.options.allow_commands:
-            refuse_commands(self.plan, "~allow_commands, allow_commands:=true")
-        found = jobs(self.plan, self.robot, self.namespace)
-        types = live_types() if found and self.options.check else {}
-        for place, job in found.items():
-            clash = job.clash(types) if self.options.check else None
-            if clash:
-                raise ExecutionError(clash, file=self.plan.file, element="action of '%s'" % place)
-        return found
 
     def _open_log(self) -> None:
         path = self.options.log_file(self.robot)
@@ -396,7 +388,7 @@ class ExecutionNode(Worker):
         elif phase is Phase.LEFT:
             self._narrator.tell("%s has left the team" % name)
         else:
-            place = self.plan.net.places[self._replica.ledger.state.robots[name].place].name
+            place = self._net.places[self._replica.ledger.state.robots[name].place].name
             text = "%s is lost: the team goes on without it; its token was in %s" % (name, place)
             (self._narrator.tell if long_ago else self._narrator.warn)(text)
 
@@ -441,7 +433,7 @@ class ExecutionNode(Worker):
     def _on_fired(self, effect: interface.Fired) -> None:
         if effect.publish or effect.private:
             self._fired.publish(
-                fired_message(effect, self.plan.net, self._plan_hash, self.options.run)
+                fired_message(effect, effect.plan.net, effect.plan.hash(), self.options.run)
             )
         for move in effect.firing.moves:
             # a local transition is reported a second time when it is in the agreed log
@@ -463,6 +455,59 @@ class ExecutionNode(Worker):
     def _fault(self, fault: Fault) -> None:
         if fault.robot in ("", self.robot):
             self._narrator.warn(fault.message)
+
+    # -- another plan ------------------------------------------------------------------------------
+
+    @property
+    def _net(self) -> Net:
+        """The net of the plan that the team follows, as far as our log goes."""
+        return self._replica.ledger.game.net
+
+    def _examine(self, effect: interface.Examine) -> None:
+        """Find out whether the robot can follow a staged plan. This may take a while, in which the
+        node has to be heard."""
+        plan = with_folder(effect.plan, effect.folder, self._began_with)
+        self._narrator.tell("looks at the staged plan '%s'" % plan.name)
+
+        def look() -> None:
+            try:
+                why = why_not_followed(
+                    plan,
+                    self.plan,
+                    self.robot,
+                    self.namespace,
+                    self.options,
+                    self._servers,
+                    self._host(),
+                )
+            except Exception as error:  # whatever it is, the robot cannot follow the plan
+                why = "%s: %s" % (type(error).__name__, error)
+            self.enqueue(self._step, interface.Examined(effect.stage, why))
+
+        threading.Thread(target=look, name="examine", daemon=True).start()
+
+    def _plan_changed(self, effect: interface.PlanChanged) -> None:
+        """Bind later actions as another plan says; what runs goes on.
+
+        :raises GspnError: the robot cannot follow the plan.
+        """
+        before = self.plan
+        plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
+        self._plan_hash = plan.hash()
+        self._narrator.tell("follows the plan '%s'" % plan.name)
+        if not self._witness:
+            if self._servers is not None:
+                self._servers.follow(plan)
+            own = self._servers.servers if self._servers and self.options.direct_actions else None
+            self.jobs = jobs_of(plan, self.robot, self.namespace, self.options)
+            targets = action_targets(plan, self.robot, self.namespace)
+            self._caller.follow(plan, targets, self.jobs, own)
+        if plan.events != before.events or plan.submissions != before.submissions:
+            sources = EventSources(plan, self.robot, self.namespace, self._witness, self._host())
+            self._events.close()
+            self._events = sources
+            sources.subscribe()
+            sources.start()
 
     def _status_changed(self, effect: interface.StatusChanged) -> None:
         """Do nothing: the narrator reports what the robot waits for, if it lasts."""
@@ -499,6 +544,8 @@ class ExecutionNode(Worker):
         interface.OrderResult: _order_result,
         interface.Fired: _on_fired,
         interface.StatusChanged: _status_changed,
+        interface.Examine: _examine,
+        interface.PlanChanged: _plan_changed,
         interface.Halted: _halted,
         interface.WakeAt: _wake,
         StartAction: _start_action,
@@ -534,21 +581,21 @@ class ExecutionNode(Worker):
         robot = ledger.state.robots.get(self.robot)
         place, visit, phase = "", 0, told_phase(ledger.state, robot)
         if robot is not None and own.position is not None:
-            place, visit = self.plan.net.places[own.position.place].name, own.position.visit
+            place, visit = self._net.places[own.position.place].name, own.position.visit
             # there are local transitions that the log does not have yet
             if visit != robot.visit and ledger.state.ended is None:
                 phase = Phase.DOING
             if phase is Phase.DOING and own.reported == own.position.goal:
                 phase = Phase.DONE  # although this is not in the log yet
         elif robot is not None and not robot.phase.gone:
-            place, visit = self.plan.net.places[robot.place].name, robot.visit
+            place, visit = self._net.places[robot.place].name, robot.visit
         return View(
             place,
             phase.told.state,
             self._replica.incarnation,
             visit,
             self._replica.marking(),
-            self.plan.net,
+            self._net,
             ledger.length,
             ledger.hash,
         )
@@ -568,9 +615,9 @@ class ExecutionNode(Worker):
         status["breakpoints"] = self._breakpoints.breakpoints.to_json()
         if data:
             brief = data == "brief"
-            status["data"] = told_of_team(state, self.plan.net, brief)
+            status["data"] = told_of_team(state, self._net, brief)
             for robot in status["robots"]:
-                told = told_of_robot(state.robots[robot["robot"]], self.plan.net, brief)
+                told = told_of_robot(state.robots[robot["robot"]], self._net, brief)
                 robot.update(told)
         return status
 
@@ -590,8 +637,31 @@ class ExecutionNode(Worker):
         self._answers[number] = answer
         if entry is None:
             self._step(interface.ForceEvict(number, force_evict))
+        elif isinstance(entry, log_entries.Adopt):
+            self._order_adopt(number, entry)
         else:
             self._step(interface.Order(number, entry))
+
+    def _order_adopt(self, number: str, entry: log_entries.Adopt) -> None:
+        """Have the staged plan adopted, unless the check, from where the team is, refuses it."""
+        game, team = self._replica.ledger.game, self._replica.ledger.state
+        stage = entry.stage if entry.stage >= 0 or team.staged is None else team.staged.number
+        order = interface.Order(number, entry._replace(stage=stage))
+        why, new = plan_change.why_not_adopted(team, game.plan, stage)
+        if why or new is None or team.staged is None:
+            self._step(order)  # which says why not
+            return
+        here = plan_change.begun_here(team, game.plan, new, team.staged.mapping)
+
+        def look() -> None:
+            refused = why_refused(here)
+            if refused:
+                text = "the check refuses the plan from where the team is: %s" % refused
+                self.enqueue(self._order_result, interface.OrderResult(number, False, text))
+            else:
+                self.enqueue(self._step, order)
+
+        threading.Thread(target=look, name="check", daemon=True).start()
 
     def _waits_for(self) -> str:
         """What this robot waits for: its action, the team, or its transition; "" if nothing."""

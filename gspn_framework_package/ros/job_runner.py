@@ -14,8 +14,10 @@ from gspn_framework_package.model.errors import DataError, ExecutionError, PlanE
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_kinds import Job, JobAttempt, JobEnd, attempt_job
+from gspn_framework_package.ros.action_targets import ActionTarget
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience, earliest
+from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.transport.registration import registered_together
 
 LAST_WORDS = 1.0
@@ -65,12 +67,15 @@ class JobRunner:
         self._pool = WorkerPool("job")
         self._current: Optional[_Running] = None
         self._cancelled: Deque[_Cancelled] = deque()
-        with registered_together():
-            for place, job in jobs.items():
-                try:
-                    job.open()
-                except rospy.ROSException as error:
-                    raise ExecutionError(str(error), element="action of '%s'" % place) from None
+        _open(jobs)
+
+    def follow(self, jobs: Mapping[str, Job], timeout: Callable[[str], Optional[float]]) -> None:
+        """From now on do the jobs of another plan; one that is under way goes on.
+
+        :raises ExecutionError: a topic has two types in this process.
+        """
+        _open(jobs)
+        self._jobs, self._timeout = jobs, timeout
 
     def start(self, command: StartAction, now: float) -> None:
         """Start a job; cancels the previous one if it still runs."""
@@ -185,6 +190,15 @@ class JobRunner:
         self.poll(time.monotonic())
 
 
+def _open(jobs: Mapping[str, Job]) -> None:
+    with registered_together():
+        for place, job in jobs.items():
+            try:
+                job.open()
+            except rospy.ROSException as error:
+                raise ExecutionError(str(error), element="action of '%s'" % place) from None
+
+
 class ActionRunner:
     """The actions of one robot, one at a time, of whatever kind.
 
@@ -203,6 +217,21 @@ class ActionRunner:
             self._runner.start(command, now)
         else:
             self._caller.start(command, now)
+
+    def follow(
+        self,
+        plan: Plan,
+        targets: Mapping[str, ActionTarget],
+        jobs: Mapping[str, Job],
+        own_servers: Optional[Mapping[str, PlaceServer]],
+    ) -> None:
+        """From now on start the actions of another plan; the one that is under way goes on.
+
+        :raises ExecutionError: see :meth:`JobRunner.follow`.
+        """
+        self._runner.follow(jobs, plan.timeout)
+        self._caller.follow(targets, plan.timeout, own_servers)
+        self._jobs = jobs
 
     def cancel(self) -> None:
         """Cancel the running action, if any; nothing more is reported about it."""

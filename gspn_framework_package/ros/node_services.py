@@ -10,7 +10,8 @@ import rospy
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
-from gspn_framework_package.model.errors import DataError, GspnError
+from gspn_framework_package.execution.plan_change import digest_of
+from gspn_framework_package.model.errors import DataError, GspnError, LogError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.ros.messages import json_object, marking_fields
 from gspn_framework_package.srv import (
@@ -229,6 +230,8 @@ class NodeServices:
             entry = order_entry(request.command, request.robot, robot, request.argument)
         except DataError as error:
             return CommandResponse(False, "not a task: %s" % error)
+        except LogError as error:
+            return CommandResponse(False, str(error))
         if entry is None:
             return CommandResponse(
                 False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
@@ -276,7 +279,7 @@ class NodeServices:
 
 _COMMANDS = (
     "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, "
-    "breakpoints, status"
+    "stage, adopt, unstage, breakpoints, status"
 )
 
 
@@ -287,8 +290,11 @@ def order_entry(command: str, given: str, robot: str, argument: str) -> Optional
     :param given: the robot that was named; "" for the whole team, if the command allows that.
     :param robot: the robot that was named, or else the one that serves the call.
     :param argument: for ``set_place``, the place; for ``fire``, the transition; for ``submit``, the
-        task (see :func:`submitted`); for ``stop``, the reason.
+        task (see :func:`submitted`); for ``stop``, the reason; for ``stage``, the plan (see
+        :func:`staged`); for ``adopt`` and ``unstage``, the number of the stage, "" for the present
+        one.
     :raises DataError: the argument is no task.
+    :raises LogError: the argument is no plan.
     """
     if command == "pause":
         return log_entries.Pause(given)
@@ -304,6 +310,11 @@ def order_entry(command: str, given: str, robot: str, argument: str) -> Optional
         return log_entries.Retry(robot)
     if command == "fire":
         return log_entries.Fire(argument)
+    if command == "stage":
+        return staged(argument)
+    if command in ("adopt", "unstage"):
+        stage = int(argument) if argument.isdigit() else -1
+        return log_entries.Adopt(stage) if command == "adopt" else log_entries.Unstage(stage)
     if command == "submit":
         return submitted(argument)
     if command == "stop":
@@ -333,3 +344,26 @@ def submitted(argument: str) -> log_entries.Submit:
     if task_id in ("", None):
         task_id = log_entries.new_task_id("submitted")
     return log_entries.make_submit(transition, task_id, data)
+
+
+def staged(argument: str) -> log_entries.StagePlan:
+    """The log entry that stages a plan.
+
+    :param argument: a JSON object: ``plan`` (the plan whole, as an event log has it), ``map``
+        (names of the present net -> names of the new one) and ``folder`` (of its functions; "":
+        where they were).
+    :raises LogError: it is not of this form.
+    """
+    given = json_object(argument)
+    if given is None or not isinstance(given.get("plan"), dict):
+        raise LogError('not a plan: the argument is no JSON object {"plan": {...}, "map": {...}}')
+    entry = log_entries.checked(
+        log_entries.StagePlan(
+            given["plan"],
+            digest_of(given["plan"]),
+            given.get("map", {}),
+            given.get("folder", ""),
+        )
+    )
+    assert isinstance(entry, log_entries.StagePlan)
+    return entry

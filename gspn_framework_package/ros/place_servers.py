@@ -75,18 +75,45 @@ class PlaceServers:
         self._pool = pool or WorkerPool("action")
         self._lock = threading.Lock()
         self._running: Dict[str, _RunningGoal] = {}
-        actions: Dict[str, Dict[str, PythonAction]] = {}
-        for place, action in load_actions(plan, robot).items():
-            bound = plan.action(robot, place)
-            assert isinstance(bound, FunctionAction)
-            actions.setdefault(bound.server, {})[place] = action
+        self._namespace = namespace
         self.servers: Dict[str, PlaceServer] = {}
-        """The servers by their absolute names."""
-        for name, by_place in actions.items():
-            server = PlaceServer(self, rospy.names.ns_join(namespace, name), by_place)
-            self.servers[server.ns] = server
+        """The servers by their absolute names. A change makes a new map."""
+        for name, by_place in self._load(plan).items():
+            self.servers[name] = PlaceServer(self, name, by_place)
         self._timer: Optional[threading.Thread] = None
         self._stopping = threading.Event()
+
+    def prepare(self, plan: Plan) -> None:
+        """Load the functions of another plan, and start the servers that it needs besides the
+        present ones. May be called from any thread.
+
+        :raises PlanError: a function does not exist, or is not an action.
+        """
+        for name, by_place in self._load(plan).items():
+            if name not in self.servers:
+                server = PlaceServer(self, name, by_place)
+                with registered_together():
+                    server.start()
+                self.servers = {**self.servers, name: server}
+
+    def follow(self, plan: Plan) -> None:
+        """From now on serve the functions of another plan. Actions that run go on.
+
+        :raises PlanError: a function does not exist, or is not an action.
+        """
+        self.prepare(plan)
+        for name, by_place in self._load(plan).items():
+            self.servers[name].serve(by_place)
+
+    def _load(self, plan: Plan) -> Dict[str, Dict[str, PythonAction]]:
+        """The functions of a plan by the absolute names of their servers and by place."""
+        actions: Dict[str, Dict[str, PythonAction]] = {}
+        for place, action in load_actions(plan, self.robot).items():
+            bound = plan.action(self.robot, place)
+            assert isinstance(bound, FunctionAction)
+            name = rospy.names.ns_join(self._namespace, bound.server)
+            actions.setdefault(name, {})[place] = action
+        return actions
 
     @property
     def names(self) -> List[str]:
@@ -272,6 +299,10 @@ class PlaceServer(ActionServer):
         if len(self._actions) == 1:
             return next(iter(self._actions.values()))
         return self._actions.get(place)
+
+    def serve(self, actions: Dict[str, PythonAction]) -> None:
+        """From now on run these actions, by place."""
+        self._actions = actions
 
     def initialize(self) -> None:
         """Create the topics."""

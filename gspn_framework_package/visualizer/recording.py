@@ -18,6 +18,7 @@ from collections import OrderedDict
 from typing import BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
+from gspn_framework_package.execution.plan_change import same_net
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.visualizer.board import Board, Event
@@ -66,6 +67,7 @@ class _Reader:
             self._events.restore(kept["events"])
             self._clock = LogClock(*kept["clock"])
             state = self._game.state_from_json(kept["state"])
+            self._events.follow(self._game.now(state))
         self._replayer = Replayer(self._game, state)
 
     @staticmethod
@@ -79,7 +81,7 @@ class _Reader:
             "board": self.board.to_json(),
             "events": self._events.to_json(),
             "clock": self._clock.to_json(),
-            "state": self._replayer.state.to_json(self._file.plan.net),
+            "state": self._replayer.state.to_json(self._replayer.game.net),
         }
         packed = zlib.compress(json.dumps(kept, separators=(",", ":")).encode(), 1)
         return Mark(self.board.n, self.line, self.offset, packed)
@@ -100,11 +102,14 @@ class _Reader:
 
     def _step(self, record: Record) -> List[Event]:
         try:
+            before = self._replayer.game
             step = self._replayer.take(record)
             if step is not None:
-                return self._events.step(
-                    step.entries, step.firings, step.state, self._clock.read(record)
-                )
+                events = []
+                t = self._clock.read(record)
+                if self._replayer.game is not before:
+                    events = self._other_plan(before, step.slot, t)
+                return events + self._events.step(step.entries, step.firings, step.state, t)
             if record["kind"] == "ended":
                 t = round(self._clock.read(record), 4)
                 ended = str(record.get("reason", ""))
@@ -118,6 +123,22 @@ class _Reader:
             raise error.located(line=self.line) from None
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise LogError("the record is damaged (%r)" % error, line=self.line) from None
+
+    def _other_plan(self, before: TokenGame, slot: int, t: float) -> List[Event]:
+        """The team goes on under another plan: a note, if the drawing of the net still fits.
+
+        :raises LogError: it does not fit.
+        """
+        game = self._replayer.game
+        if not same_net(before.plan, game.plan):
+            raise LogError(
+                "from slot %d on, the team follows the plan '%s', whose net is another one; "
+                "this replay shows the net that the run began with" % (slot, game.plan.name)
+            )
+        self._events.follow(game)
+        text = "the team goes on under the plan '%s'" % game.plan.name
+        note = {"k": "note", "t": round(t, 4), "level": "warning", "robot": "", "text": text}
+        return [note]
 
 
 class Recording(KeptEvents):

@@ -47,6 +47,10 @@ class TeamEvents:
         self._looked_at: Dict[str, Any] = {}
         """Robot, or "" for the team -> its data and tasks when they were last told."""
 
+    def follow(self, game: TokenGame) -> None:
+        """Go on by the rules of a plan with the same net."""
+        self.game, self.net = game, game.net
+
     def board(self, running: bool, run: str = "") -> Board:
         """The board before the run named ``run`` begins."""
         self._status = {

@@ -43,6 +43,7 @@ from gspn_framework_package.execution.firing import (
     StartAction,
 )
 from gspn_framework_package.execution.log_entries import NOTHING, Entry, Submit
+from gspn_framework_package.model.plan import Plan
 
 Message = Dict[str, Any]
 """A protocol message as a JSON object (see
@@ -114,12 +115,21 @@ class TaskCame(NamedTuple):
 
 class Order(NamedTuple):
     """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Submit, Leave, Evict,
-    SetPlace, Pause, Resume or Stop. Answered by an :class:`OrderResult` of the same ``order_id``
-    once it is in the log (which may never happen without a quorum: the caller sets its own
-    deadline). For an Evict the incarnation may be -1: the present one."""
+    SetPlace, Pause, Resume, Stop, StagePlan, Adopt or Unstage. Answered by an
+    :class:`OrderResult` of the same ``order_id`` once it is in the log (which may never happen
+    without a quorum: the caller sets its own deadline). For an Evict the incarnation may be -1: the
+    present one; for an Adopt or Unstage the stage may be -1: the present one."""
 
     order_id: str
     entry: Entry
+
+
+class Examined(NamedTuple):
+    """The answer to an :class:`Examine`: why this robot cannot follow the plan staged as number
+    ``stage``; "" if it can."""
+
+    stage: int
+    why: str = ""
 
 
 class ForceEvict(NamedTuple):
@@ -134,7 +144,17 @@ class ForceEvict(NamedTuple):
     robot: str
 
 
-Input = Union[Tick, Received, ActionDone, AttemptFailed, EventObserved, TaskCame, Order, ForceEvict]
+Input = Union[
+    Tick,
+    Received,
+    ActionDone,
+    AttemptFailed,
+    EventObserved,
+    TaskCame,
+    Order,
+    Examined,
+    ForceEvict,
+]
 
 # -- effects ---------------------------------------------------------------------------------------
 
@@ -175,13 +195,34 @@ class Fired(NamedTuple):
     (robot, visit), slot and index say nothing, and ``firing.marking`` is the marking that this
     robot knows. Such a move appears a second time with its position in the agreed log
     (``private`` and ``publish`` false) once it is in there.
-    ``hash`` is the value of the hash chain after the slot of the firing.
+    ``hash`` is the value of the hash chain after the slot of the firing, ``plan`` the plan
+    under which it happened.
     """
 
     firing: Firing
     publish: bool
     hash: str
+    plan: Plan
     private: bool = False
+
+
+class Examine(NamedTuple):
+    """A plan was staged: find out whether this robot can follow it (its functions load, its actions
+    can be bound), and answer with an :class:`Examined` of that ``stage``. Nothing changes yet."""
+
+    stage: int
+    plan: Plan
+    folder: str
+    """Where its functions are; "": where they were at the start."""
+
+
+class PlanChanged(NamedTuple):
+    """From here on the team follows ``plan``: later goals are bound as it says. What runs goes on
+    as it was started. ``mapping`` says how the names of the plan before read in it."""
+
+    plan: Plan
+    folder: str
+    mapping: Mapping[str, str] = NOTHING
 
 
 class OrderResult(NamedTuple):
@@ -223,6 +264,8 @@ Effect = Union[
     CancelAction,
     Fault,
     Ended,
+    Examine,
+    PlanChanged,
     OrderResult,
     StatusChanged,
     Halted,

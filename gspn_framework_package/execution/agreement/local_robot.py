@@ -26,8 +26,10 @@ from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState
+from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking
+from gspn_framework_package.model.plan import Plan
 
 Command = Union[StartAction, CancelAction]
 
@@ -50,12 +52,19 @@ class LocalRobot:
         self.electorate = electorate
         self.proposals = proposals
         self.halts = halts
+        self._began: Optional[Tuple[Goal, Plan, str]] = None
+        """The goal that was started last, and the plan and place that it was started by."""
+        self._take_rules(config.game)
+
+    def _take_rules(self, game: TokenGame) -> None:
+        """From now on these rules apply."""
+        config, self._game = self.config, game
         alone = config.partial and not config.witness
-        self._transitions = LocalTransitions(config.game, config.name) if alone else None
+        self._transitions = LocalTransitions(game, config.name) if alone else None
         self._environment = Environment(
-            config.game,
+            game,
             random.Random("%d|%s" % (config.plan.seed, config.name)),
-            without=[t for t, e in config.plan.events.items() if e.topic or e.function],
+            without=[t for t, e in game.plan.events.items() if e.topic or e.function],
         )
 
     # -- the log and the position ------------------------------------------------------------------
@@ -63,8 +72,23 @@ class LocalRobot:
     def follow(self) -> None:
         """Take over our robot's place from the log, and make our local transitions again on top of
         it; those that the log rules out are void."""
+        self.follow_plan()
         for own in self._follow():
             self.proposals.void(own, "the log rules it out")
+
+    def follow_plan(self) -> None:
+        """Go by the plan that the team follows according to the log."""
+        ledger = self.state.ledger
+        if ledger.game is not self._game:
+            self._take_rules(ledger.game)
+            adopted = ledger.state.adopted
+            self.outbox.put(
+                interface.PlanChanged(
+                    self._game.plan,
+                    adopted.folder if adopted else "",
+                    adopted.mapping if adopted else log_entries.NOTHING,
+                )
+            )
 
     def _follow(self) -> List[Proposal]:
         state, own_proposals = self.state, self.state.own_proposals
@@ -92,7 +116,8 @@ class LocalRobot:
             return None
         if (entry.incarnation, entry.visit) != (at.incarnation, at.visit):
             return None
-        found = self._transitions.find(at.place, entry.result)
+        renamed = self.state.ledger.state.renamed
+        found = self._transitions.find(at.place, renamed.get(entry.result, entry.result))
         if found is None:
             return None
         transition, target = found
@@ -122,8 +147,10 @@ class LocalRobot:
         else:
             result = given.result if given.result not in (None, "None") else ""
             assert self.state.position is not None  # _report has looked
-            plan = self.config.plan
+            plan = self._game.plan
             place = plan.net.places[self.state.position.place].name
+            if self._began is not None and self._began[0] == goal:
+                _, plan, place = self._began  # the team may have adopted another plan since
             result = plan.transition_meant(place, result)
             entry = log_entries.Done(
                 self.config.name, goal.incarnation, goal.visit, result, given.data
@@ -136,7 +163,9 @@ class LocalRobot:
                 firing = self._make(entry)
                 if firing is not None:
                     self.proposals.add_local_transition(entry, firing)
-                    self.outbox.put(interface.Fired(firing, True, self.state.ledger.hash, True))
+                    self.outbox.put(
+                        interface.Fired(firing, True, self.state.ledger.hash, self._game.plan, True)
+                    )
                     self.act({})
                     return
         self.proposals.propose(entry)
@@ -181,7 +210,7 @@ class LocalRobot:
 
     def _make(self, entry: log_entries.Done) -> Optional[Firing]:
         """Make the local transition of a ``Done``, if it is one."""
-        net = self.config.plan.net
+        net = self._game.net
         before = self.marking()
         made = self._go(entry)
         if made is None:
@@ -235,8 +264,14 @@ class LocalRobot:
             state.running = None
         if at is None or not at.doing or (state.started is not None and at.goal <= state.started):
             return out
-        place = self.config.plan.net.places[at.place].name
-        if self.config.plan.action(name, place) is not None and self._may_start(at, place):
+        plan = self._game.plan
+        place = plan.net.places[at.place].name
+        if plan.action(name, place) is None:
+            # another plan has taken the action away, before it could begin again
+            state.started = state.reported = at.goal
+            self.proposals.propose(log_entries.Done(name, at.incarnation, at.visit))
+        elif self._may_start(at, place):
+            self._began = (at.goal, plan, place)
             state.started = state.running = at.goal
             delay = delays.get((at.visit, at.attempt), 0.0)
             out.append(StartAction(name, place, *at.goal, delay, *self._given(at)))
@@ -282,7 +317,7 @@ class LocalRobot:
         """If the plan simulates its environment, the first running member fires its
         transitions."""
         state = self.state
-        if not self.config.plan.simulate_environment or not self.electorate.may_vote():
+        if not self._game.plan.simulate_environment or not self.electorate.may_vote():
             return
         drawn_kinds = (log_entries.Fire, log_entries.Submit)
         if any(isinstance(o.item.entry, drawn_kinds) for o in state.own_proposals):
@@ -296,7 +331,7 @@ class LocalRobot:
 
     def wake_times(self) -> List[float]:
         """When to look again (s)."""
-        if self.config.plan.simulate_environment and self.electorate.may_vote():
+        if self._game.plan.simulate_environment and self.electorate.may_vote():
             due = self._environment.next_time(self.state.ledger.state, self.state.now)
             return [due] if due is not None else []
         return []

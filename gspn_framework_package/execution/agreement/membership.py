@@ -30,6 +30,7 @@ from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended
 from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.plan_change import home_of
 
 RIVAL = 4
 """Heartbeats for which a robot whose place another log has taken listens for a second process of
@@ -453,14 +454,23 @@ class Membership:
             for own in state.own_proposals
         ):
             return
-        plan = config.plan
-        place = (
-            config.place
-            or next((r.place for r in plan.robots if r.name == config.name), "")
-            or (plan.spawn[0] if plan.spawn else "")
-        )
+        place = self._home()
         self.proposals.propose(
             log_entries.Join(config.name, state.incarnation, place, state.log_id)
+        )
+
+    def _home(self) -> str:
+        """Where we start when we join; "" where nothing says it."""
+        name, ledger = self.config.name, self.state.ledger
+        plan, place = ledger.game.plan, self.config.place
+        if ledger.state.renamed.get(place, place) in plan.action_places:
+            return place
+        if ledger.state.adopted is not None:  # the names of the first plan may mean nothing now
+            return home_of(plan, name)
+        return (
+            place
+            or next((r.place for r in plan.robots if r.name == name), "")
+            or (plan.spawn[0] if plan.spawn else "")
         )
 
     def part(self) -> None:

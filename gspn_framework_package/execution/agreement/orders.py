@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Optional
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
@@ -18,7 +18,8 @@ from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import RobotState
+from gspn_framework_package.execution.team_state import RobotState, StagedPlan
+from gspn_framework_package.model.errors import GspnError
 
 
 class Orders:
@@ -52,6 +53,9 @@ class Orders:
         if isinstance(entry, log_entries.Evict) and entry.incarnation < 0:
             robot = self._robot(entry.robot)
             entry = entry._replace(incarnation=robot.incarnation if robot else 0)
+        staged = self.state.ledger.state.staged
+        if isinstance(entry, (log_entries.Adopt, log_entries.Unstage)) and entry.stage < 0:
+            entry = entry._replace(stage=staged.number if staged else 0)
         why = self._why_not(entry)
         submits = isinstance(entry, log_entries.Submit)
         if not why and isinstance(entry, log_entries.Submit):
@@ -81,7 +85,7 @@ class Orders:
 
     def _why_not(self, entry: log_entries.Entry) -> str:
         """Why an order makes no sense at present; "" if it does."""
-        state, me, plan = self.state, self.config.name, self.config.plan
+        state, me, plan = self.state, self.config.name, self.state.ledger.game.plan
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if not state.active or not (self.electorate.is_member() or self.config.witness):
@@ -105,6 +109,23 @@ class Orders:
             and robot.phase is not Phase.FAILED
         ):
             return "the action of %s did not fail" % name
+        return self._why_not_deployed(entry)
+
+    def _why_not_deployed(self, entry: log_entries.Entry) -> str:
+        """Why an order that is about another plan makes no sense at present; "" if it does."""
+        team, present = self.state.ledger.state, self.state.ledger.game.plan
+        if isinstance(entry, log_entries.StagePlan):
+            try:
+                log_entries.checked(entry)
+                staged = StagedPlan(0, entry.digest, entry.plan, entry.mapping)
+                new = plan_change.plan_of(staged)
+            except GspnError as error:
+                return "the plan cannot be staged: %s" % error
+            return "; ".join(plan_change.why_never(present, new, entry.mapping))
+        if isinstance(entry, log_entries.Unstage) and team.staged is None:
+            return "no plan is staged"
+        if isinstance(entry, log_entries.Adopt):
+            return "; ".join(plan_change.why_not_adopted(team, present, entry.stage)[0])
         return ""
 
     def _why_not_force(self, name: str, robot: Optional[RobotState]) -> str:

@@ -52,7 +52,7 @@ class Proposals:
                 "kind": "private",
                 "entry": log_entries.to_json(entry),
                 "origin": list(origin),
-                "firing": firing_to_json(firing, self.config.plan.net),
+                "firing": firing_to_json(firing, self.state.ledger.game.net),
             }
         )
         self.state.own_proposals.append(Proposal(Item(entry, origin, True)))
@@ -112,7 +112,7 @@ class Proposals:
 
     def _without_effect(self, entry: log_entries.Entry, step: Optional[Step]) -> str:
         """Why an order in the log changed nothing; "" if it did change something."""
-        if isinstance(entry, (log_entries.SetPlace, log_entries.Fire)):
+        if isinstance(entry, (log_entries.SetPlace, log_entries.Fire, log_entries.Adopt)):
             return "; ".join(
                 c.message
                 for c in (step.commands if step is not None else ())

@@ -152,7 +152,7 @@ class Proposer:
         return False
 
     def _somebody_asks_the_policy(self) -> bool:
-        team, immediate = self.state.ledger.state, self.config.game.immediate
+        team, immediate = self.state.ledger.state, self.state.ledger.game.immediate
         asking = (team.robots[name] for name in team.waiting)
         return any(robot.request == POLICY and immediate[robot.place] for robot in asking)
 

@@ -47,13 +47,29 @@ class Reactions:
         self.proposals = proposals
         self.robot = robot
         self.halts = halts
-        plan = config.plan
-        anew = asked_anew(plan, topics=True)
-        self._watch = EventWatch(plan, config.name, anew) if plan.events else None
+        self._game = config.game
+        self._watch: Optional[EventWatch] = None
+        self._begin_to_watch()
         self._orders: Dict[Tuple[str, str], List[str]] = {}
         """Task -> the orders of operators that wait until the team has it."""
 
     # -- events ------------------------------------------------------------------------------------
+
+    def follow(self) -> None:
+        """Watch the events of the plan that the team follows now."""
+        ledger = self.state.ledger
+        if self._game is ledger.game:
+            return
+        before, self._game = self._watch, ledger.game
+        self._begin_to_watch()
+        if before is not None and self._watch is not None:
+            adopted = ledger.state.adopted
+            self._watch.go_on_from(before, adopted.mapping if adopted else {})
+
+    def _begin_to_watch(self) -> None:
+        plan = self._game.plan
+        anew = asked_anew(plan, topics=True)
+        self._watch = EventWatch(plan, self.config.name, anew) if plan.events else None
 
     def observe(self, given: interface.EventObserved) -> None:
         """Take in what a source shows."""
@@ -79,11 +95,11 @@ class Reactions:
             if isinstance(entry, log_entries.Interrupt) and entry[:4] == event[:4]:
                 return True
         team, robot = self.state.ledger.state, self.electorate.own_robot()
-        net = self.config.plan.net
+        net = self._game.net
         t = net.transition_number(event.transition)
         if robot is not None and robot.visit == event.visit and t in robot.held:
             return True
-        if self.config.plan.events[event.transition].hold or team.paused:
+        if self._game.plan.events[event.transition].hold or team.paused:
             return False
         paused = robot is not None and robot.paused
         return not paused and not net.is_enabled(self.robot.marking(), t)
@@ -105,7 +121,7 @@ class Reactions:
         at = state.position
         if at is None or not state.active or at.incarnation != state.incarnation:
             return None
-        return Visit(self.config.plan.net.places[at.place].name, at.incarnation, at.visit)
+        return Visit(self._game.net.places[at.place].name, at.incarnation, at.visit)
 
     # -- tasks -------------------------------------------------------------------------------------
 
@@ -115,8 +131,9 @@ class Reactions:
         :param order_id: the operator's order that gave it, answered once the team has the task.
         """
         state = self.state
-        t = self.config.plan.net.transition_index.get(task.transition)
-        if t not in self.config.game.submissions:
+        game, renamed = state.ledger.game, state.ledger.state.renamed
+        task = task._replace(transition=renamed.get(task.transition, task.transition))
+        if game.net.transition_index.get(task.transition) not in game.submissions:
             return "no tasks come in by '%s'" % task.transition
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
@@ -145,6 +162,12 @@ class Reactions:
         for key in [key for key in state.offered if self._has(key)]:
             del state.offered[key]
             self._answer(key, self._orders.pop(key, []))
+        for key in [key for key in state.offered if self._entrance(key[0]) is None]:
+            del state.offered[key]
+            why = "no tasks come in by '%s' any more" % key[0]
+            self.outbox.fault("task %s is not taken: %s" % (key[1], why))
+            for order in self._orders.pop(key, []):
+                self.outbox.order_result(order, False, why)
         if state.ledger.state.ended is not None:
             self._refuse_orders("the run is over: %s" % state.ledger.state.ended)
             return
@@ -161,8 +184,15 @@ class Reactions:
     def _has(self, key: Tuple[str, str]) -> bool:
         """Whether the team has a task."""
         transition, task = key
-        t = self.config.plan.net.transition_index[transition]
-        return self.state.ledger.state.is_known(t, task)
+        t = self._entrance(transition)
+        return t is not None and self.state.ledger.state.is_known(t, task)
+
+    def _entrance(self, transition: str) -> Optional[int]:
+        """The number of a transition by which tasks come in now; None if they do not."""
+        ledger = self.state.ledger
+        name = ledger.state.renamed.get(transition, transition)
+        t = ledger.game.net.transition_index.get(name)
+        return t if t in ledger.game.submissions else None
 
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
         """Tell operators that the team has their task."""

@@ -15,6 +15,7 @@ from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 from gspn_framework_package.execution.agreement import interface, messages
 from gspn_framework_package.execution.agreement.config import Config, Pace, ProtocolLimits
 from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.deployment import Deployment
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.membership import Membership
@@ -110,6 +111,7 @@ class Replica:
         consensus.connect(replication)
         membership.connect(replication)
         self.reactions = Reactions(config, state, outbox, electorate, proposals, local, halts)
+        self.deployment = Deployment(config, state, outbox, electorate, proposals)
         self.recovery = Recovery(
             config, state, consensus, proposals, membership, replication, self.reactions
         )
@@ -129,6 +131,7 @@ class Replica:
         self.membership.listen_anew()
         if self._records or not self.config.trusted:  # nothing is left of a log that was not empty
             self.recovery.resume(self._records)
+            self.robot.follow_plan()
         else:
             self.membership.begin_first_life()
             if not self.state.joining:
@@ -162,6 +165,8 @@ class Replica:
             self._receive(given.message)
         elif isinstance(given, (interface.ActionDone, interface.AttemptFailed)):
             self.robot.action_ended(given)
+        elif isinstance(given, interface.Examined):
+            self.deployment.take(given)
         elif isinstance(given, interface.EventObserved):
             self.reactions.observe(given)
         elif isinstance(given, interface.TaskCame):
@@ -222,6 +227,7 @@ class Replica:
                 self.membership.consider_active()
                 self.membership.watch()
                 self.people.tell()
+            self.reactions.follow()
             self.reactions.want_tasks()
             if state.leaving:
                 self.membership.part()
@@ -229,6 +235,7 @@ class Replica:
                 self.membership.want_to_join()
                 self.robot.want_environment()
                 self.reactions.want_events()
+                self.deployment.want_vote()
             self.proposer.drive()
         times = [
             *self.membership.wake_times(),

@@ -82,6 +82,7 @@ class Replication:
         state = self.state
         items = [Item.from_json(i) for i in batch]
         before = state.ledger.hash
+        game = state.ledger.game
         record, step = state.ledger.append(items, ballot)
         slot = record["slot"]
         fresh = {Origin(*o) for o in record["origins"]}
@@ -92,9 +93,10 @@ class Replication:
             state.first_hash = state.ledger.hash
         returned = {i.entry.robot for i in kept if isinstance(i.entry, log_entries.Join)}
         self.proposer.next_slot(mine, returned)
-        for firing in step.firings:
+        for number, firing in enumerate(step.firings):
             published = mine and not _was_local(firing, kept)
-            self.outbox.put(interface.Fired(firing, published, state.ledger.hash))
+            plan = step.game_of(number, game).plan
+            self.outbox.put(interface.Fired(firing, published, state.ledger.hash, plan))
         self.outbox.put(*(c for c in step.commands if isinstance(c, (Fault, Ended))))
         self.membership.note_members(kept)
         delays = {

@@ -18,7 +18,13 @@ from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 
-CONTROLS = (log_entries.Pause, log_entries.Resume, log_entries.SetPlace, log_entries.Stop)
+CONTROLS = (
+    log_entries.Pause,
+    log_entries.Resume,
+    log_entries.SetPlace,
+    log_entries.Stop,
+    log_entries.Adopt,
+)
 """Orders that local transitions must not pass: partial synchronisation decides them while every
 robot holds still."""
 
@@ -217,6 +223,13 @@ class ReplicaState:
     """The goal whose end has not been reported."""
     reported: Optional[Goal] = _owned("local_robot")
     """The last goal whose end was."""
+
+    # -- a staged plan -----------------------------------------------------------------------------
+
+    examining: Tuple[int, int] = _owned("deployment", (0, 0))
+    """The stage that our host looks at, and the incarnation of ours that asked it."""
+    examined: Optional[str] = _owned("deployment")
+    """Why we cannot follow it, "" if we can; None: the host has not said yet."""
 
     # -- people ------------------------------------------------------------------------------------
 

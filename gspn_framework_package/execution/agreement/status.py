@@ -6,7 +6,7 @@ announces through the outbox.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Optional
 
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
@@ -17,6 +17,7 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.plan_change import vote_of
 from gspn_framework_package.execution.team_state import RobotState, told_phase
 
 
@@ -147,8 +148,23 @@ class Status:
             "paused": team.paused,
             "ended": team.ended,
             "fenced": state.fenced,
-            "marking": config.plan.net.named(self.robot.marking(), zeros=False),
+            "marking": self.state.ledger.game.net.named(self.robot.marking(), zeros=False),
             "robots": [self._robot_as_json(robot) for robot in team.robots.values()],
+            "plan_name": state.ledger.game.plan.name,
+            "staged": self._staged_as_json(),
+        }
+
+    def _staged_as_json(self) -> Optional[Dict[str, Any]]:
+        """The staged plan, and what each member says of it: "" where it can follow it, None where
+        it has not said yet; None if no plan is staged."""
+        team = self.state.ledger.state
+        if team.staged is None:
+            return None
+        return {
+            "stage": team.staged.number,
+            "plan": str(team.staged.plan.get("plan", "")),
+            "digest": team.staged.digest,
+            "votes": {member: vote_of(team, member) for member in team.members()},
         }
 
     def _robot_as_json(self, robot: RobotState) -> Dict[str, Any]:
@@ -160,7 +176,7 @@ class Status:
         told = told_phase(team, robot).told
         return {
             "robot": robot.name,
-            "place": self.config.plan.net.places[at.place if at else robot.place].name,
+            "place": self.state.ledger.game.net.places[at.place if at else robot.place].name,
             "state": told.state,
             "incarnation": robot.incarnation,
             "visit": at.visit if at else robot.visit,
@@ -169,5 +185,5 @@ class Status:
             "last_contact": 0.0
             if mine
             else (None if heard is None else round(state.now - heard, 3)),
-            "waits_for": "" if told.at_rest else self.config.game.why_waiting(team, robot),
+            "waits_for": "" if told.at_rest else self.state.ledger.game.why_waiting(team, robot),
         }

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import random
 from functools import lru_cache
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Set, Tuple
 
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json, policy_to_json
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.plan import (
     FailureKind,
@@ -258,6 +261,144 @@ def make_plan(
         timing=Timing(evict_after, fence_after),
         witness=("w",) if witness else (),
     ).validate()
+
+
+def another_plan(plan: Plan, source: random.Random) -> Tuple[Plan, Dict[str, str]]:
+    """A plan for a team that follows ``plan``, and the mapping of its names: another policy, other
+    names, places that come, go or lose their actions. Some of them fit no state of the team."""
+    while True:
+        data = json.loads(json.dumps(plan_to_json(plan)))
+        mapping: Dict[str, str] = {}
+        for _ in range(source.choice([1, 1, 2, 3])):
+            source.choice(_CHANGES)(data, mapping, source)
+        try:
+            return plan_from_json(data), mapping
+        except GspnError:
+            continue
+
+
+Change = Callable[[Dict[str, Any], Dict[str, str], random.Random], None]
+
+
+def _change_policy(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
+    """Another policy: none, or one that draws differently."""
+    rows = data["policy"].get("rows", [])
+    if not rows or source.random() < 0.3:
+        data["policy"] = policy_to_json(Policy())
+        return
+    source.shuffle(rows)
+    for row in rows:
+        if len(row.get("choose", {})) > 1:
+            names = list(row["choose"])
+            share = source.random()
+            row["choose"] = {names[0]: share, names[1]: 1 - share}
+
+
+def _rename(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
+    """Another name for a place or transition, with a mapping or (seldom) without."""
+    nodes = [n["name"] for n in (*data["net"]["places"], *data["net"]["transitions"])]
+    old = source.choice([n for n in nodes if n != "full"])  # "full" is also a word of the format
+    new = "%s_%d" % (old.split("_")[0], source.randrange(1000))
+    if new in nodes:
+        return
+    for key in data:
+        data[key] = _with_name(data[key], old, new)
+    first = next((a for a, b in mapping.items() if b == old), old)
+    if source.random() < 0.9:
+        mapping[first] = new
+
+
+def _with_name(data: Any, old: str, new: str) -> Any:
+    if isinstance(data, dict):
+        return {(new if k == old else k): _with_name(v, old, new) for k, v in data.items()}
+    if isinstance(data, list):
+        return [_with_name(v, old, new) for v in data]
+    return new if data == old else data
+
+
+def _add_place(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
+    """An action place to which robots go from another one, and back."""
+    number = source.randrange(1000)
+    place, there, back = ("%s%d" % (word, number) for word in ("New", "there", "back"))
+    home = source.choice(list(data["actions"]))
+    data["net"]["places"].append({"name": place})
+    for name, begin, end in ((there, home, place), (back, place, home)):
+        data["net"]["transitions"].append({"name": name, "timed": True, "rate": 1.0})
+        data["net"]["arcs"] += [{"from": begin, "to": name}, {"from": name, "to": end}]
+    data["actions"][place] = data["actions"][home]
+
+
+def _remove_place(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
+    """An action place, and the transitions around it, are no more; its robots go elsewhere."""
+    places = list(data["actions"])
+    if len(places) < 3:
+        return
+    gone, heir = source.sample(places, 2)
+    net = data["net"]
+    near = {a["to"] for a in net["arcs"] if a["from"] == gone}
+    near |= {a["from"] for a in net["arcs"] if a["to"] == gone}
+    data["robots"] = _with_name(data["robots"], gone, heir)
+    data["spawn"] = _with_name(data["spawn"], gone, heir)
+    for key in list(data):
+        data[key] = _without(data[key], {gone, *near})
+    net = data["net"]
+    net["places"] = [p for p in net["places"] if p["name"] != gone]
+    net["transitions"] = [t for t in net["transitions"] if t["name"] not in near]
+    net["arcs"] = [a for a in net["arcs"] if not {a["from"], a["to"]} & {gone, *near}]
+    data["policy"] = policy_to_json(Policy())
+    first = next((a for a, b in mapping.items() if b == gone), gone)
+    if source.random() < 0.8:
+        mapping[first] = heir
+
+
+def _without(data: Any, names: Set[str]) -> Any:
+    """The data without entries of these names, but for the nodes and arcs of the net."""
+    if isinstance(data, dict):
+        return {k: _without(v, names) for k, v in data.items() if k not in names}
+    if isinstance(data, list):
+        return [_without(v, names) for v in data if not (isinstance(v, str) and v in names)]
+    return data
+
+
+def _change_resources(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
+    """A resource place comes, or goes with its tokens."""
+    net = data["net"]
+    if data["resource_places"] and source.random() < 0.5:
+        gone = source.choice(data["resource_places"])
+        for key in list(data):
+            data[key] = _without(data[key], {gone})
+        net = data["net"]
+        net["places"] = [p for p in net["places"] if p["name"] != gone]
+        net["arcs"] = [a for a in net["arcs"] if gone not in (a["from"], a["to"])]
+        data["policy"] = policy_to_json(Policy())
+        first = next((a for a, b in mapping.items() if b == gone), gone)
+        if source.random() < 0.7:
+            mapping[first] = ""
+        return
+    place = "pool%d" % source.randrange(1000)
+    net["places"].append({"name": place, "tokens": source.randint(1, 3)})
+    transition = source.choice(net["transitions"])["name"]
+    net["arcs"] += [{"from": place, "to": transition}, {"from": transition, "to": place}]
+    data["resource_places"].append(place)
+
+
+def _take_action(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
+    """A place loses its action. (With events that last, robots might move for ever at no time.)"""
+    if data.get("events"):
+        return
+    data["actions"][source.choice(list(data["actions"]))] = None
+
+
+_CHANGES: List[Change] = [
+    _change_policy,
+    _change_policy,
+    _rename,
+    _rename,
+    _add_place,
+    _remove_place,
+    _change_resources,
+    _take_action,
+]
 
 
 def random_result(plan: Plan, place: str, source: random.Random, *, nonsense: bool = True) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import random
 from typing import Callable, Dict, List, NamedTuple, Type
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits, Replica
 from gspn_framework_package.execution.agreement_simulation.plans import (
     NOT_REACTING,
     REACTING,
+    another_plan,
     make_plan,
 )
 from gspn_framework_package.execution.agreement_simulation.world import (
@@ -63,6 +64,20 @@ the faults of the kind without a name."""
 KINDS[REACT] = "events, tasks and data, and any of these faults (react-power, react-operator, ...)"
 KINDS.update(
     {"%s-%s" % (REACT, kind): "the same" for kind in list(KINDS) if kind not in ("", REACT)}
+)
+
+
+DEPLOY = "deploy"
+"""A kind of schedules may begin with this word as well: then operators put other plans into the
+running team."""
+
+KINDS[DEPLOY] = "other plans for the running team, and any of these faults (deploy-power, ...)"
+KINDS.update(
+    {
+        "%s-%s" % (DEPLOY, kind): "the same"
+        for kind in list(KINDS)
+        if kind not in ("", DEPLOY) and not kind.startswith(REACT)
+    }
 )
 
 
@@ -127,8 +142,8 @@ class ScheduleResult(NamedTuple):
 class _Run:
     def __init__(self, schedule: Schedule, replica_type: Type[Replica]) -> None:
         word, _, rest = schedule.kind.partition("-")
-        reacts = word == REACT
-        self.kind = rest if reacts else schedule.kind
+        reacts, self.deploys = word == REACT, word == DEPLOY
+        self.kind = rest if reacts or self.deploys else schedule.kind
         self.random = source = random.Random("%d|%d|%d|%s" % schedule)
         evict_after = source.choice([0.0, 0.35])
         if self.kind in ("link", "sleep"):
@@ -137,6 +152,8 @@ class _Run:
         witness = schedule.robots == 2 and source.random() < 0.3
         if reacts:
             kind = source.choice(REACTING)
+        elif self.deploys:
+            kind = source.choice((*NOT_REACTING, *REACTING))
         else:
             kind = source.choice(NOT_REACTING) if self.kind != "freeze" else 0
         plan = make_plan(
@@ -328,6 +345,30 @@ class _Run:
         if up:
             self.world.operator(log_entries.Resume(who), self.random.choice(up))
 
+    def _stage(self) -> None:
+        """An operator stages another plan, and has it adopted later."""
+        up = self._up()
+        if not up:
+            return
+        node = self.random.choice(up)
+        if node.replica is None:
+            return
+        plan, mapping = another_plan(node.replica.ledger.game.plan, self.random)
+        self.world.operator(plan_change.stage_of(plan, mapping), node)
+        self._count("stage")
+        self._later(0.01, 0.1, lambda: self._adopt(6))
+
+    def _adopt(self, tries: int) -> None:
+        """An operator asks for the staged plan to be adopted, or gives it up."""
+        up = self._up()
+        if up:
+            give_up = self.random.random() < 0.05
+            order = log_entries.Unstage(-1) if give_up else log_entries.Adopt(-1)
+            self.world.operator(order, self.random.choice(up))
+            self._count("unstage" if give_up else "adopt")
+        if tries:
+            self._later(0.02, 0.15, lambda: self._adopt(tries - 1))
+
     def _evict(self) -> None:
         up = self._up()
         if len(up) > 1:
@@ -490,6 +531,9 @@ class _Run:
             world.at(0.2 + 0.3 * self.random.random(), self._leave)
         for _ in range(self.random.randint(0, most)):
             world.at(0.05 + (self.faults_end - 0.1) * self.random.random(), self.inject)
+        if self.deploys:
+            for _ in range(self.random.randint(1, 3)):
+                world.at(0.05 + (self.faults_end - 0.1) * self.random.random(), self._stage)
         world.at(0.05, self._watch)
         world.run(self.faults_end)
         self._heal()
@@ -500,6 +544,11 @@ class _Run:
         settled = world.run(world.now + BOUND, world.has_settled)
         if self.kind in ("link", "sleep"):
             self._nobody_is_lost()
+        if settled:
+            world.same_state()
+        ledgers = [n.replica.ledger for n in world.alive() if n.replica is not None]
+        if any(ledger.state.adopted is not None for ledger in ledgers):
+            self._count("another plan adopted")
         if settled and not world.given_up and self.kind != "power":
             lost = world.lost_tasks()
             if lost:

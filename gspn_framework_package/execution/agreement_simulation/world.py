@@ -80,6 +80,8 @@ class SimulatedNode:
         self.superseded = False
         """By the operator's mistake, another process runs under its name; this one must halt."""
         self.trusted = True
+        self.plan = world.plan
+        """The plan that its host binds actions by."""
         self.faults: List[str] = []
         self.disk: Optional[Disk] = None
         self.old_disks: List[Disk] = []
@@ -128,6 +130,7 @@ class SimulatedNode:
             trusted=self.trusted,
         )
         self.trusted = True
+        self.plan = world.plan
         self.shows = {}
         resets = [r for r in self.disk.records() if r["kind"] == "reset"]
         self.log_id = str((resets or [self.disk.header])[-1]["log"])
@@ -232,6 +235,10 @@ class SimulatedNode:
                 self.results[effect.order_id] = effect
             elif isinstance(effect, interface.Fired):
                 self.world.on_fired(self, effect)
+            elif isinstance(effect, interface.Examine):
+                self.world.examine(self, effect)
+            elif isinstance(effect, interface.PlanChanged):
+                self.plan = effect.plan
 
     def _wake_at(self, time: float) -> None:
         """Schedule a Tick at that time; an alarm that is due earlier reschedules itself."""
@@ -278,6 +285,11 @@ class SimulatedNode:
             raise ViolationError(
                 "%s says %s of %s before it is on its disk" % (self.key, kind, message["ballot"])
             )
+
+
+def _robot_events(plan: Plan) -> List[str]:
+    """The events that interrupt robots, except those by time."""
+    return [t for t, e in plan.events.items() if t not in plan.submissions and e.after is None]
 
 
 class World:
@@ -333,9 +345,7 @@ class World:
         self.away: Set[Tuple[str, str]] = set()
         """Blocked links of a robot that is out of reach while a spare runs under its name."""
         self._gone: List[Disk] = []
-        self.robot_events = [
-            t for t, e in plan.events.items() if t not in plan.submissions and e.after is None
-        ]
+        self.robot_events = _robot_events(plan)
         self.tasks = 0
         """The number of tasks that came."""
         self.reached: List[Tuple[Disk, log_entries.Submit]] = []
@@ -430,8 +440,10 @@ class World:
                 raise ViolationError("%s acts, though %s is further" % (node.key, ", ".join(ahead)))
         time = goal.delay + low + (high - low) * self.random.random()
         failed = self.mishaps and self.random.random() < 0.02
-        result = random_result(self.plan, goal.place, self.random, nonsense=self.mishaps)
-        data = random_data(self.plan, next(self._count), self.random)
+        if goal.place not in node.plan.action_places or not node.plan.action(node.name, goal.place):
+            raise ViolationError("%s acts in %s, of another plan" % (node.key, goal.place))
+        result = random_result(node.plan, goal.place, self.random, nonsense=self.mishaps)
+        data = random_data(node.plan, next(self._count), self.random)
 
         def end() -> None:
             if node.life != life:
@@ -446,6 +458,37 @@ class World:
 
         self.at(self.now + time, end)
 
+    # -- another plan ------------------------------------------------------------------------------
+
+    def examine(self, node: SimulatedNode, asked: interface.Examine) -> None:
+        """Let a host look at a staged plan: after a while it says whether it can follow it."""
+        life = node.life
+        why = "a function does not load" if self.random.random() < 0.04 else ""
+
+        def answer() -> None:
+            if node.life == life:
+                node.give(interface.Examined(asked.stage, why))
+
+        self.at(self.now + 0.02 * self.random.random(), answer)
+
+    def same_state(self) -> None:
+        """Check that replicas with the same log have the same state, plan included."""
+        known: Dict[Tuple[int, str], Tuple[str, str]] = {}
+        for node in self.alive():
+            if node.replica is None or node.halted:
+                continue
+            ledger = node.replica.ledger
+            plan = node.plan.hash() if node.replica.active else ledger.game.plan.hash()
+            if plan != ledger.game.plan.hash():
+                raise ViolationError("the host of %s has another plan than its log" % node.key)
+            text = json.dumps(ledger.state.to_json(ledger.game.net), sort_keys=True)
+            first, other = known.setdefault((ledger.length, ledger.hash), (node.key, text))
+            if text != other:
+                raise ViolationError(
+                    "%s and %s have one log and two states: %s and %s"
+                    % (first, node.key, other, text)
+                )
+
     # -- events and tasks --------------------------------------------------------------------------
 
     def watch_sources(self, node: SimulatedNode) -> None:
@@ -455,8 +498,8 @@ class World:
         def show() -> None:
             if node.life != life or not self.acting:
                 return
-            event = self.random.choice(self.robot_events)
-            source = self.plan.events[event]
+            event = self.random.choice(_robot_events(node.plan) or self.robot_events)
+            source = node.plan.events.get(event) or self.plan.events[event]
             cause = {"now": self.steps}
             if not source.when and not source.edge:
                 if node.replica is not None and node.replica.watches(event):
@@ -475,7 +518,8 @@ class World:
             return
         if up:
             self.tasks += 1
-            transition = self.random.choice(self.plan.submissions)
+            plan = self.random.choice(up).plan
+            transition = self.random.choice(plan.submissions or self.plan.submissions)
             task = log_entries.Submit(transition, "t%d" % self.tasks, {"number": self.tasks})
             if self.random.random() < 0.2:
                 self.operator(task, self.random.choice(up))
@@ -501,11 +545,17 @@ class World:
         team = max(ledgers, key=lambda state: state.next_slot, default=None)
         if team is None or team.ended is not None:
             return []
+        game = next(n.replica.ledger.game for n in self.alive() if n.replica is not None)
+
+        def is_lost(task: log_entries.Submit) -> bool:
+            name = team.renamed.get(task.transition, task.transition)
+            t = game.net.transition_index.get(name)
+            return t in game.submissions and not team.is_known(t, task.id)
+
         return [
             task.id
             for disk, task in self.reached
-            if any(disk is other for other in kept)
-            and not team.is_known(self.plan.net.transition_number(task.transition), task.id)
+            if any(disk is other for other in kept) and is_lost(task)
         ]
 
     # -- checks during the run ---------------------------------------------------------------------
@@ -540,6 +590,9 @@ class World:
 
     def on_fired(self, node: SimulatedNode, fired: interface.Fired) -> None:
         """Note a firing that is published."""
+        known = fired.firing.transition in fired.plan.net.transition_index
+        if not known or len(fired.firing.marking) != len(fired.plan.net.places):
+            raise ViolationError("%s fires %s of another net" % (node.key, fired.firing.transition))
         if fired.publish:
             self.published.append((self.now, fired))
 
@@ -599,7 +652,10 @@ class World:
             ends.add((replica.ledger.length, replica.ledger.hash))
             if node.superseded:
                 return False  # it has not noticed yet
-            if any(not o.item.private for o in replica.state.own_proposals):
+            over = replica.ledger.state.ended is not None  # then nothing more gets into the log
+            if not over and any(not o.item.private for o in replica.state.own_proposals):
+                return False
+            if self._owes_a_vote(replica):
                 return False
             if replica.state.offered and replica.ledger.state.ended is None:
                 return False
@@ -608,6 +664,15 @@ class World:
             ):
                 return False
         return len(ends) <= 1
+
+    @staticmethod
+    def _owes_a_vote(replica: Replica) -> bool:
+        """Whether a replica that takes part has not said what it thinks of a staged plan."""
+        state = replica.ledger.state
+        if state.staged is None or state.ended is not None or not replica.is_settled():
+            return False
+        name = replica.config.name
+        return state.staged.votes.get(name, (-1, ""))[0] != replica.incarnation
 
     def operator(self, order: log_entries.Entry, node: SimulatedNode) -> None:
         """Give an operator's order to a node."""

@@ -105,7 +105,7 @@ class _Check:
             )
         plan = self.logs[0].plan
         replay = SlotCheck(plan, bool(self.logs[0].header.get("agents")))
-        situations, members, markings = [], [], []
+        situations, members, markings, plans = [], [], [], []
         ended_at: Optional[int] = None
         for slot in range(self.length):
             members.append(replay.members())
@@ -114,6 +114,7 @@ class _Check:
             self.firings += len(record["firings"])
             situations.append(replay.situations())
             markings.append({place: n for place, n in replay.marking.items() if n})
+            plans.append(replay.plan)
             if ended_at is None and replay.ended is not None:
                 ended_at = slot
         self.robots = len(replay.robots)
@@ -132,7 +133,7 @@ class _Check:
                 situations,
                 markings,
                 i,
-                plan,
+                plans,
                 ended_at,
                 newest[log.robot] != i,
             )
@@ -153,6 +154,10 @@ class _Check:
                 self.notes.append(text)
         if len({str(log.header.get("host", "")) for log in self.logs}) == 1:
             check_real_time(merged, proposals, invoked)
+        self.notes += [
+            "the team adopted the plan '%s' (%s)" % (adopted.name, adopted.hash()[:12])
+            for adopted in replay.stages.plans
+        ]
         if merged.void:
             self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
 

@@ -59,6 +59,42 @@ class Cargo:
         self._known: Dict[str, List[str]] = {}
         self._known_set: Set[Tuple[str, str]] = set()
 
+    def follow(
+        self,
+        plan: Plan,
+        inputs: Mapping[str, Mapping[str, int]],
+        outputs: Mapping[str, Mapping[str, int]],
+        called: Mapping[str, str],
+        heirs: Sequence[Tuple[str, str]],
+        marking: Mapping[str, int],
+    ) -> None:
+        """Go on under another plan.
+
+        :param called: name of a place or transition before -> its name in this plan, if it differs.
+        :param heirs: (resource place before, the one that takes its tokens over).
+        :param marking: the marking before.
+        """
+        queues = self.queues
+        self._inputs, self._outputs = inputs, outputs
+        self.entrances, self._ends = set(plan.submissions), set(plan.tasks.done)
+        self.queues = {place: [] for place in plan.tasks.queues}
+        for place in set(self.queues) - {heir for _, heir in heirs}:
+            tokens = plan.net.places[plan.net.place_number(place)].tokens
+            self.queues[place] = [LoggedTask() for _ in range(tokens)]
+        for place, heir in heirs:
+            if heir in self.queues:
+                self.queues[heir] += queues.get(
+                    place, [LoggedTask() for _ in range(marking[place])]
+                )
+        self.outside = [(called.get(t, t), task) for t, task in self.outside]
+        known, self._known, self._known_set = self._known, {}, set()
+        for t, ids in known.items():
+            t = called.get(t, t)
+            if t in plan.net.transition_index:
+                mine = self._known.setdefault(t, [])
+                mine += [i for i in ids if (t, i) not in self._known_set]
+                self._known_set.update((t, i) for i in ids)
+
     # -- entries -----------------------------------------------------------------------------------
 
     def comes(self, entry: log_entries.Submit) -> None:

@@ -11,6 +11,7 @@ from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tup
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.history.cargo import Cargo, LoggedTask
+from gspn_framework_package.execution.history.stages import LoggedStages, starting_place
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
@@ -102,13 +103,7 @@ class LoggedTeam:
     """
 
     def __init__(self, plan: Plan, agents: bool = False) -> None:
-        self.plan = plan
         self.agents = agents
-        net = plan.net
-        self.resources = set(plan.resource_places)
-        self.marking: Dict[str, int] = {
-            p.name: p.tokens if p.name in self.resources else 0 for p in net.places
-        }
         self.robots: Dict[str, LoggedRobot] = {}
         self.witnesses: Tuple[str, ...] = ()
         self.seed = 0
@@ -117,6 +112,19 @@ class LoggedTeam:
         self.perhaps_ended = False
         self.orders = 0
         self.last_firing = (-1, -1)
+        self.data: Values = {}
+        self.stages = LoggedStages(agents)
+        self._take_rules(plan)
+        self.marking: Dict[str, int] = {
+            p.name: p.tokens if p.name in self.resources else 0 for p in plan.net.places
+        }
+        self.cargo = Cargo(plan, self.inputs, self.outputs)
+
+    def _take_rules(self, plan: Plan) -> None:
+        """From now on the rules of this plan apply."""
+        self.plan = plan
+        net, agents = plan.net, self.agents
+        self.resources = set(plan.resource_places)
         self.inputs: Dict[str, Dict[str, int]] = {}
         self.outputs: Dict[str, Dict[str, int]] = {}
         self.limits: Dict[str, Dict[str, int]] = {}
@@ -143,8 +151,6 @@ class LoggedTeam:
             and self.resources.issuperset(self.inputs[t.name])
             and (agents or self.resources.issuperset(self.outputs[t.name]))
         ]
-        self.data: Values = {}
-        self.cargo = Cargo(plan, self.inputs, self.outputs)
         self.until = (
             parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
         )
@@ -212,6 +218,7 @@ class LoggedTeam:
     def _apply(self, entry: log_entries.Entry) -> Optional[Direct]:
         """Apply an entry. Returns the firing that a valid ``Fire`` or ``Interrupt`` brings about at
         once."""
+        entry = self.stages.in_present_names(entry)
         if isinstance(entry, log_entries.Start):
             self._start(entry)
         elif isinstance(entry, log_entries.Done):
@@ -240,6 +247,7 @@ class LoggedTeam:
         elif isinstance(entry, log_entries.Submit):
             self.cargo.comes(entry)
         elif isinstance(entry, log_entries.Join):
+            self.stages.joins(entry.robot, self.witnesses)
             self._join(entry)
         elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
             self._gone(entry)
@@ -259,7 +267,67 @@ class LoggedTeam:
                 self.robots[entry.robot].paused = paused
         elif isinstance(entry, log_entries.Stop):
             self.ended = entry.reason
+        elif isinstance(entry, log_entries.Adopt):
+            self._adopt(entry)
+        else:
+            self.stages.apply(entry, self.robots.get(getattr(entry, "robot", "")), self.witnesses)
         return None
+
+    # -- another plan ------------------------------------------------------------------------------
+
+    def _adopt(self, entry: log_entries.Adopt) -> None:
+        """Go on under the staged plan, if the rules allow it."""
+        found = self.stages.adopted(entry, self)
+        if found is None:
+            return
+        new, called = found
+        old, resources = self.plan, self.resources
+        asking = [
+            (r, "" if r.asks is None else called.get(r.asks, r.asks)) for r in self._all_waiting()
+        ]
+        asking.sort(key=lambda pair: pair[0].order)
+        asking += [(r, "") for r in self.robots.values() if r.phase is Phase.INACTIVE]
+        before = self.marking
+        self._take_rules(new)
+        heirs = [
+            (p, called.get(p, p))
+            for p in before
+            if p in resources and called.get(p, p) in self.resources
+        ]
+        self.marking = {p.name: 0 for p in new.net.places}
+        for place in new.net.places:
+            if place.name in self.resources and place.name not in {h for _, h in heirs}:
+                self.marking[place.name] = place.tokens
+        for p, heir in heirs:
+            self.marking[heir] += before[p]
+        for robot in self.robots.values():
+            self._move_over(robot, old, called)
+        self.cargo.follow(new, self.inputs, self.outputs, called, heirs, before)
+        for robot, wish in asking:
+            if self.ended is None:
+                robot.phase, robot.asks = Phase.DOING, None
+                self._done(robot, wish)
+
+    def _move_over(self, robot: LoggedRobot, old: Plan, called: Mapping[str, str]) -> None:
+        """The place and the events of a robot, as the new plan calls them."""
+        place = called.get(robot.place, robot.place)
+        if robot.here:
+            self.marking[place] += 1
+        elif place not in self.plan.action_places or robot.place in old.on_evict:
+            place = starting_place(self.plan, robot.name)
+        robot.place = place
+        robot.held = {
+            called.get(t, t): cause
+            for t, cause in robot.held.items()
+            if called.get(t, t) in self.plan.events and called.get(t, t) in self.leaving[place]
+        }
+        robot.interrupted = {
+            called.get(p, p): visit
+            for p, visit in robot.interrupted.items()
+            if called.get(p, p) in self.capacity
+        }
+        if robot.may_ask is not None:
+            robot.may_ask = called.get(robot.may_ask, robot.may_ask)
 
     def _event(self, entry: log_entries.Interrupt) -> Optional[Direct]:
         robot, t = self.robots.get(entry.robot), entry.transition

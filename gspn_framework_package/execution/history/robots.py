@@ -100,7 +100,7 @@ class RobotCheck:
     :param situations: for each slot, the situations of the robots after it.
     :param markings: for each slot, the marking after it, without empty places.
     :param number: the index of the log among all logs.
-    :param plan: the plan of the run.
+    :param plans: for each slot, the plan that the team followed after it.
     :param ended_at: the slot in which the run ended; None if it did not.
     :param lost: whether the robot lost this log and later kept another one, so that local
         transitions that only this log knew may be void.
@@ -114,7 +114,7 @@ class RobotCheck:
         situations: Sequence[Dict[str, Situation]],
         markings: Sequence[Dict[str, int]],
         number: int,
-        plan: Plan,
+        plans: Sequence[Plan],
         ended_at: Optional[int],
         lost: bool,
     ) -> None:
@@ -125,7 +125,7 @@ class RobotCheck:
         self.situations = situations
         self.markings = markings
         self.number = number
-        self.plan = plan
+        self.plans = plans
         self._ended_at = ended_at
         self._lost = lost
         self._jumped = False
@@ -182,6 +182,11 @@ class RobotCheck:
                 self._offered.add((entry["transition"], entry["id"]))
         for origin, record in known.items():
             self._proposal(origin, record)
+
+    @property
+    def _plan(self) -> Plan:
+        """The plan that the team followed, as this log knew it."""
+        return self.plans[min(self._length, len(self.plans)) - 1]
 
     def _ruled_out(self, origin: Origin, known: Mapping[Origin, Record]) -> None:
         """Check that a local transition is void only if the robot was lost or has left, or the run
@@ -272,7 +277,7 @@ class RobotCheck:
 
     def _check_local(self, what: str, place: str, firing: Record) -> None:
         """Check that the transition moves this robot from its place and touches nothing else."""
-        arcs = [a for a in self.plan.net.arcs if firing["transition"] in (a.source, a.target)]
+        arcs = [a for a in self._plan.net.arcs if firing["transition"] in (a.source, a.target)]
         inputs = [a for a in arcs if a.target == firing["transition"]]
         outputs = [a for a in arcs if a.source == firing["transition"]]
         ((_, source, target, _),) = firing["moves"]
@@ -282,7 +287,7 @@ class RobotCheck:
             and inputs[0].weight == outputs[0].weight == 1
             and (inputs[0].source, outputs[0].target) == (source, target)
         )
-        if not plain or source != place or target in self.plan.resource_places:
+        if not plain or source != place or target in self._plan.resource_places:
             raise BrokenRuleError(
                 10,
                 "%s: %s does not move this robot alone from %s"
@@ -331,7 +336,7 @@ class RobotCheck:
     def _memory(self, record: Record, what: str, place: str) -> None:
         """Check that the action reads what the log had before it, and continues the visit that it
         should; rule 11."""
-        if not self.plan.events and "reads" not in record:
+        if not self._plan.events and "reads" not in record:
             return  # a log of a version before data
         memory = self.situations[self._length - 1][self.robot].memory
         data = memory.data()
@@ -360,7 +365,7 @@ class RobotCheck:
         at = self._position()
         if self._length != len(self.situations) or at is None or at[4] is not Phase.DOING:
             return
-        if at[1] != self._incarnation or self.plan.action(self.robot, at[0]) is None:
+        if at[1] != self._incarnation or self._plan.action(self.robot, at[0]) is None:
             return
         if self._last_goal != at[1:4]:
             raise BrokenRuleError(

@@ -44,6 +44,9 @@ class SlotCheck(LoggedTeam):
 
     def __init__(self, plan: Plan, agents: bool = False) -> None:
         super().__init__(plan, agents)
+
+    def _take_rules(self, plan: Plan) -> None:
+        super()._take_rules(plan)
         # the policy: places that rows read -> their counts -> numbers of rows
         self._rows: Dict[Tuple[str, ...], Dict[Tuple[int, ...], List[int]]] = {}
         for number, row in enumerate(plan.policy.rows):

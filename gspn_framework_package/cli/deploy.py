@@ -1,0 +1,135 @@
+"""``gspn deploy``: put another plan into a running team, without stopping it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from typing import Any, Dict, List
+
+from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan
+
+POLL = 0.2
+"""Seconds between two questions for the votes."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the verb."""
+    parser.add_argument("plan", metavar="NEW_PLAN", help="the plan that the team is to follow")
+    parser.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        metavar="OLD=NEW",
+        help="a place or transition of the present net, and its name in the new one; OLD= drops "
+        "the tokens of a resource place",
+    )
+    parser.add_argument(
+        "--folder",
+        metavar="FOLDER",
+        help="where every robot finds the functions of the new plan (default: the folder of "
+        "NEW_PLAN); '' for the folder that the robots began with",
+    )
+    parser.add_argument(
+        "--wait",
+        type=float,
+        default=30.0,
+        metavar="S",
+        help="seconds that the robots have to look at the plan (default %(default)g)",
+    )
+    parser.add_argument(
+        "--stage-only",
+        action="store_true",
+        help="have the robots look at the plan, and leave it staged",
+    )
+    add_team_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check the plan, have it staged and adopted; return 0 if the team follows it, else 1."""
+    from gspn_framework_package.analysis.preflight import check
+    from gspn_framework_package.execution.plan_change import stage_of
+    from gspn_framework_package.formats.plan_file import read_plan
+
+    mapping = read_mapping(args.map)
+    plan = read_plan(args.plan)
+    report = check(plan)
+    if report.refused:
+        raise RefusedError(
+            "the plan was refused", file=plan.file, hint="gspn check says why: %s" % args.plan
+        )
+    require_ros()
+    from gspn_framework_package.ros.operator_client import OperatorClient
+
+    entry = stage_of(plan, mapping, _folder(args, plan))
+    argument = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
+    client = OperatorClient()
+
+    def order(command: str, text: str = "") -> Any:
+        return client.order(command, "", text, args.run_name)
+
+    done, message = order("stage", json.dumps(argument, separators=(",", ":")))
+    stage = 0
+    if done:
+        stage, message = _votes(client, args, entry.digest)
+        done = not message
+        if not done and stage:
+            order("unstage", str(stage))
+        elif done and not args.stage_only:
+            done, message = order("adopt", str(stage))
+            if not done:
+                order("unstage", str(stage))
+        elif done:
+            message = "every robot can follow the plan; it is staged as number %d" % stage
+    if args.json:
+        told = {"order": "deploy", "done": done, "message": message, "stage": stage}
+        print(json.dumps(told))
+    else:
+        print("%s: %s" % ("done" if done else "not done", message))
+    return 0 if done else 1
+
+
+def read_mapping(pairs: List[str]) -> Dict[str, str]:
+    """The mapping of ``--map OLD=NEW``. :raises UsageError: one is not of this form, or contradicts
+    another."""
+    mapping: Dict[str, str] = {}
+    for pair in pairs:
+        old, sign, new = pair.partition("=")
+        if not old or not sign:
+            raise UsageError("--map %s is not of the form OLD=NEW" % pair)
+        if mapping.setdefault(old, new) != new:
+            raise UsageError("--map gives '%s' two names" % old)
+    return mapping
+
+
+def _folder(args: argparse.Namespace, plan: Plan) -> str:
+    if args.folder is None:
+        return os.path.abspath(plan.folder) if plan.folder else ""
+    return os.path.abspath(args.folder) if args.folder else ""
+
+
+def _votes(client: Any, args: argparse.Namespace, digest: str) -> Any:
+    """Wait until every member has looked at the plan: (the number of the stage, why it cannot be
+    adopted; "" if it can)."""
+    deadline = time.monotonic() + args.wait
+    stage, missing = 0, ["anybody"]
+    while time.monotonic() < deadline:
+        statuses = [s for s in client.statuses().values() if s and args.run_name in ("", s["run"])]
+        # the robot with the longest log has heard of the most votes
+        newest = max(statuses, key=lambda s: s["log_length"], default=None)
+        staged = newest.get("staged") if newest else None
+        if staged is not None and staged["digest"] == digest:
+            stage, votes = staged["stage"], staged["votes"]
+            refused = ["%s: %s" % (robot, why) for robot, why in votes.items() if why]
+            if refused:
+                return stage, "; ".join(refused)
+            missing = [robot for robot, why in votes.items() if why is None]
+            if not missing:
+                return stage, ""
+        elif stage:
+            return stage, "another plan was staged, or this one was given up"
+        time.sleep(POLL)
+    return stage, "no word within %g s of: %s" % (args.wait, ", ".join(missing))
