@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
+from shop import write_shop
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import (
@@ -125,29 +126,37 @@ def names_in(value):
         yield value
 
 
+@pytest.fixture(name="open_editor")
+def _open_editor(site, open_page, tmp_path):
+    """Opens the plan of a folder in the mode EDIT; ``before(page)`` is called where it is opened."""
+
+    def make(folder, before=lambda page: None):
+        runs = str(tmp_path / "runs")
+        project = Project(
+            Folder(str(folder)), lambda opened: StandaloneRun(opened, runs), runs=runs, edits=True
+        )
+        page = open_page(
+            site(project).address, ready=False, expect_errors=True, reduced_motion="reduce"
+        )
+        page.wait_for_selector("#opening button")
+        page.click("#opening button:has-text('plan.json')")
+        page.wait_for_selector("body[data-ready]")
+        before(page)
+        page.click("#ed-open")
+        page.wait_for_function("() => window.gspn?.edit")
+        page.wait_for_selector("#ed-tab-policy")
+        return page
+
+    return make
+
+
 @pytest.fixture(name="editor")
-def _editor(site, open_page, tmp_path):
-    """Opens a plan in the mode EDIT."""
-    folder = tmp_path / "shop"
+def _editor(open_editor, tmp_path):
+    folder = tmp_path / "plan"
     folder.mkdir()
-    (folder / "actions.py").write_text(
-        "def fetch():\n    '''Fetches.'''\n\n\ndef sort():\n    pass\n"
-    )
+    (folder / "actions.py").write_text("def fetch():\n    pass\n\n\ndef sort():\n    pass\n")
     (folder / "plan.json").write_text(json.dumps(PLAN, indent=2))
-    runs = str(tmp_path / "runs")
-    project = Project(
-        Folder(str(folder)), lambda opened: StandaloneRun(opened, runs), runs=runs, edits=True
-    )
-    page = open_page(
-        site(project).address, ready=False, expect_errors=True, reduced_motion="reduce"
-    )
-    page.wait_for_selector("#opening button")
-    page.click("#opening button:has-text('plan.json')")
-    page.wait_for_selector("body[data-ready]")
-    page.click("#ed-open")
-    page.wait_for_function("() => window.gspn?.edit")
-    page.wait_for_selector("#ed-tab-policy")
-    return page
+    return open_editor(folder)
 
 
 def state(page):
@@ -529,3 +538,43 @@ def test_the_policy_as_a_table(editor, axe, picture):
     while page.is_enabled("#ed-undo"):
         page.click("#ed-undo")
     assert state(page) == before
+
+
+OPTIMISE = """async () => {
+  const { get, post } = await import("/static/js/api.js");
+  const rewards = [{ name: "fast_done", value: "1" }, { name: "slow_done", value: "1" }];
+  const optimise = { aim: "long_run", maximise: true, rewards, simulated: "0" };
+  const { job } = await post("analysis", { optimise, limit: 1000, seconds: 60 }, { id: gspn.page.model.session.id });
+  for (;;) {
+    const { state, error } = await get(`analysis/${job}`);
+    if (state === "done") return "";
+    if (state !== "running" && state !== "waiting") return error || state;
+    await new Promise((resolve) => setTimeout(resolve, 200));
+  }
+}"""
+
+
+def test_rows_that_the_optimiser_proposes_are_taken_over(open_editor, tmp_path):
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    write_shop(folder)
+
+    def compute(page):
+        assert page.evaluate(OPTIMISE) == ""
+
+    page = open_editor(folder, compute)
+    page.click("#ed-tab-policy")
+    page.click("summary:has-text('Rows that the optimiser proposes')")
+    page.click("text=Look for a computed policy")
+    page.wait_for_selector("#ed-policy td:has-text('take_fast') >> nth=0")
+    before = state(page)
+    page.click("[aria-label^='Take over the proposed row'] >> nth=0")
+    row = state(page)["policy"]["rows"][-1]
+    assert row["choose"] == {"take_fast": 1}
+    assert plan_of(state(page)).policy.rows
+    page.click("#ed-undo")
+    assert state(page) == before
+    page.click("text=Take over the whole policy")
+    page.wait_for_function("() => gspn.edit.document.dirty")
+    assert state(page)["policy"]["rows"] != before["policy"]["rows"]
+    plan_of(state(page))

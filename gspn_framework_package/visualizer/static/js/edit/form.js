@@ -63,6 +63,27 @@ export class Lens {
   }
 }
 
+/** Whether two states differ in nothing but the positions of nodes. */
+function onlyMoved(before, after) {
+  if (before.plan !== after.plan || before.policy !== after.policy) return false;
+  const [a, b] = [before.net, after.net];
+  const alike = (one, other) => {
+    if (one === other) return true;
+    const keys = (node) => Object.keys(node).filter((key) => key !== "position");
+    return (
+      keys(one).join() === keys(other).join() && keys(one).every((key) => one[key] === other[key])
+    );
+  };
+  return (
+    a.arcs === b.arcs &&
+    a.name === b.name &&
+    ["places", "transitions"].every(
+      (list) =>
+        a[list].length === b[list].length && a[list].every((it, i) => alike(it, b[list][i])),
+    )
+  );
+}
+
 /** Stands for the values of several nodes that differ. */
 export const MIXED = Symbol("several values");
 
@@ -81,7 +102,11 @@ export class FormPanel {
     this.element.addEventListener("focusout", () => setTimeout(() => this.settle()));
     this.element.addEventListener("toggle", ({ target }) => this.fold(target), true);
     this.ends = new AbortController();
-    this.listen(mode.document, "change");
+    mode.document.addEventListener(
+      "change",
+      ({ detail }) => this.concerns(detail.before, this.state) && this.refresh(),
+      { signal: this.ends.signal },
+    );
     new ResizeObserver(() => this.stale && this.settle()).observe(this.element);
     mode.panel(name, title, this.element);
   }
@@ -89,6 +114,11 @@ export class FormPanel {
   /** Redraw whenever an event comes, until the mode is left. */
   listen(target, event) {
     target.addEventListener(event, () => this.refresh(), { signal: this.ends.signal });
+  }
+
+  /** Whether what is shown here may differ between two states. Moving nodes concerns few panels. */
+  concerns(before, after) {
+    return !onlyMoved(before, after);
   }
 
   close() {

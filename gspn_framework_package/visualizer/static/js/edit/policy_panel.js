@@ -100,6 +100,7 @@ export class PolicyPanel extends PlanForm {
             "Weights decide where no row matches."
           : "There are no rows: the weights of the transitions decide.",
       }),
+      this.gaps(),
       this.columns(policy),
       policy.rows.length > 0 && this.table(policy),
       h(
@@ -109,12 +110,36 @@ export class PolicyPanel extends PlanForm {
           disabled: !this.immediate.length,
           title: this.immediate.length ? "" : "The net has no immediate transition to choose",
         }),
+        this.mode.panels?.has("here") &&
+          this.button("policy here", "What would happen here?", () => this.mode.showPanel("here"), {
+            title: "Which row applies in a marking, and what robots would choose",
+          }),
       ),
       this.general(),
       this.section("policy proposed", "Rows that the optimiser proposes", false, () =>
         this.proposals(),
       ),
     ];
+  }
+
+  /** What the check says of the policy as a whole, such as markings that no row covers. */
+  gaps() {
+    const found = (this.mode.findings ?? []).filter(
+      ({ text, elements = [] }) =>
+        /\b(policy|row|rows)\b/.test(text) && !elements.some(({ kind }) => kind === "row"),
+    );
+    return (
+      found.length > 0 &&
+      h(
+        "ul",
+        { class: "ed-gaps", "aria-label": "What the check says of the policy" },
+        found
+          .slice(0, 10)
+          .map(({ text, hint }) =>
+            h("li", { class: "mark", text: `⚠ ${text}${hint ? ` (${hint})` : ""}` }),
+          ),
+      )
+    );
   }
 
   // -- columns ---------------------------------------------------------------------------------------
@@ -382,7 +407,7 @@ export class PolicyPanel extends PlanForm {
             "Scale to 1",
             () => this.put(whole, fitted(whole.get()), `Change ${what}`),
             {
-              "aria-label": `Scale the probabilities of row ${i + 1} to 1`,
+              "aria-label": `Scale to 1: the probabilities of row ${i + 1}`,
             },
           ),
       ),

@@ -66,6 +66,10 @@ export class PropertyPanel extends PlanForm {
     this.listen(mode, "select");
   }
 
+  concerns() {
+    return true; // the positions too
+  }
+
   /** What is selected of a kind, as the net has it. */
   selected(kind) {
     const { selection } = this.mode;

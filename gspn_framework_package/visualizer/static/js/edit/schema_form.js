@@ -399,7 +399,8 @@ function mapForm(form, schema, lens, title, hint) {
   const inside = (name) => lens.at(name, { given: true, drop: !hint.keepEmpty && !lens.required });
   const called = (name) => (name === "" ? "(none)" : name);
   const add = (name) => {
-    form.wanted = inside(name).key;
+    form.wanted = simple ? inside(name).key : `fold ${inside(name).key}`;
+    form.open.set(inside(name).key, true);
     const start =
       hint.start?.(form.state, name) ?? (hint.start ? null : blankOf(part, form.schema));
     form.put(inside(name), start, `Add ${title} of '${called(name)}'`);
@@ -423,10 +424,7 @@ function mapForm(form, schema, lens, title, hint) {
             schemaField(form, part, inside(name), called(name), hint.each ?? {}, true),
             remove(name),
           )
-        : form.section(
-            inside(name).key,
-            called(name),
-            Object.keys(value).length < 4,
+        : form.section(inside(name).key, called(name), Object.keys(value).length < 4, () => [
             schemaField(
               form,
               part,
@@ -436,7 +434,7 @@ function mapForm(form, schema, lens, title, hint) {
               true,
             ),
             h("div", { class: "buttons" }, remove(name)),
-          ),
+          ]),
     ),
     offered
       ? addChoice(form, lens, title, offered, called, add)
