@@ -56,6 +56,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     ),
     "draw": Verb(".draw", "draw a net, its coverability tree or its Markov chain"),
     "convert": Verb(".convert", "write a net in another format, or a plan as one file"),
+    "diff": Verb(".diff", "compare two plans or nets: what was added, removed and changed"),
     "serve": Verb(
         ".serve", "open the page: simulate, analyse and execute the nets and plans of a folder"
     ),

@@ -76,7 +76,7 @@ class _Job:
         try:
             self._process = subprocess.Popen(
                 WORKER,
-                env=_environment(),
+                env=worker_environment(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._complaints,
@@ -269,7 +269,7 @@ class AnalysisJobs:
                 job.kill()
 
 
-def _environment() -> Dict[str, str]:
+def worker_environment() -> Dict[str, str]:
     """Make the worker import the same package that this process runs."""
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     paths = [root] + [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]

@@ -52,7 +52,8 @@ LOGINS = 1000
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
-        "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+        "default-src 'self'; img-src 'self' blob:; "  # the page draws a PNG from its own SVG
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
         "object-src 'none'"
     ),
     "X-Content-Type-Options": "nosniff",

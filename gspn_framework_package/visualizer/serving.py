@@ -126,6 +126,8 @@ class WebServer:
         streams = self._app.extensions["gspn_streams"]
         streams.close()
         self._app.extensions["gspn_jobs"].close()
+        if "gspn_checks" in self._app.extensions:
+            self._app.extensions["gspn_checks"].close()
         self.project.close()  # which wakes the streams
         streams.wait(1.0)
         # Waitress only expects to stop with its process. One of its threads that finishes late

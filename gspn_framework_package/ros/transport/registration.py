@@ -97,6 +97,16 @@ def topic_types(timeout: float = 2.0) -> Dict[str, str]:
     return {topic: kind for topic, kind in types if topic in live}
 
 
+def service_names(timeout: float = 2.0) -> List[str]:
+    """The names of all services.
+
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
+    """
+    master: Any = master_proxy(timeout)
+    _, _, (_, _, services) = master.getSystemState(rospy.get_name())
+    return sorted(name for name, _ in services)
+
+
 def subscribers(topic: str, timeout: float = 2.0) -> List[str]:
     """The nodes that subscribe a topic.
 

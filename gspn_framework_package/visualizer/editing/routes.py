@@ -11,6 +11,7 @@ from flask import Response, request
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.visualizer.editing.export import exported
+from gspn_framework_package.visualizer.editing.help_routes import add_help_routes
 from gspn_framework_package.visualizer.editing.open_document import Opened
 from gspn_framework_package.visualizer.editing.workshop import (
     ConflictError,
@@ -105,6 +106,8 @@ def add_routes(app: flask.Flask, project: Project, body: Body) -> None:
         if file.notes:
             response.headers["X-Gspn-Notes"] = json.dumps(file.notes)
         return response
+
+    add_help_routes(app, project, body, answer)
 
 
 def offer(project: Project, role: str) -> Dict[str, Any]:

@@ -6,17 +6,20 @@ import { Actions, WORDS } from "./actions.js";
 import { ARRANGEMENTS } from "./arrange.js";
 import { Canvas } from "./canvas.js";
 import { CanvasPointer } from "./canvas_pointer.js";
+import { Checks } from "./checks.js";
+import { DiffView } from "./diff_view.js";
 import { bindEditKeys } from "./edit_keys.js";
 import { ElementList } from "./element_list.js";
 import { problemOfArc } from "./net_edits.js";
 import { PlanDocument } from "./plan_document.js";
+import { WhatHappens } from "./what_happens.js";
 import { Witness } from "./witness.js";
 import { PlanPanel } from "./plan_panel.js";
 import { PolicyPanel } from "./policy_panel.js";
 import { PropertyPanel } from "./property_panel.js";
 
 /** The parts of the editor, made in this order, each with the mode. A part may have `close()`. */
-const PARTS = [PropertyPanel, PlanPanel, PolicyPanel];
+const PARTS = [PropertyPanel, PlanPanel, PolicyPanel, Checks, WhatHappens, DiffView];
 
 /** The names of the groups of the tool bar, in their order. */
 const GROUPS = ["file", "history", "add", "change", "arrange", "look"];
@@ -213,9 +216,9 @@ export class EditMode extends EventTarget {
   }
 
   /** Play a firing sequence (names of transitions) on the drawing, from the initial marking. */
-  play(transitions) {
+  play(transitions, markings = null) {
     this.witness?.end();
-    this.witness = new Witness(this, transitions);
+    this.witness = new Witness(this, transitions, markings);
   }
 
   async save() {

@@ -7,9 +7,11 @@ import { FiringSequence, sequenceControls } from "../sequence.js";
 const FLASH = 450; // ms
 
 export class Witness {
-  /** `steps`: names of transitions. */
-  constructor(mode, steps) {
+  /** `steps`: names of transitions; `known`: the markings before, between and after them ({place: tokens}), if
+   * somebody knows them: then a step may also be one inside a subnet, or the loss of a robot. */
+  constructor(mode, steps, known = null) {
     this.mode = mode;
+    this.known = known;
     this.markings = []; // place -> tokens; before each step that was fired, the present one last
     const sequence = new FiringSequence(steps, this);
     this.sequence = sequence;
@@ -20,17 +22,28 @@ export class Witness {
       h("button", { text: "Close", onclick: () => this.end() }),
     );
     $("ed-frame").append(this.box);
+    mode.document.addEventListener("change", () => this.end(), { once: true });
     sequence.play();
   }
 
   begin() {
     const { places } = this.mode.document.net;
-    this.markings = [new Map(places.map(({ name, tokens }) => [name, tokens ?? 0]))];
+    this.markings = [
+      this.known ? this.knownAt(0) : new Map(places.map(({ name, tokens }) => [name, tokens ?? 0])),
+    ];
     this.show();
     return true;
   }
 
+  /** The marking after so many steps, or null. */
+  knownAt(count) {
+    const named = this.known[count];
+    const { places } = this.mode.document.net;
+    return named ? new Map(places.map(({ name }) => [name, named[name] ?? 0])) : null;
+  }
+
   fire(name) {
+    if (this.known) return this.fireKnown(name);
     const { net } = this.mode.document;
     const marking = this.markings[this.markings.length - 1];
     const after = new Map(marking);
@@ -43,13 +56,24 @@ export class Witness {
       this.mode.say(`${name} cannot fire here: the net has changed since this was found.`);
       return false;
     }
+    this.fired(name, after);
+    return true;
+  }
+
+  fireKnown(name) {
+    const after = this.knownAt(this.markings.length);
+    if (after) this.fired(name, after);
+    return Boolean(after);
+  }
+
+  fired(name, after) {
     this.markings.push(after);
     this.show();
-    const { element } = this.mode.canvas.byKey.get(`transition:${name}`);
-    element.classList.add("flash");
-    setTimeout(() => element.classList.remove("flash"), FLASH);
-    this.mode.say(`${name} fires`);
-    return true;
+    const { byKey } = this.mode.canvas;
+    const node = byKey.get(`transition:${name}`) || byKey.get(`place:${name.split(".")[0]}`);
+    node?.element.classList.add("flash");
+    setTimeout(() => node?.element.classList.remove("flash"), FLASH);
+    this.mode.say(name.startsWith("(") ? name.slice(1, -1) : `${name} fires`);
   }
 
   back() {

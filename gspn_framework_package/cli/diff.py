@@ -1,0 +1,32 @@
+"""``gspn diff``: the difference of two plans or nets."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from gspn_framework_package.formats.difference import difference
+from gspn_framework_package.formats.edited_document import document_of
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("old", metavar="OLD", help="a plan file, the folder of a plan, or a net")
+    parser.add_argument("new", metavar="NEW", help="another one")
+    parser.add_argument("--json", action="store_true", help="print the changes as JSON")
+    parser.add_argument(
+        "--positions", action="store_true", help="also list nodes that are only drawn elsewhere"
+    )
+    parser.epilog = "Exit codes: 0 no difference, 1 there is one, 2 a file cannot be read."
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what has changed from the old plan to the new one."""
+    changes = difference(document_of(args.old), document_of(args.new), args.positions)
+    if args.json:
+        print(json.dumps({"changes": [change.to_json() for change in changes]}, indent=2))
+    else:
+        for change in changes:
+            print(change)
+        print("%d change%s" % (len(changes), "" if len(changes) == 1 else "s"))
+    return int(bool(changes))

@@ -1,0 +1,89 @@
+"""The document that an editor works on: a plan as written, its net and its policy, as one JSON
+object ``{"plan": ..., "net": ..., "policy": ... or null}``.
+
+``plan`` is the object of the plan file without the keys ``net`` and ``policy``. A subnet stays a
+reference. A document may be half-drawn: only :func:`plan_of_document` asks for more than that.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, Optional
+
+from gspn_framework_package.formats.plan_file import PLAN_FILE, plan_from_parts
+from gspn_framework_package.formats.plan_parts import read_parts
+from gspn_framework_package.model.errors import GspnError, PlanError
+from gspn_framework_package.model.plan import Plan
+
+EditedDocument = Dict[str, Any]
+"""See the module."""
+
+
+def document_of(path: str) -> EditedDocument:
+    """Return the document of a plan file, of a folder with a plan, or of a net (whose ``plan`` is
+    empty).
+
+    :raises GspnError: the file, its net or its policy cannot be read.
+    """
+    if os.path.isdir(path):
+        folder, path = path, os.path.join(path, PLAN_FILE)
+        if not os.path.isfile(path):
+            raise PlanError("there is no %s in that folder" % PLAN_FILE, file=folder)
+    parts = read_parts(path)
+    return {"plan": parts.plan, "net": parts.net, "policy": parts.policy}
+
+
+def split(data: Dict[str, Any]) -> EditedDocument:
+    """Return the document of the JSON object of a plan that contains its net and policy."""
+    plan = {key: value for key, value in data.items() if key not in ("net", "policy")}
+    return {"plan": plan, "net": data.get("net", {}), "policy": data.get("policy")}
+
+
+def joined(document: EditedDocument) -> Dict[str, Any]:
+    """Return the JSON object of a plan that contains the net and the policy of a document.
+
+    :raises PlanError: it is not a document.
+    """
+    plan, net, policy = (document.get(key) for key in ("plan", "net", "policy"))
+    for key, part in (("plan", plan), ("net", net)):
+        if not isinstance(part, dict):
+            raise PlanError("it is not an object", element=key)
+        if "file" in part:
+            raise PlanError("it names a file, and is not in the document itself", element=key)
+    if policy is not None and not isinstance(policy, dict):
+        raise PlanError("it is not an object", element="policy")
+    assert isinstance(plan, dict)
+    data = {**plan, "net": net, "policy": policy}
+    if policy is None:
+        del data["policy"]
+    return data
+
+
+def plan_of_document(document: EditedDocument, path: str, root: Optional[str] = None) -> Plan:
+    """Return the plan of a document.
+
+    :param path: the plan file, which need not exist; subnets are read from its folder.
+    :param root: a folder outside which the document may name no subnet; None for no such limit.
+    :raises GspnError: it is not a valid plan; the error names the element.
+    """
+    try:
+        data = joined(document)
+        if root is not None:
+            _keep_inside(data, os.path.dirname(os.path.abspath(path)), root)
+        return plan_from_parts(data, data["net"], data.get("policy"), path)
+    except GspnError as error:
+        error.located(file=path)
+        raise
+
+
+def _keep_inside(data: Dict[str, Any], folder: str, root: str) -> None:
+    actions = data.get("actions")
+    for place, action in actions.items() if isinstance(actions, dict) else ():
+        file = action.get("plan") if isinstance(action, dict) else None
+        if not isinstance(file, str):
+            continue
+        real = "" if "\0" in file else os.path.realpath(os.path.join(folder, file))
+        if not real.startswith(os.path.realpath(root).rstrip(os.sep) + os.sep):
+            raise PlanError(
+                "its file is outside the folder that is served", element="actions.%s" % place
+            )

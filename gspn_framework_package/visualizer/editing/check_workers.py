@@ -1,0 +1,188 @@
+"""The warm processes that check edited documents for one server.
+
+They have imported all they need, so that an answer takes as long as the check itself. For each
+document the newest request counts: an older one is cancelled and answered at once. A process that
+does not let itself be cancelled, or takes too long, is killed, and another takes its place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import subprocess
+import sys
+import threading
+import time
+from typing import Any, Dict, List, Optional
+
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.visualizer.analysis_jobs import worker_environment
+
+WORKERS = 2
+"""How many documents are checked at once. While only one is, the other process is a spare."""
+
+PATIENCE = 1.0
+"""Seconds after which a process that does not let itself be cancelled is killed."""
+
+START = 60.0
+"""Seconds that a process has to start, on a busy machine."""
+
+WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.editing.check_worker"]
+
+Answer = Dict[str, Any]
+
+
+class _Request:
+    def __init__(self, number: int, key: str) -> None:
+        self.number, self.key = number, key
+        self.answer: Optional[Answer] = None
+        self.cancelled = False
+
+
+class _Worker:
+    """A process; the lock of its pool guards it."""
+
+    def __init__(self) -> None:
+        self.process = subprocess.Popen(
+            WORKER, env=worker_environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self.request: Optional[_Request] = None
+        self.given_up = 0.0
+        """When its request was cancelled."""
+
+    def say(self, message: Dict[str, Any]) -> bool:
+        """Send it a message; return whether that was possible."""
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write(json.dumps(message).encode() + b"\n")
+            self.process.stdin.flush()
+        except OSError:
+            return False
+        return True
+
+
+class CheckWorkers:
+    """The processes of one server. None is started before it is needed (:meth:`warm`)."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self._workers: List[_Worker] = []
+        self._newest: Dict[str, _Request] = {}
+        self._numbers = itertools.count(1)
+        self._closed = False
+
+    def warm(self) -> None:
+        """Start the processes, if that has not been done yet."""
+        with self._news:
+            while len(self._workers) < WORKERS and not self._closed:
+                worker = _Worker()
+                self._workers.append(worker)
+                threading.Thread(
+                    target=self._listen, args=(worker,), name="checks", daemon=True
+                ).start()
+
+    def ask(self, key: str, what: str, seconds: float, **fields: Any) -> Answer:
+        """Have a request answered.
+
+        :param key: what it is about: a newer request with the same key cancels this one.
+        :param what: check, choices or running.
+        :param seconds: how long it may take.
+        :param fields: further fields of the request.
+        :returns: ``{"answer": ...}``, ``{"cancelled": True}`` or ``{"error": message}``.
+        :raises LimitError: all processes are busy.
+        """
+        with self._news:
+            request = _Request(next(self._numbers), key)
+            older = self._newest.get(key)
+            self._newest[key] = request
+            if older is not None:
+                self._give_up(older)
+        try:
+            return self._ask(request, {"what": what, "seconds": seconds, **fields}, seconds)
+        finally:
+            with self._news:
+                if self._newest.get(key) is request:
+                    del self._newest[key]
+
+    def _ask(self, request: _Request, fields: Dict[str, Any], seconds: float) -> Answer:
+        worker = self._take(request)
+        if worker is None:
+            return {"cancelled": True}
+        sent = worker.say({"id": request.number, **fields})
+        end = time.monotonic() + seconds + START
+        with self._news:
+            while sent and request.answer is None and not request.cancelled:
+                left = end - time.monotonic()
+                if left <= 0 or worker not in self._workers:
+                    break
+                self._news.wait(left)
+            if request.cancelled:
+                return {"cancelled": True}
+            if request.answer is not None:
+                return request.answer
+            self._kill(worker)
+        self.warm()
+        return {"error": "the check ended without an answer: too little memory, or too much time?"}
+
+    def _take(self, request: _Request) -> Optional[_Worker]:
+        """Wait for a process without a request; None if this one is cancelled meanwhile."""
+        end = time.monotonic() + START
+        while True:
+            self.warm()
+            with self._news:
+                if request.cancelled or self._closed:
+                    return None
+                for worker in self._workers:
+                    if worker.request is None:
+                        worker.request = request
+                        return worker
+                now = time.monotonic()
+                for worker in list(self._workers):
+                    if worker.given_up and now - worker.given_up > PATIENCE:
+                        self._kill(worker)
+                        break
+                else:
+                    if now > end:
+                        raise LimitError("too many plans are being checked", hint="try again")
+                    self._news.wait(PATIENCE / 4)
+
+    def _give_up(self, request: _Request) -> None:
+        request.cancelled = True
+        for worker in self._workers:
+            if worker.request is request:
+                worker.given_up = time.monotonic()
+                worker.say({"cancel": request.number})
+        self._news.notify_all()
+
+    def _kill(self, worker: _Worker) -> None:
+        worker.process.kill()
+        if worker in self._workers:
+            self._workers.remove(worker)
+        self._news.notify_all()
+
+    def _listen(self, worker: _Worker) -> None:
+        """Read the answers of a process, on a thread, until it ends."""
+        process = worker.process
+        assert process.stdin is not None and process.stdout is not None
+        with process.stdout as lines:
+            for line in lines:
+                message = json.loads(line)
+                with self._news:
+                    request = worker.request
+                    if request is not None and message.get("id") == request.number:
+                        request.answer = {k: v for k, v in message.items() if k != "id"}
+                        worker.request, worker.given_up = None, 0.0
+                        self._news.notify_all()
+        process.wait()
+        with self._news:
+            self._kill(worker)
+        with contextlib.suppress(OSError):  # something was left to be written
+            process.stdin.close()
+
+    def close(self) -> None:
+        """End all processes."""
+        with self._news:
+            self._closed = True
+            for worker in list(self._workers):
+                self._kill(worker)

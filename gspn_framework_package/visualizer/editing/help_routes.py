@@ -1,0 +1,185 @@
+"""The routes of the editor that help: check, difference, layout, "what would happen here?", and the
+palette. They change nothing."""
+
+from __future__ import annotations
+
+import os
+import threading
+from typing import Any, Callable, Dict, Mapping, Tuple
+
+import flask
+from flask import Response, request
+
+from gspn_framework_package.analysis.preflight import MARKING_LIMIT
+from gspn_framework_package.formats.difference import difference
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
+from gspn_framework_package.visualizer.documents import ARCS, NODES, Folder
+from gspn_framework_package.visualizer.editing.check_workers import CheckWorkers
+from gspn_framework_package.visualizer.editing.open_document import open_document
+from gspn_framework_package.visualizer.editing.palette import palette
+from gspn_framework_package.visualizer.layout import lay_out
+from gspn_framework_package.visualizer.project import FILE_KEY, Project
+
+QUICK_STATES = 6_000
+"""Markings that the first check after an edit visits; the full one visits as many as ``gspn
+check``."""
+
+QUICK_SECONDS = 2.0
+FULL_SECONDS = 30.0
+
+Body = Callable[[], Dict[str, Any]]
+Answer = Callable[..., Response]
+
+
+def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answer) -> None:
+    """Add the routes to the application of a project with a folder, in which plans are edited.
+
+    :param body: returns the JSON object in the body of the request.
+    :param answer: makes the answer of a JSON object.
+    """
+    assert project.folder is not None
+    folder = project.folder
+    workers = CheckWorkers()
+    app.extensions["gspn_checks"] = workers
+    laying_out = threading.Lock()
+
+    def key() -> str:
+        return request.args.get("id", "")
+
+    def asked(fields: Mapping[str, Any], *names: str) -> Dict[str, Any]:
+        """The fields of a request to a worker: its document, where it is, and others."""
+        return {
+            "document": _document(fields, "document"),
+            "path": os.path.join(folder.root, path_in(folder, key())),
+            "root": folder.root,
+            **{name: fields.get(name) for name in names},
+        }
+
+    def told(found: Dict[str, Any]) -> Dict[str, Any]:
+        """What a worker has answered. :raises RefusedError: it could not."""
+        if "error" in found:
+            raise RefusedError(found["error"])
+        if "answer" in found:
+            answered: Dict[str, Any] = found["answer"]
+            return answered
+        return {"cancelled": True}
+
+    @app.route("/api/edit/check", methods=["POST"])
+    def check_document() -> Response:
+        fields = body()
+        full = fields.get("full") is True
+        found = told(
+            workers.ask(
+                "check %s %s" % (key(), str(fields.get("page", ""))[:80]),
+                "check",
+                FULL_SECONDS if full else QUICK_SECONDS,
+                **asked(fields),
+                limit=MARKING_LIMIT if full else QUICK_STATES,
+                standalone=fields.get("standalone") is True,
+            )
+        )
+        for finding in found.get("findings", ()):
+            finding["text"] = project.told(finding["text"])
+        return answer({"revision": fields.get("revision"), **found})
+
+    @app.route("/api/edit/choices", methods=["POST"])
+    def choices_at_marking() -> Response:
+        fields = body()
+        name = "choices %s %s" % (key(), str(fields.get("page", ""))[:80])
+        return answer(told(workers.ask(name, "choices", QUICK_SECONDS, **asked(fields, "marking"))))
+
+    @app.route("/api/edit/diff", methods=["POST"])
+    def difference_of_documents() -> Response:
+        fields = body()
+        new, old = _document(fields, "to"), fields.get("from")
+        if old == "running":
+            plan = project.session(key()).document.plan
+            if plan is None:
+                raise InputError("what runs there is not a plan")
+            given = asked({"document": new})
+            name = "running %s" % key()
+            running = plan_to_json(plan)
+            return answer(
+                told(workers.ask(name, "running", FULL_SECONDS, **given, running=running))
+            )
+        if old == "saved":
+            old = open_document(folder, path_in(folder, key())).document
+        else:
+            old = _document(fields, "from")
+        changes = difference(old, new)
+        return answer({"changes": [change.to_json() for change in changes]})
+
+    @app.route("/api/edit/layout", methods=["POST"])
+    def layout_of_document() -> Response:
+        net = _drawable(_document(body(), "document"))
+        if not laying_out.acquire(timeout=QUICK_SECONDS):
+            raise RefusedError("another net is being laid out", hint="try again")
+        try:
+            positions = lay_out(net, anew=True).positions
+        finally:
+            laying_out.release()
+        listed: Tuple[Tuple[str, Any], ...] = (
+            ("places", net.places),
+            ("transitions", net.transitions),
+        )
+        return answer(
+            {
+                kind: {node.name: [round(v, 1) for v in positions[node.name]] for node in nodes}
+                for kind, nodes in listed
+            }
+        )
+
+    @app.route("/api/edit/palette")
+    def palette_of_plan() -> Response:
+        workers.warm()  # whoever asks for this is about to edit
+        return answer(palette(folder, path_in(folder, key())))
+
+
+def path_in(folder: Folder, key: str) -> str:
+    """The path of the file of a session, relative to the served folder.
+
+    :raises GspnError: the session is not one of a file there.
+    """
+    if not key.startswith(FILE_KEY):
+        raise UsageError("only files of the served folder are edited")
+    return folder.name(key[len(FILE_KEY) :])
+
+
+def _document(fields: Mapping[str, Any], key: str) -> Dict[str, Any]:
+    found = fields.get(key)
+    if not isinstance(found, dict) or not isinstance(found.get("net"), dict):
+        raise UsageError("'%s' is not a document with a net" % key)
+    return found
+
+
+def _drawable(document: Mapping[str, Any]) -> Net:
+    """The nodes and arcs of a document that may be half-drawn: what cannot be drawn is left out."""
+    net = document["net"]
+
+    def listed(key: str) -> Any:
+        found = net.get(key)
+        return (
+            item for item in (found if isinstance(found, list) else ()) if isinstance(item, dict)
+        )
+
+    names: Dict[str, str] = {}
+    for key in ("places", "transitions"):
+        for node in listed(key):
+            if isinstance(node.get("name"), str) and node["name"]:
+                names.setdefault(node["name"], key)
+    arcs = [
+        Arc(arc["from"], arc["to"])
+        for arc in listed("arcs")
+        if isinstance(arc.get("from"), str)
+        and isinstance(arc.get("to"), str)
+        and {names.get(arc["from"]), names.get(arc["to"])} == {"places", "transitions"}
+    ]
+    if len(names) > NODES or len(arcs) > ARCS:
+        raise InputError("a net of more than %d nodes or %d arcs is too large" % (NODES, ARCS))
+    return Net(
+        [Place(name) for name, key in names.items() if key == "places"],
+        [Transition(name) for name, key in names.items() if key == "transitions"],
+        arcs,
+    )

@@ -1,0 +1,210 @@
+"""What an action of an edited plan can be: the functions of the plan's Python files, the plans that
+can be subnets, and what is live on ROS. Nothing of the plan is imported or run."""
+
+from __future__ import annotations
+
+import ast
+import os
+from typing import Any, Dict, Iterator, List, Mapping, Optional
+
+from gspn_framework_package.execution.actions import PARAMETERS
+from gspn_framework_package.formats.json_file import read_json
+from gspn_framework_package.model.action import KINDS
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.visualizer.documents import Folder
+
+FILES = 100
+"""Most Python files of a plan's folder, and most plans, that are looked at."""
+
+DEPTH = 3
+SOURCE_BYTES = 1_000_000
+DOC_CHARACTERS = 600
+MASTER_SECONDS = 1.0
+ACTION_SUFFIXES = ("goal", "cancel", "status", "feedback", "result")
+
+
+def palette(folder: Folder, path: str) -> Dict[str, Any]:
+    """Return the palette of a plan.
+
+    :param folder: the served folder; nothing outside it is read.
+    :param path: the plan file, relative to that folder.
+    :returns: ``functions``, ``plans``, ``kinds`` (the keys by which actions of a plan file are told
+        apart) and ``ros``: None if no master answers, or this shell has no ROS.
+    """
+    whole = os.path.join(folder.root, os.path.dirname(path))
+    return {
+        "functions": list(_functions(folder, whole)),
+        "plans": list(_plans(folder, whole, path)),
+        "kinds": [*KINDS, "plan"],
+        "ros": _ros(),
+    }
+
+
+def _files(folder: Folder, top: str, ending: str) -> Iterator[str]:
+    """The files in a folder and those inside it, as paths relative to it."""
+    count = 0
+    for at, folders, names in os.walk(top):
+        depth = os.path.relpath(at, top).count(os.sep) + (at != top)
+        folders[:] = sorted(f for f in folders if f[0] not in "._" and depth + 1 < DEPTH)
+        for name in sorted(names):
+            file = os.path.join(at, name)
+            if name.endswith(ending) and os.path.isfile(file) and folder.inside(file) is not None:
+                count += 1
+                if count > FILES:
+                    return
+                yield os.path.relpath(file, top)
+
+
+# -- functions -------------------------------------------------------------------------------------
+
+
+def _functions(folder: Folder, top: str) -> Iterator[Dict[str, Any]]:
+    for file in _files(folder, top, ".py"):
+        parts = file[: -len(".py")].split(os.sep)
+        if parts[-1] == "__init__":
+            parts.pop()
+        if not parts or not all(part.isidentifier() for part in parts):
+            continue
+        try:
+            with open(os.path.join(top, file), "rb") as source:
+                tree = ast.parse(source.read(SOURCE_BYTES + 1)[:SOURCE_BYTES])
+        except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
+            continue  # the check says what is wrong with a module that the plan uses
+        for node in tree.body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+                found = _function(node, file, tree)
+                if found is not None:
+                    yield {"name": ".".join([*parts, node.name]), **found}
+
+
+def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]]:
+    """What a function, or a class whose instances can be called, says of itself."""
+    settings: List[Dict[str, Any]] = []
+    call: Optional[ast.FunctionDef] = node
+    if isinstance(node, ast.ClassDef):
+        made, call = _method(node, "__init__", tree), _method(node, "__call__", tree)
+        if call is None:
+            return None
+        settings = _parameters(made, True) if made is not None else []
+    assert call is not None
+    asked = _parameters(call, isinstance(node, ast.ClassDef))
+    names = [p["name"] for p in [*asked, *settings]]
+    doc = ast.get_docstring(node) or ast.get_docstring(call) or ""
+    return {
+        "doc": doc if len(doc) <= DOC_CHARACTERS else doc[:DOC_CHARACTERS] + " ...",
+        "file": file,
+        "line": node.lineno,
+        "parameters": [p for p in [*settings, *asked] if p["name"] not in PARAMETERS],
+        "asks": [name for name in dict.fromkeys(names) if name in PARAMETERS],
+        "cancellable": "is_cancelled" in names,
+        "event": "emit" in names,
+    }
+
+
+def _method(
+    node: ast.ClassDef, name: str, tree: ast.Module, deep: int = 0
+) -> Optional[ast.FunctionDef]:
+    """A method of a class, or of one of its bases in the same file."""
+    for inside in node.body:
+        if isinstance(inside, ast.FunctionDef) and inside.name == name:
+            return inside
+    bases = [base.id for base in node.bases if isinstance(base, ast.Name)]
+    for other in tree.body:
+        if isinstance(other, ast.ClassDef) and other.name in bases and deep < 8:
+            found = _method(other, name, tree, deep + 1)
+            if found is not None:
+                return found
+    return None
+
+
+def _parameters(function: ast.FunctionDef, bound: bool) -> List[Dict[str, Any]]:
+    """The parameters of a function, with the default of each that is a plain value."""
+    arguments = function.args
+    listed = [*getattr(arguments, "posonlyargs", []), *arguments.args]
+    missing: List[Optional[ast.expr]] = [None] * (len(listed) - len(arguments.defaults))
+    pairs = list(zip(listed, [*missing, *arguments.defaults]))[int(bound) :]
+    pairs += zip(arguments.kwonlyargs, arguments.kw_defaults)
+    found = []
+    for argument, default in pairs:
+        entry: Dict[str, Any] = {"name": argument.arg, "required": default is None}
+        if default is not None:
+            try:
+                value = ast.literal_eval(default)
+            except (ValueError, TypeError, SyntaxError, RecursionError):
+                value = None
+            if isinstance(value, (bool, int, float, str, type(None))):
+                entry["default"] = value
+        found.append(entry)
+    return found
+
+
+# -- plans -----------------------------------------------------------------------------------------
+
+
+def _plans(folder: Folder, top: str, own: str) -> Iterator[Dict[str, Any]]:
+    """The plans in the folder of a plan and in those inside and beside it, which can be subnets."""
+    tops = [top]
+    if os.path.realpath(top) != folder.root:
+        tops.append(os.path.dirname(top))
+    seen = {os.path.realpath(os.path.join(folder.root, own))}
+    for where in tops:
+        for name in _files(folder, where, ".json"):
+            file = os.path.join(where, name)
+            if os.path.realpath(file) in seen:
+                continue
+            seen.add(os.path.realpath(file))
+            told = _plan(file)
+            if told is not None:
+                yield {"file": os.path.relpath(file, top).replace(os.sep, "/"), **told}
+
+
+def _plan(file: str) -> Optional[Dict[str, Any]]:
+    try:
+        if os.path.getsize(file) > SOURCE_BYTES:
+            return None
+        data = read_json(file)
+    except (GspnError, OSError):
+        return None
+    actions = data.get("actions") if isinstance(data, dict) else None
+    if not isinstance(actions, Mapping) or "net" not in data:
+        return None
+    parameters = data.get("parameters")
+    return {
+        "name": str(data.get("plan", os.path.basename(file))),
+        "places": list(actions),
+        "resources": [p for p in data.get("resource_places", ()) if isinstance(p, str)],
+        "parameters": list(parameters) if isinstance(parameters, Mapping) else [],
+    }
+
+
+# -- ROS -------------------------------------------------------------------------------------------
+
+
+def _ros() -> Optional[Dict[str, Any]]:
+    """The action servers, services and topics that are live, with their types; None without a
+    master."""
+    if not os.environ.get("ROS_MASTER_URI"):
+        return None
+    try:
+        from gspn_framework_package.ros.live_graph import MASTER_ERRORS, live_graph
+    except ImportError:
+        return None
+    try:
+        topics, services = live_graph(MASTER_SECONDS)
+    except MASTER_ERRORS:
+        return None
+    actions = [
+        {"name": topic[: -len("/goal")], "type": kind[: -len("ActionGoal")] + "Action"}
+        for topic, kind in sorted(topics.items())
+        if topic.endswith("/goal") and kind.endswith("ActionGoal")
+    ]
+    hidden = {"%s/%s" % (a["name"], suffix) for a in actions for suffix in ACTION_SUFFIXES}
+    return {
+        "actions": actions,
+        "services": [{"name": name, "type": kind} for name, kind in sorted(services.items())],
+        "topics": [
+            {"name": name, "type": kind}
+            for name, kind in sorted(topics.items())
+            if name not in hidden
+        ],
+    }

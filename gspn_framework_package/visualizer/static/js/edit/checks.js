@@ -1,0 +1,218 @@
+// The check while editing: marks at the nodes, the list of findings, and what would happen at a marking. What is shown
+// is called checked only if the server has checked this very state.
+
+import { h, plural } from "../dom.js";
+import { post } from "../api.js";
+
+const QUIET = 150; // ms without an edit after which the state is checked
+const LISTED = 60; // findings of one level that are listed
+const LEVELS = { error: "Error", warning: "Warning", note: "Note" };
+const RANK = { error: 3, warning: 2, note: 1 };
+
+/** What of a state the check reads: all but the positions, as text. */
+const essence = (state) =>
+  JSON.stringify(state, (key, value) => (key === "position" ? undefined : value));
+
+/** The keys of the selection that a finding is about; of an arc its ends too, which can have a mark. */
+function keysOf(elements) {
+  const keys = [];
+  for (const { kind, name } of elements)
+    if (kind === "place" || kind === "transition" || kind === "arc") keys.push(`${kind}:${name}`);
+  return keys;
+}
+
+/** Sets `mode.findings` and fires "findings" on the mode. */
+export class Checks {
+  constructor(mode) {
+    this.mode = mode;
+    mode.findings = [];
+    this.page = Math.random().toString(36).slice(2); // other pages' checks go on beside these
+    this.revision = 0;
+    this.timer = 0;
+    this.checked = null; // the essence of the state that the findings are of
+    this.asked = null; // that of the state that is being checked
+    this.state = h("p", { id: "ed-check-state", class: "ed-check-state", role: "status" });
+    this.again = h("button", { text: "Check again", hidden: true, onclick: () => this.check() });
+    this.list = h("div", { id: "ed-findings", class: "ed-findings" });
+    this.agents = h("input", { type: "checkbox", id: "ed-agents", onchange: () => this.check() });
+    mode.panel(
+      "checks",
+      "Check",
+      h(
+        "div",
+        {},
+        h("div", { class: "buttons" }, this.state, this.again),
+        h(
+          "label",
+          {
+            class: "check",
+            title: "Transitions may create and destroy agents; robots they may not.",
+          },
+          this.agents,
+          " for agents without ROS (gspn run), not for robots",
+        ),
+        this.list,
+      ),
+    );
+    this.chip = mode.button("look", {
+      id: "ed-verdict",
+      label: "Check",
+      title: "What the check says",
+      onclick: () => mode.showPanel("checks"),
+    });
+    this.changed = () => this.later();
+    mode.document.addEventListener("change", this.changed);
+    this.check();
+  }
+
+  tell(state, text) {
+    this.state.dataset.state = state;
+    this.state.textContent = text;
+    this.chip.dataset.state = state;
+    const [verdict] = text.split(/[.:…]/);
+    this.chip.textContent = state === "checking" ? "Checking …" : verdict;
+    this.list.classList.toggle("stale", state === "checking" || state === "unknown");
+    this.again.hidden = state !== "unknown";
+  }
+
+  later() {
+    if (essence(this.mode.document.state) === this.asked) return;
+    this.revision += 1; // answers that come now are of another state
+    this.tell("checking", "Checking … the findings below are those before the last edit.");
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.check(), QUIET);
+  }
+
+  /** Check the present state: quickly first, then as far as gspn check goes if that left something open. */
+  async check() {
+    clearTimeout(this.timer);
+    const { document: state } = { document: this.mode.document.state };
+    this.asked = essence(state);
+    this.revision += 1;
+    const { revision } = this;
+    this.tell("checking", "Checking …");
+    try {
+      const first = await this.ask(state, revision, false);
+      if (!first) return;
+      this.show(first);
+      if (first.decided) return;
+      this.tell(
+        "checking",
+        `${this.verdict(first)} so far, after ${plural(first.states, "marking")}. Checking further …`,
+      );
+      const whole = await this.ask(state, revision, true);
+      if (whole) this.show(whole);
+    } catch (error) {
+      if (revision !== this.revision || this.closed) return;
+      this.asked = null;
+      this.tell("unknown", `Not checked: ${error.message}.`);
+    }
+  }
+
+  /** The answer of the server; null if another state is to be checked by now. */
+  async ask(state, revision, full) {
+    const answer = await post(
+      "edit/check",
+      { document: state, revision, full, page: this.page, standalone: this.agents.checked },
+      { id: this.mode.id },
+    );
+    if (revision !== this.revision || this.closed) return null;
+    if (answer.cancelled) throw new Error("another check took its place");
+    return answer;
+  }
+
+  verdict({ valid, findings }) {
+    const count = (level) => findings.filter((finding) => finding.level === level).length;
+    const warnings = count("warning");
+    const more = warnings ? `, ${plural(warnings, "warning")}` : "";
+    return valid ? `May run${more}` : `Not valid: ${plural(count("error"), "error")}${more}`;
+  }
+
+  show(answer) {
+    const { valid, decided, findings } = answer;
+    this.mode.findings = findings;
+    this.tell(
+      !valid ? "invalid" : decided ? "checked" : "undecided",
+      `${this.verdict(answer)}.${decided ? "" : " Not all questions could be decided."}`,
+    );
+    this.mark(findings);
+    this.list.replaceChildren(
+      ...Object.keys(LEVELS).map((level) =>
+        this.section(
+          level,
+          findings.filter((finding) => finding.level === level),
+        ),
+      ),
+    );
+    this.mode.dispatchEvent(new CustomEvent("findings", { detail: findings }));
+  }
+
+  mark(findings) {
+    const marks = new Map();
+    for (const { level, text, elements } of findings) {
+      if (level === "note") continue;
+      const keys = elements.flatMap(({ kind, name }) =>
+        kind === "arc"
+          ? name.split(">").flatMap((end) => [`place:${end}`, `transition:${end}`])
+          : [`${kind}:${name}`],
+      );
+      for (const key of keys) {
+        const mark = marks.get(key);
+        if (!mark) marks.set(key, { level, text });
+        else if (mark.text !== text)
+          marks.set(key, {
+            level: RANK[level] > RANK[mark.level] ? level : mark.level,
+            text: `${mark.text}\n${text}`,
+          });
+      }
+    }
+    this.mode.mark(marks);
+  }
+
+  section(level, findings) {
+    if (!findings.length) return "";
+    const items = findings.slice(0, LISTED).map((finding) => this.item(finding));
+    if (findings.length > LISTED)
+      items.push(h("li", { class: "muted", text: `and ${findings.length - LISTED} more` }));
+    const list = h("ul", { class: `ed-level ${level}` }, items);
+    return level === "note"
+      ? h("details", {}, h("summary", { text: plural(findings.length, "note") }), list)
+      : list;
+  }
+
+  item({ level, text, hint, elements, witness, markings }) {
+    const keys = keysOf(elements);
+    const rows = elements.filter(({ kind }) => kind === "row");
+    const said = [h("strong", { text: `${LEVELS[level]}: ` }), text];
+    return h(
+      "li",
+      {},
+      keys.length || rows.length
+        ? h("button", { class: "link", onclick: () => this.go(keys, rows) }, said)
+        : h("span", {}, said),
+      hint && h("div", { class: "muted", text: hint }),
+      witness?.length
+        ? h("button", {
+            text: `Play ${plural(witness.length, "step")}`,
+            title: `How it comes about: ${witness.slice(0, 20).join(", ")}${witness.length > 20 ? ", …" : ""}`,
+            onclick: () => this.mode.play(witness, markings),
+          })
+        : "",
+    );
+  }
+
+  /** Choose what a finding is about, and fly there. */
+  go(keys, rows) {
+    if (keys.length) {
+      this.mode.choose(keys);
+      const shown = keys.find((key) => this.mode.selection.has(key));
+      if (shown) this.mode.flyTo(shown);
+    } else if (rows.length && this.mode.panels.has("policy")) this.mode.showPanel("policy");
+  }
+
+  close() {
+    this.closed = true;
+    clearTimeout(this.timer);
+    this.mode.document.removeEventListener("change", this.changed);
+  }
+}

@@ -1,0 +1,349 @@
+// The files of the document: saving, also against somebody else's change, drafts, and the export.
+
+import { $, h, ask, attempt, toast } from "../dom.js";
+import { post } from "../api.js";
+import { changeList, changesBetween } from "./diff_view.js";
+import { pngOf, svgOf } from "./picture.js";
+
+const QUIET = 1500; // ms without an edit after which the draft is kept
+const AGAIN = 15_000; // ms after which a draft that could not be kept is tried again
+const CHANGED = 412; // status: the files have changed on the disk
+
+/** Formats of the export: [name, what it is, ending of the file]. */
+const FORMATS = [
+  ["zip", "the plan's folder, in one file (zip)", ".zip"],
+  ["svg", "a picture (SVG)", ".svg"],
+  ["png", "a picture (PNG)", ".png"],
+  ["pipe", "the net for PIPE (XML)", ".xml"],
+  ["pnml", "the net as PNML", ".pnml"],
+  ["pnpro", "the net for GreatSPN (PNPRO)", ".PNPRO"],
+  ["tina", "the net for TINA", ".net"],
+];
+
+/** Have the browser save a file. */
+function download(blob, name) {
+  const address = URL.createObjectURL(blob);
+  h("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
+
+const moment = (text) => {
+  const at = new Date(typeof text === "number" ? text * 1000 : text);
+  return Number.isNaN(at.getTime()) ? String(text) : at.toLocaleString();
+};
+
+/** `mode.files`. */
+export class Files {
+  constructor(mode) {
+    this.mode = mode;
+    mode.files = this;
+    this.timer = 0;
+    this.saving = null;
+    this.kept = null; // the state that the draft holds
+    this.draft = mode.document.dirty ? null : mode.opened.draft || null; // not decided upon yet
+    this.saveButton = mode.button("file", {
+      id: "ed-save",
+      label: "Save",
+      key: "Ctrl+S",
+      onclick: () => this.save(),
+    });
+    mode.button("file", { id: "ed-save-as", label: "Save as…", onclick: () => this.saveAs() });
+    mode.button("file", { id: "ed-export", label: "Export…", onclick: () => this.exportDialog() });
+    this.note = h("span", { id: "ed-draft-state", class: "muted" });
+    $("ed-group-file").append(this.note);
+    this.changed = () => this.later();
+    mode.document.addEventListener("change", this.changed);
+    mode.document.addEventListener("saved", this.changed);
+    this.banner = h("div", { id: "ed-banner", class: "ed-banner", hidden: true });
+    $("ed-frame").before(this.banner);
+    if (this.draft) this.offerDraft();
+    else if (this.readOnly) this.tellReadOnly();
+    this.refresh();
+  }
+
+  /** Why the document cannot be saved where it is; "" if it can. */
+  get readOnly() {
+    return this.mode.opened.read_only || "";
+  }
+
+  refresh() {
+    const { document: edited } = this.mode;
+    this.saveButton.disabled = !edited.dirty && !this.readOnly;
+    this.saveButton.title = this.readOnly
+      ? `It cannot be saved here: ${this.readOnly} (Ctrl+S saves it as a new plan)`
+      : "Save (Ctrl+S)";
+    if (!edited.dirty) this.note.textContent = "";
+  }
+
+  tellReadOnly() {
+    this.banner.replaceChildren(
+      h("span", { text: `It cannot be saved here: ${this.readOnly}.` }),
+      h("button", { text: "Save as…", onclick: () => this.saveAs() }),
+      h("button", {
+        text: "Close",
+        "aria-label": "Close the note",
+        onclick: () => this.hideBanner(),
+      }),
+    );
+    this.banner.hidden = false;
+  }
+
+  hideBanner() {
+    this.banner.hidden = true;
+    this.banner.replaceChildren();
+  }
+
+  request(what, body) {
+    return post(`edit/${what}`, body, { id: this.mode.id });
+  }
+
+  // -- saving --------------------------------------------------------------------------------------
+
+  /** Save the document. Resolves to whether it was saved. */
+  save() {
+    if (!this.saving)
+      this.saving = this.saveNow().finally(() => {
+        this.saving = null;
+      });
+    return this.saving;
+  }
+
+  async saveNow() {
+    if (this.readOnly) return this.saveAs();
+    const { mode } = this;
+    const { state } = mode.document;
+    try {
+      await this.put(state, mode.opened.etag);
+      return true;
+    } catch (error) {
+      if (error.status === CHANGED && error.data.theirs)
+        return this.settle(state, error.data.theirs);
+      toast(`Not saved: ${error.message}`);
+      mode.say(`Not saved: ${error.message}`);
+      return false;
+    }
+  }
+
+  /** Send a state to the files, which must be as `etag` says. */
+  async put(state, etag) {
+    const { mode } = this;
+    const { etag: now, files } = await this.request("save", { etag, document: state });
+    Object.assign(mode.opened, { etag: now, files: files || mode.opened.files, draft: null });
+    this.draft = null;
+    this.hideBanner();
+    mode.document.markSaved(state);
+    mode.say(mode.document.dirty ? "Saved what there was before the last edit." : "Saved.");
+    toast("Saved", true);
+  }
+
+  /** The files have changed on the disk: ask whose state is to count. Resolves to whether mine was saved. */
+  async settle(state, theirs) {
+    const { mode } = this;
+    const list = h("div", {}, h("p", { class: "muted", text: "Comparing …" }));
+    changesBetween(mode, theirs.document, state).then(
+      (changes) => list.replaceChildren(changeList(changes)),
+      (error) => list.replaceChildren(h("p", { text: `Not compared: ${error.message}.` })),
+    );
+    const answer = await ask(
+      "Somebody else has changed this plan",
+      h(
+        "div",
+        { id: "ed-conflict" },
+        h("p", {
+          text: "Its files are not as they were when you opened or saved them. From theirs to yours:",
+        }),
+        list,
+      ),
+      [
+        ["Cancel", ""],
+        ["Take theirs", "theirs"],
+        ["Keep mine", "mine", "danger"],
+      ],
+    );
+    if (answer === "mine") {
+      try {
+        await this.put(state, theirs.etag);
+        return true;
+      } catch (error) {
+        if (error.status === CHANGED && error.data.theirs)
+          return this.settle(state, error.data.theirs);
+        toast(`Not saved: ${error.message}`);
+        return false;
+      }
+    }
+    if (answer === "theirs") this.take(theirs);
+    else if (mode.diff) mode.diff.show({ title: "From theirs to yours", from: theirs.document });
+    return false;
+  }
+
+  /** Use the state of the files; undo brings back the own one. */
+  take({ etag, document: theirs }) {
+    const { mode } = this;
+    mode.opened.etag = etag;
+    mode.document.edit("Take the state of the files", () => theirs);
+    mode.document.markSaved();
+    mode.say("This is the state of the files. Undo brings back yours.");
+  }
+
+  /** Save the document as a new plan, and go on with that one. Resolves to whether that was done. */
+  async saveAs() {
+    const { mode } = this;
+    const { state } = mode.document;
+    const name = h("input", { type: "text", id: "ed-save-name", autocomplete: "off" });
+    let found = null;
+    await ask(
+      "Save as a new plan",
+      h(
+        "div",
+        { class: "form" },
+        this.readOnly && h("p", { text: `Here it cannot be saved: ${this.readOnly}.` }),
+        h("label", { for: "ed-save-name", text: "Name of its folder" }),
+        name,
+      ),
+      [
+        ["Cancel", ""],
+        ["Save", "save", "primary"],
+      ],
+      async () => {
+        found = await this.request("save_as", { document: state, name: name.value.trim() });
+      },
+    );
+    if (!found) return false;
+    mode.document.markSaved(state);
+    toast(`Saved as ${found.path}`, true);
+    await attempt(() => this.request("draft", { etag: mode.opened.etag, document: null }));
+    mode.page.edit(found.id);
+    return true;
+  }
+
+  // -- drafts --------------------------------------------------------------------------------------
+
+  later() {
+    this.refresh();
+    clearTimeout(this.timer);
+    const { document: edited } = this.mode;
+    if (!edited.dirty) {
+      if (this.kept) this.dropDraft();
+      return;
+    }
+    if (this.draft) {
+      this.note.textContent = "No draft is kept until you decide about the one above";
+      return;
+    }
+    this.note.textContent = "";
+    this.timer = setTimeout(() => this.keepDraft(), QUIET);
+  }
+
+  async keepDraft() {
+    clearTimeout(this.timer);
+    const { mode } = this;
+    const { state } = mode.document;
+    if (!mode.document.dirty || state === this.kept || this.draft) return;
+    try {
+      await this.request("draft", { etag: mode.opened.etag, document: state });
+      this.kept = state;
+      if (state === mode.document.state && mode.document.dirty)
+        this.note.textContent = `Draft kept at ${new Date().toLocaleTimeString()}`;
+    } catch (error) {
+      this.note.textContent = `No draft is kept: ${error.message}`;
+      if (!this.closed) this.timer = setTimeout(() => this.keepDraft(), AGAIN);
+    }
+  }
+
+  /** Forget the draft: its content is saved, or undone. */
+  async dropDraft() {
+    this.kept = null;
+    try {
+      await this.request("draft", { etag: this.mode.opened.etag, document: null });
+    } catch {
+      // it is offered when the plan is opened again, and can be discarded then
+    }
+  }
+
+  offerDraft() {
+    const { draft, mode } = this;
+    const older = draft.etag !== undefined && draft.etag !== mode.opened.etag;
+    const decide = (label, id, action) => h("button", { text: label, id, onclick: action });
+    this.banner.replaceChildren(
+      h("span", {
+        text: `A draft from ${moment(draft.saved_at)} was not saved.${older ? " The files have changed since." : ""}`,
+      }),
+      decide("Continue it", "ed-draft-continue", () => {
+        this.draft = null;
+        this.hideBanner();
+        mode.diff?.hide();
+        mode.document.edit("Continue the draft", () => draft.document);
+        if (older) mode.opened.etag = draft.etag; // saving it will ask about what changed since
+        this.refresh();
+      }),
+      decide("Compare", "ed-draft-compare", () =>
+        mode.diff.show({ title: "From the files to the draft", from: "saved", to: draft.document }),
+      ),
+      decide("Discard it", "ed-draft-discard", async () => {
+        await attempt(() => this.dropDraft());
+        this.draft = null;
+        this.hideBanner();
+        mode.diff?.hide();
+        this.later();
+      }),
+    );
+    this.banner.hidden = false;
+  }
+
+  // -- export --------------------------------------------------------------------------------------
+
+  async exportDialog() {
+    const format = h(
+      "select",
+      { id: "ed-export-format" },
+      FORMATS.map(([value, text]) => h("option", { value, text })),
+    );
+    await ask(
+      "Export",
+      h(
+        "div",
+        { class: "form" },
+        h("label", { for: "ed-export-format", text: "Export the document as" }),
+        format,
+      ),
+      [
+        ["Cancel", ""],
+        ["Export", "export", "primary"],
+      ],
+      () => this.exportAs(format.value),
+    );
+  }
+
+  async exportAs(format) {
+    const { canvas, document: edited, opened } = this.mode;
+    const ending = FORMATS.find(([name]) => name === format)[2];
+    const own = edited.plan?.plan || edited.net.name || opened.path;
+    const name = `${String(own).replace(/[^\w.-]+/g, "_")}${ending}`;
+    if (format === "svg") download(new Blob([svgOf(canvas).text], { type: "image/svg+xml" }), name);
+    else if (format === "png") download(await pngOf(canvas), name);
+    else download(await this.fromServer({ document: edited.state, format }), name);
+    this.mode.say(`Exported as ${name}.`);
+  }
+
+  /** A file that the server makes. */
+  async fromServer(body) {
+    const id = new URLSearchParams({ id: this.mode.id });
+    const response = await fetch(`/api/edit/export?${id}`, {
+      method: "POST",
+      credentials: "same-origin",
+      headers: { "Content-Type": "application/json", "X-Gspn-Page": "1" },
+      body: JSON.stringify(body),
+    });
+    if (response.ok) return response.blob();
+    const { error } = await response.json().catch(() => ({}));
+    throw new Error(error || `the server answered ${response.status}`);
+  }
+
+  close() {
+    this.closed = true;
+    clearTimeout(this.timer);
+    if (!this.draft && !this.saving) this.keepDraft(); // edits of the last moment
+    this.mode.document.removeEventListener("change", this.changed);
+    this.mode.document.removeEventListener("saved", this.changed);
+  }
+}

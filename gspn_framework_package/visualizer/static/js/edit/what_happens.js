@@ -1,0 +1,139 @@
+// "What would happen here?": for the marking that is shown, which row of the policy applies to the robots of each
+// place, and which transitions they would choose.
+
+import { h, number } from "../dom.js";
+import { post } from "../api.js";
+
+const PLACES = 80; // that get a field for their tokens
+
+export class WhatHappens {
+  constructor(mode) {
+    this.mode = mode;
+    this.page = Math.random().toString(36).slice(2);
+    this.asked = 0;
+    this.result = h("div", { id: "ed-here", "aria-live": "polite" });
+    this.fields = h("div", { class: "ed-tokens form" });
+    this.other = h("details", {}, h("summary", { text: "Another marking" }), this.fields);
+    this.other.addEventListener("toggle", () => this.other.open && this.showFields());
+    mode.panel(
+      "here",
+      "What happens",
+      h(
+        "div",
+        {},
+        h("p", {
+          class: "muted",
+          text: "Which row of the policy applies at the marking that is shown, and what robots would choose.",
+        }),
+        h("button", {
+          id: "ed-here-ask",
+          class: "primary",
+          text: "What would happen here?",
+          onclick: () => this.ask(),
+        }),
+        this.other,
+        this.result,
+      ),
+    );
+    this.button = mode.button("look", {
+      id: "ed-here-open",
+      label: "What happens here?",
+      title: "Which row of the policy applies at the marking that is shown",
+      onclick: () => {
+        mode.showPanel("here");
+        return this.ask();
+      },
+    });
+    this.changed = () => this.clear();
+    mode.document.addEventListener("change", this.changed);
+  }
+
+  /** The marking that the drawing shows: that of a witness, or the initial one; or the one that was typed. */
+  marking() {
+    const { places } = this.mode.document.net;
+    const typed = new Map(
+      this.other.open
+        ? [...this.fields.querySelectorAll("input")].map((f) => [f.dataset.place, Number(f.value)])
+        : [],
+    );
+    const shown = this.mode.canvas.counts;
+    const tokens = ({ name, tokens: own = 0 }) => typed.get(name) ?? shown?.get(name) ?? own;
+    return Object.fromEntries(places.map((place) => [place.name, tokens(place)]));
+  }
+
+  showFields() {
+    const { places } = this.mode.document.net;
+    const shown = this.mode.canvas.counts;
+    this.fields.replaceChildren(
+      ...places.slice(0, PLACES).flatMap(({ name, tokens = 0 }, i) => [
+        h("label", { for: `ed-here-${i}`, text: name }),
+        h("input", {
+          id: `ed-here-${i}`,
+          type: "number",
+          min: 0,
+          step: 1,
+          value: String(shown?.get(name) ?? tokens),
+          "data-place": name,
+          onchange: () => this.ask(),
+        }),
+      ]),
+    );
+  }
+
+  /** The document has changed: what was said may be wrong now. */
+  clear() {
+    this.asked += 1;
+    this.result.replaceChildren();
+    if (this.other.open) this.showFields();
+  }
+
+  async ask() {
+    this.asked += 1;
+    const { asked } = this;
+    const body = {
+      document: this.mode.document.state,
+      marking: this.marking(),
+      page: this.page,
+    };
+    this.result.replaceChildren(h("p", { class: "muted", text: "Looking …" }));
+    try {
+      const answer = await post("edit/choices", body, { id: this.mode.id });
+      if (asked === this.asked && !answer.cancelled) this.show(answer);
+    } catch (error) {
+      if (asked === this.asked)
+        this.result.replaceChildren(h("p", { text: `Not known: ${error.message}.` }));
+    }
+  }
+
+  show({ places, enabled, over }) {
+    const chance = ({ name, probability, enabled: on, why }) =>
+      h(
+        "li",
+        { class: on ? "" : "muted" },
+        `${name}${probability === null ? "" : ` ${number(Math.round(1000 * probability) / 10)} %`}`,
+        on ? "" : ` – ${why.join("; ") || "not enabled"}`,
+      );
+    this.result.replaceChildren(
+      over ? h("p", { text: "The run is over here: “until” holds." }) : "",
+      places.length ? "" : h("p", { text: "No robot is in a place." }),
+      ...places.map((place) =>
+        h(
+          "section",
+          { "data-place": place.place },
+          h("h2", { text: `${place.place} (${place.tokens})` }),
+          h("p", { text: `${place.why}.` }),
+          h("ul", {}, place.transitions.map(chance)),
+        ),
+      ),
+      h("p", {
+        class: "muted",
+        text: enabled.length ? `Enabled: ${enabled.join(", ")}.` : "No transition is enabled.",
+      }),
+    );
+  }
+
+  close() {
+    this.asked += 1;
+    this.mode.document.removeEventListener("change", this.changed);
+  }
+}
