@@ -260,7 +260,14 @@ class _XmlNet:
         if len(arcs) != len(old.arcs):
             raise _CannotHoldError
         self.arcs = list(zip(old.arcs, arcs))
-        self._donor: Any = None
+        self._donors: Dict[str, List[Any]] = {}
+        self._last: Dict[str, Any] = {}
+        self.used = {e.get("id") for e in self.root.iter("{*}*") if e.get("id")}
+        self.numbers = {
+            part: number
+            for parts in (new.places, new.transitions, new.arcs)
+            for number, part in enumerate(parts)
+        }
 
     def find_net(self) -> Any:
         """The element of the net."""
@@ -301,19 +308,20 @@ class _XmlNet:
             else:
                 spare.append((now, element))
         added = [arc for arc in self.new.arcs if self._take(wanted, arc)]
-        for arc in list(added):  # another weight or kind: the same arc, changed
-            for number, (was, element) in enumerate(spare):
-                if was[:2] == arc[:2]:
-                    if self.arcs_of(element) != 1:
-                        raise _CannotHoldError
-                    self.set_arc(element, was, arc)
-                    added.remove(arc)
-                    del spare[number]
-                    break
-        for _, element in spare:
-            if self.arcs_of(element) != 1:
-                raise _CannotHoldError
-            _remove(element)
+        by_ends: Dict[Tuple[str, str], List[Tuple[Arc, Any]]] = {}
+        for was, element in spare:
+            by_ends.setdefault(was[:2], []).append((was, element))
+        fresh = []
+        for arc in added:  # another weight or kind: the same arc, changed
+            there = by_ends.get(arc[:2])
+            if there:
+                was, element = there.pop(0)
+                self.set_arc(self._alone(element), was, arc)
+            else:
+                fresh.append(arc)
+        for left in by_ends.values():
+            for _, element in left:
+                _remove(self._alone(element))
         for change in changes:
             if change.old is not None and change.new is None:
                 self.remove_node(self.elements.pop(change.old.name))
@@ -330,8 +338,14 @@ class _XmlNet:
                 self.add_node(change.new)
             else:
                 self.set_node(self.elements[change.new.name], change.old, change.new)
-        for arc in added:
+        for arc in fresh:
             self.add_arc(arc)
+
+    def _alone(self, element: Any) -> Any:
+        """The element of an arc. :raises _CannotHoldError: it is the element of another arc too."""
+        if self.arcs_of(element) != 1:
+            raise _CannotHoldError
+        return element
 
     def _name_by_id(self) -> None:
         """Write the names of nodes that go by their ids, because others have the same name: it
@@ -372,15 +386,14 @@ class _XmlNet:
     def add_node(self, node: Node) -> None:
         """Add a node."""
         kind = "place" if isinstance(node, Place) else "transition"
-        number = (self.new.places if isinstance(node, Place) else self.new.transitions).index(node)
-        element = self.given(kind, number)
+        element = self.given(kind, self.numbers[node])
         self.fresh(element, node.name)
         self.insert(element, kind)
         self.elements[node.name] = element
 
     def add_arc(self, arc: Arc) -> None:
         """Add an arc."""
-        element = self.given("arc", self.new.arcs.index(arc))
+        element = self.given("arc", self.numbers[arc])
         self.connect(element, arc)
         self.insert(element, "arc")
 
@@ -392,9 +405,10 @@ class _XmlNet:
 
     def given(self, kind: str, number: int) -> Any:
         """An element as the format writes it, for a document of this one's namespace."""
-        if self._donor is None:
-            self._donor = parse_xml(self.donor_format.to_bytes(self.new))
-        found = list(self._donor.iter("{*}" + kind))[number]
+        if kind not in self._donors:
+            root = parse_xml(self.donor_format.to_bytes(self.new))
+            self._donors[kind] = list(root.iter("{*}" + kind))
+        found = self._donors[kind][number]
         space = self.net.nsmap.get(self.net.prefix)
         return _in_namespace(found, space)
 
@@ -404,15 +418,16 @@ class _XmlNet:
 
     def insert(self, element: Any, kind: str) -> None:
         """Put a new element behind the last of its kind."""
-        others = [e for e in self.all(kind) if e is not element]
-        if others:
-            _insert_after(others[-1], element)
+        if kind not in self._last:
+            others = self.all(kind)
+            self._last[kind] = others[-1] if others else None
+        last = self._last[kind]
+        if last is not None:
+            _insert_after(last, element)
         else:
             _append(self.parent_of(kind), element)
-
-    def identifiers(self) -> Dict[str, Any]:
-        """All ids of the document."""
-        return {e.get("id"): e for e in self.root.iter("{*}*") if e.get("id")}
+        self._last[kind] = element
+        self.used.add(element.get("id"))
 
 
 def _in_namespace(element: Any, space: Optional[str]) -> Any:
@@ -501,6 +516,10 @@ def _set_position(element: Any, new: Node, first: bool) -> None:
 
 
 class _PipeNet(_XmlNet):
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self._class = self._class_in_use()
+
     def all(self, kind: str) -> List[Any]:
         return all_of(self.net, kind)
 
@@ -559,8 +578,9 @@ class _PipeNet(_XmlNet):
     def rename(self, element: Any, old: str, new: str) -> None:
         _set_text(element, "name", "value", new)
         identifier = element.get("id")
-        if identifier == old and new not in self.identifiers():
+        if identifier == old and new not in self.used:
             element.set("id", new)
+            self.used.add(new)
             for arc in self.all("arc"):
                 for end in ("source", "target"):
                     if (arc.get(end) or "").strip() == old:
@@ -573,9 +593,8 @@ class _PipeNet(_XmlNet):
             _set_kind(element, new.inhibitor)
 
     def fresh(self, element: Any, name: str) -> None:
-        used = self.identifiers()
         identifier, number = name, 1
-        while identifier in used:
+        while identifier in self.used:
             number += 1
             identifier = "%s (%d)" % (name, number)
         element.set("id", identifier)
@@ -583,9 +602,8 @@ class _PipeNet(_XmlNet):
 
     def connect(self, element: Any, arc: Arc) -> None:
         source, target = (_identifier(self.elements[name]) for name in (arc.source, arc.target))
-        used = self.identifiers()
         identifier, number = "%s to %s" % (source, target), 1
-        while identifier in used:
+        while identifier in self.used:
             number += 1
             identifier = "%s to %s (%d)" % (source, target, number)
         element.set("id", identifier)
@@ -600,8 +618,7 @@ class _PipeNet(_XmlNet):
             return
         value = _child(outer, "value")
         number = value.text.rpartition(",")[2]
-        used = self._class_in_use()
-        value.text = "%s,%s" % (used, number) if used else number
+        value.text = "%s,%s" % (self._class, number) if self._class else number
 
     def _class_in_use(self) -> str:
         plain = False
@@ -647,6 +664,10 @@ def _set_kind(element: Any, inhibitor: bool) -> None:
 
 class _PnmlNet(_XmlNet):
     donor_format = pnml.FORMAT
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self._counted: Dict[str, int] = {}  # letter -> the number to try next
 
     def counts(self, element: Any) -> bool:
         return tag(element.getparent()) in ("net", "page")
@@ -755,9 +776,10 @@ class _PnmlNet(_XmlNet):
         element.set("target", _identifier(self.elements[arc.target]))
 
     def _free(self, letter: str) -> str:
-        used, number = self.identifiers(), 0
-        while "%s%d" % (letter, number) in used:
+        number = self._counted.get(letter, 0)
+        while "%s%d" % (letter, number) in self.used:
             number += 1
+        self._counted[letter] = number + 1
         return "%s%d" % (letter, number)
 
 
