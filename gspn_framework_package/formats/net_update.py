@@ -1,6 +1,7 @@
 """Changing a net in its own file, without losing what this package does not read.
 
-The elements that changed are changed in the tree of the XML document; annotations, the points of
+The elements that changed are changed in the tree of the XML document (in a file of TINA, their
+lines); annotations, the points of
 arcs, colours and the data of other tools stay. The result is read back and compared: a file is only
 replaced by one that says what it should.
 """
@@ -14,7 +15,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 
 from lxml import etree
 
-from gspn_framework_package.formats import pipe, pnml, pnpro
+from gspn_framework_package.formats import pipe, pnml, pnpro, tina
 from gspn_framework_package.formats.draft import ReadOptions, one_line
 from gspn_framework_package.formats.format import Format, NetFile
 from gspn_framework_package.formats.registry import FORMATS, format_named
@@ -902,8 +903,14 @@ def _set_corner(element: Any, new: Node, kind: str) -> None:
     pnpro.write_position(element, new.position, kind)
 
 
+def _update_tina(data: bytes, options: ReadOptions, old: Net, new: Net) -> bytes:
+    mark = b"\xef\xbb\xbf" if data.startswith(b"\xef\xbb\xbf") else b""
+    return mark + tina.update_text(data.decode("utf-8-sig"), old, new).encode("utf-8")
+
+
 _UPDATES: Dict[str, Callable[[bytes, ReadOptions, Net, Net], bytes]] = {
     pipe.FORMAT.name: lambda *given: _update_xml(_PipeNet, *given),
     pnml.FORMAT.name: lambda *given: _update_xml(_PnmlNet, *given),
     pnpro.FORMAT.name: lambda *given: _update_xml(_PnproNet, *given),
+    tina.FORMAT.name: _update_tina,
 }

@@ -270,6 +270,55 @@ def to_bytes(net: Net) -> bytes:
     return ("\n".join(lines) + "\n").encode("utf-8")
 
 
+def update_text(text: str, old: Net, new: Net) -> str:
+    """Return the text of a file with the net ``old``, changed so that it holds ``new``: lines of
+    places and transitions that did not change stay, as do notes and comments.
+
+    :raises NetError: the file is written in a way that is not changed here: it has arcs in lines of
+        places, several lines of a node, or labels.
+    """
+    end = "\r\n" if "\r\n" in text else "\n"
+    lines = text.splitlines()
+    found: Dict[Tuple[str, str], int] = {}
+    reader = _Reader(None, ReadOptions())
+    for number, line in enumerate(lines):
+        keyword, _, rest = line.strip().partition(" ")
+        if keyword == "lb":
+            raise NetError("it has labels")
+        if keyword not in ("pl", "tr"):
+            continue
+        reader.words = list(reversed(reader._split(rest)))
+        name = reader._name(keyword)
+        arrow = any(word.kind in ("arrow", "colon") for word in reader.words)
+        if (keyword, name) in found or keyword == "pl" and arrow:
+            raise NetError("it is not a plain list of places and transitions", element=name)
+        found[keyword, name] = number
+    written: Dict[Tuple[bool, str, str], str] = {}
+    for whole in (old, new):
+        for line in to_bytes(whole).decode("utf-8").splitlines():
+            reader.words = list(reversed(reader._split(line.partition(" ")[2])))
+            keyword = line.partition(" ")[0]
+            written[whole is new, keyword, reader._name(keyword)] = line
+    result: Dict[int, str] = {}
+    for (keyword, name), number in found.items():
+        if (True, keyword, name) not in written:
+            result[number] = ""
+        elif written[True, keyword, name] != written.get((False, keyword, name)):
+            result[number] = written[True, keyword, name]
+    added = [
+        line
+        for (is_new, keyword, name), line in written.items()
+        if is_new
+        and keyword != "net"
+        and (keyword, name) not in found
+        and line != written.get((False, keyword, name))  # a place that only transitions name
+    ]
+    kept = [
+        result.get(number, line) for number, line in enumerate(lines) if result.get(number) != ""
+    ]
+    return end.join([*kept, *added]) + (end if text.endswith("\n") or added else "")
+
+
 def _quote(name: str) -> str:
     if len(name.splitlines()) > 1 or name.splitlines() != [name]:
         raise NetError(
