@@ -145,6 +145,8 @@ def _recorded(args: argparse.Namespace, step: float) -> Tuple[Any, Moments]:
     def moments() -> Moments:
         for moment, poses in recording.every(step):
             if args.start <= moment <= args.start + args.seconds:
+                for number, at in enumerate(recording.people.get(moment, ())):
+                    physics.place_person(number, at)
                 yield moment, poses
 
     return physics, moments()

@@ -1,17 +1,18 @@
 """Recorded runs of the world: JSON lines, the first with the room and the robots, then one per
-moment."""
+moment: the time, the poses of the robots, and in a room into which people walk, where they are
+(null: away)."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Dict, Iterator, List, Optional, TextIO, Tuple, Type, Union
+from typing import Any, Dict, Iterator, List, Mapping, Optional, TextIO, Tuple, Type, Union
 
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.driving_team import DrivingTeam
-from gspn_framework_package.world.room import Pose, Room
+from gspn_framework_package.world.room import Point, Pose, Room
 from gspn_framework_package.world.room_file import parse_room
 
 FORMAT = "gspn_world_1"
@@ -38,10 +39,14 @@ class Recorder:
         self._out.write(json.dumps(head) + "\n")
 
     def record(self) -> None:
-        """Write the current poses of all robots."""
+        """Write the current poses of all robots, and where people are."""
         poses = [self._team.physics.pose(name) for name in self._team.robots]
         line = [[round(p.x, 4), round(p.y, 4), round(p.yaw, 4)] for p in poses]
-        self._out.write(json.dumps([round(self._team.time, 3), line]) + "\n")
+        moment: List[Any] = [round(self._team.time, 3), line]
+        if self._team.people:
+            where = [walker.at for walker in self._team.people]
+            moment.append([at and [round(at[0], 4), round(at[1], 4)] for at in where])
+        self._out.write(json.dumps(moment) + "\n")
 
     def close(self) -> None:
         """End the recording."""
@@ -66,11 +71,13 @@ class RoomRecording:
     :param room: the room.
     :param robots: names of the robots, in the order of the poses.
     :param moments: pairs of time in seconds and poses, sorted by time.
+    :param people: time -> where each person of the room is then; None: away.
     """
 
     room: Room
     robots: Tuple[str, ...]
     moments: Tuple[Tuple[float, Tuple[Pose, ...]], ...]
+    people: Mapping[float, Tuple[Optional[Point], ...]] = field(default_factory=dict)
 
     def every(self, seconds: float) -> Iterator[Tuple[float, Dict[str, Pose]]]:
         """Yield the latest recorded moment at regular intervals of ``seconds``."""
@@ -91,6 +98,7 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("cannot read the recording: %s" % error, file=str(file)) from None
     moments: List[Tuple[float, Tuple[Pose, ...]]] = []
+    people: Dict[float, Tuple[Optional[Point], ...]] = {}
     number = 1
     try:
         head = json.loads(lines[0])
@@ -99,12 +107,20 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
         robots = tuple(str(name) for name in head["robots"])
         room = parse_room(head["room"], str(file))
         for number, line in enumerate(lines[1:], 2):
-            if number == len(lines) and not line.endswith("]]]"):
-                break  # cut off when the run ended
-            time, poses = json.loads(line)
+            try:
+                time, poses, *where = json.loads(line)
+            except ValueError:
+                if number == len(lines):
+                    break  # cut off when the run ended
+                raise
             if len(poses) != len(robots):
                 raise ValueError("%d poses of %d robots" % (len(poses), len(robots)))
             moments.append((float(time), tuple(Pose(*map(float, pose)) for pose in poses)))
+            if room.people:
+                (seen,) = where
+                if len(seen) != len(room.people):
+                    raise ValueError("%d places of %d people" % (len(seen), len(room.people)))
+                people[float(time)] = tuple(at and (float(at[0]), float(at[1])) for at in seen)
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
             "no recording of a world: %s" % error,
@@ -112,4 +128,4 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
             line=number,
             hint="world.launch writes one with record:=FILE",
         ) from None
-    return RoomRecording(room, robots, tuple(moments))
+    return RoomRecording(room, robots, tuple(moments), people)

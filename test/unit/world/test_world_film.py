@@ -84,6 +84,33 @@ def test_a_recording_is_read_as_it_was_written(team, recording):
     assert [round(t, 1) for t, _ in read.every(1.0)] == [0.1, 1.1, 2.1, 3.0]
 
 
+def test_people_are_recorded_and_filmed(tmp_path, capsys):
+    person = "{path: [[-0.7, -0.7], [0.7, -0.7]], away_mean: 0.001, color: '#00ff00'}"
+    text = ROOM_TEXT + "people: [%s]\n" % person
+    team = DrivingTeam(parse_room(text), ["robot_1"])
+    file = tmp_path / "run.jsonl"
+    with Recorder(file, text, team) as recorder:
+        for _ in range(30):
+            team.step()
+            recorder.record()
+    team.close()
+    where = list(read_recording(file).people.values())
+    assert len(where) == 30 and where[:2] == [(None,), ((-0.7, -0.7),)]
+    words = ["--recording", str(file), "--seconds", "3", "--rate", "1", "--speed", "1"]
+    film = tmp_path / "film"
+    code = main(["film", str(film), *words, "--size", "320x240", "--view", "top"])
+    assert code == 0, capsys.readouterr().err
+
+    def green(picture):
+        pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+        return int(((pixels[..., 1] - pixels[..., [0, 2]].max(axis=2)) > 60).sum())
+
+    pictures = sorted(film.iterdir())
+    assert green(pictures[0]) == 0 and green(pictures[1]) > 20
+    file.write_text(file.read_text()[:-3])
+    assert len(read_recording(file).moments) == 29
+
+
 def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(recording):
     text = recording.read_text()
     recording.write_text(text[:-20])
