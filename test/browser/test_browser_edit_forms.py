@@ -263,6 +263,15 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     page.click("#ed-undo")
     assert state(page) == before
     assert tokens.input_value() == "2"
+    # undo works from the keyboard in a field that was entered, and the focus stays
+    capacity = control(page, name + ".capacity")
+    capacity.fill("4")
+    page.keyboard.press("Enter")
+    assert state(page)["net"]["places"][0]["capacity"] == 4
+    settle(page)
+    page.keyboard.press("Control+z")
+    assert state(page) == before
+    assert page.evaluate("() => document.activeElement.dataset.key") == name + ".capacity"
     # a name: not one that is taken; then it is another everywhere, and stays selected
     enter(page, name + ".name", "sorted")
     page.wait_for_selector(

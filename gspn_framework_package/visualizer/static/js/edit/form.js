@@ -101,6 +101,7 @@ export class FormPanel {
     this.element.addEventListener("focusin", () => this.session++);
     this.element.addEventListener("focusout", () => setTimeout(() => this.settle()));
     this.element.addEventListener("toggle", ({ target }) => this.fold(target), true);
+    this.element.addEventListener("keydown", (event) => this.key(event));
     this.ends = new AbortController();
     mode.document.addEventListener(
       "change",
@@ -114,6 +115,19 @@ export class FormPanel {
   /** Redraw whenever an event comes, until the mode is left. */
   listen(target, event) {
     target.addEventListener(event, () => this.refresh(), { signal: this.ends.signal });
+  }
+
+  /** Undo and redo work in a field too, unless somebody is typing in it: then the field itself undoes. */
+  key(event) {
+    if (!(event.ctrlKey || event.metaKey) || event.altKey) return;
+    const key = event.key.toLowerCase();
+    if (key === "s" && this.typing) event.target.dispatchEvent(new Event("change")); // it is saved too
+    const redo = key === "y" || (key === "z" && event.shiftKey);
+    if (this.typing || !(redo || key === "z")) return;
+    event.preventDefault();
+    event.stopPropagation();
+    if (redo) this.mode.redo();
+    else this.mode.undo();
   }
 
   /** Whether what is shown here may differ between two states. Moving nodes concerns few panels. */

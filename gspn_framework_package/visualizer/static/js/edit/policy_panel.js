@@ -8,7 +8,7 @@ import { Lens } from "./form.js";
 import { choiceText } from "../policy_table.js";
 import { NAMES } from "./schema_form.js";
 
-const ROWS = 50; // on one page of the table
+const ROWS = 20; // on one page of the table
 const TOLERANCE = 1e-6; // as in model/policy.py
 
 /** Why the choice of a row is not one; "" if it is. */
