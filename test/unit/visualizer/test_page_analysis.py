@@ -1,5 +1,6 @@
 """Analyses that the page asks for: each in a process that is limited and can be killed."""
 
+import io
 import json
 import resource
 import subprocess
@@ -10,8 +11,9 @@ from page_client import PageClient, small_net
 from waiting import wait_for
 
 from gspn_framework_package.benchmark.nets import kanban
+from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.visualizer import analysis_jobs
+from gspn_framework_package.visualizer import analysis_jobs, analysis_worker
 from gspn_framework_package.visualizer.analysis_jobs import JOBS_AT_ONCE
 from gspn_framework_package.visualizer.analysis_worker import MEMORY_BYTES
 from gspn_framework_package.visualizer.documents import Document
@@ -99,6 +101,27 @@ def test_limits_have_limits(ask, fields):
     assert start(ask(small_net()), **fields).status_code == 400
 
 
+@pytest.fixture(name="refusal")
+def _refusal(monkeypatch, capsys):
+    """What the program of an analysis answers to a request that it refuses. It runs in this process:
+    each of its own takes seconds to start."""
+
+    def refusal(**fields):
+        request = {**fields, "net": net_to_json(small_net()), "limit": 1000, "seconds": 10}
+        monkeypatch.setattr(analysis_worker, "_limit_itself", lambda seconds: None)
+        monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(request)))
+        assert analysis_worker.main() == 1
+        return json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+
+    return refusal
+
+
+def test_what_the_program_refuses_is_told(ask):
+    client = ask(small_net())
+    report = ended(client, start(client, simulate={"until": 3}))
+    assert (report["state"], report["error"]) == ("failed", "'until' is a condition")
+
+
 @pytest.mark.parametrize(
     "simulate",
     [
@@ -111,17 +134,15 @@ def test_limits_have_limits(ask, fields):
         {},
     ],
 )
-def test_simulated_runs_have_limits(ask, simulate):
-    client = ask(small_net())
-    report = ended(client, start(client, simulate=simulate))
-    assert report["state"] == "failed" and report["error"] and "Traceback" not in report["error"]
+def test_simulated_runs_have_limits(refusal, simulate):
+    error = refusal(simulate=simulate)
+    assert error and "Traceback" not in error
 
 
 @pytest.mark.parametrize("rewards", [{"a": "x"}, {"nothing": 1}, [1]])
-def test_rewards_that_make_no_sense_are_refused(ask, rewards):
-    client = ask(small_net())
-    report = ended(client, start(client, timing=True, rewards=rewards))
-    assert report["state"] == "failed" and "Traceback" not in report["error"]
+def test_rewards_that_make_no_sense_are_refused(refusal, rewards):
+    error = refusal(timing=True, rewards=rewards)
+    assert error and "Traceback" not in error
 
 
 def test_the_process_limits_its_memory_and_processor_time():
