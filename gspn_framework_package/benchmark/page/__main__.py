@@ -1,9 +1,10 @@
 """The page under load.
 
-    python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [log] [team]
-    [--json]
+    python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [edit] [log]
+    [team] [--json]
 
-*render*: first render, frames per second and firing to frame, in Chromium. *viewers*: many headless
+*render*: first render, frames per second and firing to frame, in Chromium. *edit*: frames per
+second while a net is edited. *viewers*: many headless
 viewers. *memory*: memory of the server, with a viewer that has stalled. *log*: opening a long event
 log. *team*: the cost of the page to five robots at full speed (needs ROS). By default, the first
 three run.
@@ -19,13 +20,14 @@ import tempfile
 from typing import Any, Dict, Iterator, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
+from gspn_framework_package.benchmark.page.editing import measure_editing
 from gspn_framework_package.benchmark.page.long_log import measure_log
 from gspn_framework_package.benchmark.page.rendering import measure_page
 from gspn_framework_package.benchmark.page.team import ARRANGEMENTS, measure_team
 from gspn_framework_package.benchmark.page.viewers import measure_memory, measure_viewers
 from gspn_framework_package.model.errors import GspnError
 
-WORDS = ("render", "viewers", "memory", "log", "team")
+WORDS = ("render", "viewers", "memory", "edit", "log", "team")
 
 
 def main() -> int:
@@ -37,7 +39,11 @@ def main() -> int:
         "what", nargs="*", metavar="WHAT", help="%s (default: the first three)" % ", ".join(WORDS)
     )
     parser.add_argument(
-        "--nodes", type=int, nargs="+", default=[100, 1000, 5000], help="sizes that are rendered"
+        "--nodes",
+        type=int,
+        nargs="+",
+        default=[100, 1000, 5000],
+        help="sizes that are rendered and edited",
     )
     parser.add_argument("--rate", type=float, default=100.0, help="firings a second")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of a measurement")
@@ -92,6 +98,9 @@ def _measurements(
         yield "viewers", measure_viewers(args.viewers, args.rate, args.seconds)
     if "memory" in what:
         yield "memory", measure_memory(args.events)
+    if "edit" in what:
+        for nodes in args.nodes:
+            yield "edit", measure_editing(nodes, args.seconds)
     if "log" in what:
         with tempfile.TemporaryDirectory() as folder:
             yield "log", measure_log(args.entries, args.log or os.path.join(folder, "long.jsonl"))

@@ -47,10 +47,11 @@ export class Canvas extends EventTarget {
     this.counts = null; // tokens that are shown instead of those of the document
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
-    this.layer = { arcs: s("g"), nodes: s("g"), over: s("g") };
+    this.layer = { arcs: s("g"), nodes: s("g"), lifted: s("g"), over: s("g") };
     container.replaceChildren(
       sheet("arcs", this.layer.arcs),
       sheet("nodes", this.layer.nodes),
+      sheet("lifted", this.layer.lifted),
       sheet("over", this.layer.over),
     );
     this.moving = Object.values(this.layer);
@@ -271,6 +272,20 @@ export class Canvas extends EventTarget {
     node.element.setAttribute("transform", at(node));
     for (const arc of node.arcs) this.stale.add(arc);
     this.request();
+  }
+
+  /** Draw some nodes and their arcs in a layer of their own while they move: the others are not drawn again. */
+  lift(nodes) {
+    for (const node of nodes) {
+      for (const { element } of node.arcs) this.layer.lifted.prepend(element);
+      this.layer.lifted.append(node.element);
+    }
+  }
+
+  /** Put what was lifted back. */
+  settle() {
+    for (const element of [...this.layer.lifted.children])
+      this.layer[element.dataset.arc === undefined ? "nodes" : "arcs"].append(element);
   }
 
   showArcs(list) {

@@ -6,7 +6,7 @@ import { arcKey, nodeKey } from "./net_edits.js";
 
 const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
-const PAUSE = 120; // ms after an edit before the list is drawn again
+const PAUSE = 120; // ms after an edit before the list is drawn again; longer if that takes long
 
 export class ElementList {
   constructor(mode) {
@@ -56,7 +56,8 @@ export class ElementList {
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => this.update(), PAUSE);
+    if (!this.timer)
+      this.timer = setTimeout(() => this.update(), Math.max(PAUSE, 25 * (this.cost || 0)));
   }
 
   update() {
@@ -66,6 +67,7 @@ export class ElementList {
       this.later();
       return;
     }
+    const begun = performance.now();
     const { net } = this.mode.document;
     const wanted = this.search.value.trim().toLowerCase();
     const found = (items) =>
@@ -122,6 +124,7 @@ export class ElementList {
       this.rows.set(row.dataset.key, row);
     }
     this.mark();
+    this.cost = performance.now() - begun;
   }
 
   row(item) {
