@@ -102,13 +102,11 @@ def _show_net(site):
 
 @pytest.fixture(name="serve_folder")
 def _serve_folder(site, tmp_path):
-    def make(folder=None, **options):
+    def make(folder=None, edits=False, **options):
         folder = folder or ROOT / "plans"
         runs = str(tmp_path / "runs")
-        return site(
-            Project(Folder(str(folder)), lambda document: StandaloneRun(document, runs), runs=runs),
-            **options,
-        )
+        start = lambda document: StandaloneRun(document, runs)  # noqa: E731
+        return site(Project(Folder(str(folder)), start, runs=runs, edits=edits), **options)
 
     return make
 

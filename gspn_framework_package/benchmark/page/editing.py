@@ -78,10 +78,10 @@ def measure_editing(nodes: int, seconds: float) -> Dict[str, Any]:
     positions are changed, nodes are added, the view is moved.
 
     :returns: for each of these ``frames_per_second``; ``code_p50_ms``, the time that the page's
-        code takes for one; ``page_cpu_ms`` and ``drawing_cpu_ms``, the processor time for a frame of the
-        thread of the page and of the one that puts the picture together, which work at the same
-        time: unlike frames per second, they do not depend on what else the machine does. And the
-        time of undoing :data:`UNDONE` edits (ms).
+        code takes for one; ``page_cpu_ms`` and ``drawing_cpu_ms``, the processor time for a frame
+        of the thread of the page and of the one that puts the picture together, which work at the
+        same time: unlike frames per second, they do not depend on what else the machine does. And
+        the time of undoing :data:`UNDONE` edits (ms).
     """
     net = workshop(nodes)
     plan = {"plan": NAME, "net": net_to_json(net), "actions": {}}

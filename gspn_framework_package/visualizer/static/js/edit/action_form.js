@@ -67,7 +67,9 @@ export function actionField(form, lens, title, schema) {
     whole.as(
       (it) => (it === undefined ? undefined : kindOfAction(it)),
       (chosen) =>
-        START[chosen]?.() ?? Object.fromEntries(kinds.get(chosen).required.map((key) => [key, ""])),
+        chosen in START
+          ? START[chosen]()
+          : Object.fromEntries(kinds.get(chosen).required.map((key) => [key, ""])),
       "kind",
     ),
     title,

@@ -88,6 +88,8 @@ function onlyMoved(before, after) {
 export const MIXED = Symbol("several values");
 
 /** A panel with a form. A subclass has `content()`, which returns the elements, and may add what else redraws it. */
+const SHARE = 4; // a form rests for so many times as long as drawing it took
+
 export class FormPanel {
   constructor(mode, name, title) {
     this.mode = mode;
@@ -97,6 +99,8 @@ export class FormPanel {
     this.session = 0; // counts the visits of fields: what is typed in one visit is undone together
     this.typing = false;
     this.stale = true;
+    this.timer = 0;
+    this.next = 0; // when it may be drawn again
     this.wanted = null; // key of the control that gets the focus when the form is drawn next
     this.element.addEventListener("focusin", () => this.session++);
     this.element.addEventListener("focusout", () => setTimeout(() => this.settle()));
@@ -158,12 +162,25 @@ export class FormPanel {
   }
 
   settle() {
-    if (!this.stale || this.typing) return;
+    if (!this.stale || this.typing || this.timer) return;
+    const wait = this.next - performance.now();
+    if (wait > 0) {
+      // edits that follow each other quickly are not all shown
+      this.timer = setTimeout(() => {
+        this.timer = 0;
+        this.settle();
+      }, wait);
+      return;
+    }
     if (isPressed(this.element)) {
       setTimeout(() => this.settle(), 50);
       return;
     }
-    if (this.element.getClientRects().length) this.draw();
+    if (!this.element.getClientRects().length) return;
+    const begun = performance.now();
+    this.draw();
+    const now = performance.now();
+    this.next = now + SHARE * (now - begun);
   }
 
   draw() {
