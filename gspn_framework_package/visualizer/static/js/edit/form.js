@@ -164,8 +164,8 @@ export class FormPanel {
   settle() {
     if (!this.stale || this.typing || this.timer) return;
     const wait = this.next - performance.now();
-    if (wait > 0) {
-      // edits that follow each other quickly are not all shown
+    if (wait > 0 && !this.element.contains(document.activeElement)) {
+      // edits made elsewhere that follow each other quickly are not all shown
       this.timer = setTimeout(() => {
         this.timer = 0;
         this.settle();
