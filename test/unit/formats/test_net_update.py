@@ -75,9 +75,8 @@ def test_one_edit_changes_one_line(path, tmp_path):
         assert same_net(read(tmp_path, text), new)
         lines = data.splitlines(), text.splitlines()
         assert len(set(lines[0]) ^ set(lines[1])) <= 2
-        assert (
-            update_net(text, path, OPTIONS, net) == data or "arcs" in change or "1.5" in str(text)
-        )
+        back = update_net(text, path, OPTIONS, net)
+        assert "arcs" in change or back == data
 
 
 @pytest.mark.parametrize("path", PLANS)
@@ -207,7 +206,7 @@ def plain(net):
 def test_any_net_becomes_any_other(format, features, tmp_path_factory):
     folder = tmp_path_factory.mktemp("nets")
 
-    @settings(suppress_health_check=list(HealthCheck), deadline=None, max_examples=50)
+    @settings(suppress_health_check=list(HealthCheck), deadline=None, max_examples=30)
     @given(pairs(**features))
     def becomes(pair):
         written, wanted = map(plain, pair) if format == "tina" else pair

@@ -250,7 +250,7 @@ def test_any_edits_are_saved_and_taken_back(folder, editor, name):
     first = editor.open(name)
     before = {k: v[0] for k, v in content(folder).items()}
 
-    @settings(suppress_health_check=list(HealthCheck), deadline=None, max_examples=25)
+    @settings(suppress_health_check=list(HealthCheck), deadline=None, max_examples=12)
     @given(st.data())
     def comes_and_goes(data):
         opened = editor.open(name)
