@@ -141,3 +141,76 @@ def test_each_edit_is_checked_and_the_witness_plays(open_editor, axe, tmp_path):
     axe(page, "the editor with findings")
     page.click("#ed-tab-here")
     axe(page, "the editor with what happens")
+
+    # pictures, made by the browser
+    for format, begins in (("svg", b"<svg"), ("png", b"\x89PNG")):
+        page.click("#ed-export")
+        page.select_option("#ed-export-format", format)
+        with page.expect_download() as download:
+            page.click("#dialog .primary")
+        path = tmp_path / ("picture." + format)
+        download.value.save_as(str(path))
+        data = path.read_bytes()
+        assert data.startswith(begins) and len(data) > 500
+        if format == "svg":
+            assert b"New" in data and b"var(" not in data and b"<script" not in data
+
+
+def test_two_people_on_one_file_lose_nothing(open_editor, folder):
+    mine = open_editor(expect_errors=True)  # a conflict is an answer with an error status
+    theirs = open_editor()
+    edit(mine, "Rename", [[["plan", "plan"], "mine"]])
+    edit(theirs, "Give fuel", [[["net", "places", 2, "tokens"], 7]])
+    theirs.click("#ed-save")
+    theirs.wait_for_selector("#ed-status:has-text('Saved.')")
+    saved = json.loads((folder / "plan.json").read_text())
+    assert saved["net"]["places"][2]["tokens"] == 7
+    assert list(saved) == list(PLAN) and saved["description"] == PLAN["description"]
+
+    # the second one sees what would be overwritten, and cancels: nothing is written
+    mine.keyboard.press("Control+s")
+    mine.wait_for_selector("#ed-conflict .diff-changed:has-text('place Fuel, tokens: 7 → 5')")
+    mine.click("#dialog button:has-text('Cancel')")
+    assert json.loads((folder / "plan.json").read_text()) == saved
+    mine.wait_for_selector("#ed-diff-title:has-text('From theirs to yours: 2 changes')")
+
+    # takes theirs, and finds the own state again by undo
+    mine.click("#ed-save")
+    mine.click("#dialog button:has-text('Take theirs')")
+    fuel = "() => window.gspn.edit.document.net.places[2].tokens"
+    mine.wait_for_function("() => !window.gspn.edit.document.dirty")
+    assert mine.evaluate(fuel) == 7
+    mine.click("#ed-undo")
+    assert mine.evaluate("() => window.gspn.edit.document.plan.plan") == "mine"
+
+    # keeps the own one
+    mine.click("#ed-save")
+    mine.wait_for_selector("#ed-status:has-text('Saved.')")
+    assert json.loads((folder / "plan.json").read_text())["plan"] == "mine"
+
+
+def test_a_draft_is_kept_and_offered(open_editor, folder):
+    page = open_editor()
+    before = (folder / "plan.json").read_text()
+    edit(page, "Rename", [[["plan", "plan"], "drafted"]])
+    page.wait_for_selector("#ed-draft-state:has-text('Draft kept')")
+    page.context.close()
+    assert (folder / "plan.json").read_text() == before
+    page = open_editor()
+    page.wait_for_selector("#ed-banner:has-text('was not saved')")
+    page.click("#ed-draft-compare")
+    page.wait_for_selector("#ed-changes:has-text('plan: round → drafted')")
+    page.click("#ed-draft-continue")
+    assert page.evaluate("() => window.gspn.edit.document.plan.plan") == "drafted"
+    page.click("#ed-save")
+    page.wait_for_selector("#ed-status:has-text('Saved.')")
+    assert json.loads((folder / "plan.json").read_text())["plan"] == "drafted"
+    page.context.close()
+    page = open_editor()
+    state_of_check(page, "checked")
+    assert page.is_hidden("#ed-banner")
+    page.click("#ed-save-as")
+    page.fill("#ed-save-name", "copy")
+    page.click("#dialog .primary")
+    page.wait_for_function("() => window.gspn.edit.id === 'file-copy/plan.json'")
+    assert json.loads((folder.parent / "copy" / "plan.json").read_text())["plan"] == "drafted"

@@ -321,11 +321,15 @@ export class Files {
     const name = `${String(own).replace(/[^\w.-]+/g, "_")}${ending}`;
     if (format === "svg") download(new Blob([svgOf(canvas).text], { type: "image/svg+xml" }), name);
     else if (format === "png") download(await pngOf(canvas), name);
-    else download(await this.fromServer({ document: edited.state, format }), name);
+    else {
+      const { blob, notes } = await this.fromServer({ document: edited.state, format });
+      download(blob, name);
+      if (notes.length) toast(`Exported as ${name}. ${notes.join("; ")}.`);
+    }
     this.mode.say(`Exported as ${name}.`);
   }
 
-  /** A file that the server makes. */
+  /** A file that the server makes, and notes on what it does not say. */
   async fromServer(body) {
     const id = new URLSearchParams({ id: this.mode.id });
     const response = await fetch(`/api/edit/export?${id}`, {
@@ -334,7 +338,8 @@ export class Files {
       headers: { "Content-Type": "application/json", "X-Gspn-Page": "1" },
       body: JSON.stringify(body),
     });
-    if (response.ok) return response.blob();
+    const notes = JSON.parse(response.headers.get("X-Gspn-Notes") || "[]");
+    if (response.ok) return { blob: await response.blob(), notes };
     const { error } = await response.json().catch(() => ({}));
     throw new Error(error || `the server answered ${response.status}`);
   }

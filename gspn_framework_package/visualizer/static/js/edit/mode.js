@@ -10,6 +10,7 @@ import { Checks } from "./checks.js";
 import { DiffView } from "./diff_view.js";
 import { bindEditKeys } from "./edit_keys.js";
 import { ElementList } from "./element_list.js";
+import { Files } from "./files.js";
 import { problemOfArc } from "./net_edits.js";
 import { PlanDocument } from "./plan_document.js";
 import { WhatHappens } from "./what_happens.js";
@@ -19,7 +20,7 @@ import { PolicyPanel } from "./policy_panel.js";
 import { PropertyPanel } from "./property_panel.js";
 
 /** The parts of the editor, made in this order, each with the mode. A part may have `close()`. */
-const PARTS = [PropertyPanel, PlanPanel, PolicyPanel, Checks, WhatHappens, DiffView];
+const PARTS = [PropertyPanel, PlanPanel, PolicyPanel, Checks, WhatHappens, DiffView, Files];
 
 /** The names of the groups of the tool bar, in their order. */
 const GROUPS = ["file", "history", "add", "change", "arrange", "look"];
