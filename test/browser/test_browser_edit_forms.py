@@ -135,9 +135,7 @@ def _open_editor(site, open_page, tmp_path):
         project = Project(
             Folder(str(folder)), lambda opened: StandaloneRun(opened, runs), runs=runs, edits=True
         )
-        page = open_page(
-            site(project).address, ready=False, expect_errors=True, reduced_motion="reduce"
-        )
+        page = open_page(site(project).address, ready=False, reduced_motion="reduce")
         page.wait_for_selector("#opening button")
         page.click("#opening button:has-text('plan.json')")
         page.wait_for_selector("body[data-ready]")
@@ -306,9 +304,12 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     assert state(page)["net"]["arcs"][6]["inhibitor"] is True
     page.click("#ed-undo")
     assert not control(page, "net.arc:Charger>plug_in.inhibitor").is_checked()
-    # an action that is not whole yet stays in the form
+    # an action is chosen from what there is; one that is not whole yet stays in the form
     choose(page, "place:Sort")
     key = "plan.actions.Sort"
+    control(page, key + " palette").select_option(label="actions.fetch")
+    assert state(page)["plan"]["actions"]["Sort"] == "actions.fetch"
+    page.click("#ed-undo")
     control(page, key + ".kind").select_option(label="a call of a service")
     page.wait_for_selector("#ed-properties .wrong:has-text('Not in the plan yet')")
     assert state(page)["plan"]["actions"]["Sort"] == "actions.sort"
