@@ -45,6 +45,7 @@ class Verb(NamedTuple):
 
 VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "new": Verb(".new", "write a plan to begin with: patrol, inspect, deliver, charge, rendezvous"),
+    "build": Verb(".build", "make a plan from a topological map and the tasks there"),
     "check": Verb(".check", "check whether a plan may run, before any robot moves"),
     "run": Verb(".run", "execute a plan without ROS, its agents on threads"),
     "simulate": Verb(".simulate", "simulate many runs of a net or plan, with confidence intervals"),

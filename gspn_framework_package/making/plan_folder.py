@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from typing import Any, Dict, List, Mapping, Optional
+from typing import Any, Dict, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.formats import encode_net, format_named
 from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
@@ -25,11 +25,13 @@ def write_plan_folder(
     plan: Mapping[str, Any],
     policy: Optional[Mapping[str, Any]],
     files: Mapping[str, str],
+    plans: Sequence[str] = (PLAN_FILE,),
 ) -> List[str]:
     """Write a plan into a new folder, and read it once to see that it is one.
 
     :param plan: the object of the plan file, without ``net`` and ``policy``.
     :param files: name -> text of further files.
+    :param plans: the plan files among them, which are read.
     :returns: the names of the files in the folder.
     :raises UsageError: the folder exists.
     :raises GspnError: it is not a plan.
@@ -59,7 +61,8 @@ def write_plan_folder(
         for name, content in contents.items():
             with open(os.path.join(folder, name), "wb") as file:
                 file.write(content)
-        read_plan(folder)
+        for name in plans:
+            read_plan(os.path.join(folder, name))
     except OSError as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise InputError("it cannot be written (%s)" % error.strerror, file=folder) from None

@@ -1,0 +1,385 @@
+"""Maps of a site: topological maps (``.tmap2``, and the older ``.tmap``) of topological_navigation,
+and plain graphs in YAML or JSON."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+from gspn_framework_package.formats.source import read_bytes
+from gspn_framework_package.making.yaml_file import LocatedYaml
+from gspn_framework_package.model.errors import InputError
+
+Step = Union[str, int]
+
+MOST_NODES = 2000
+"""Maximum number of nodes of a map."""
+
+
+class MapNode(NamedTuple):
+    """A node: its position (m), the pose for goals, and the frame of the pose."""
+
+    name: str
+    x: float
+    y: float
+    pose: Mapping[str, Any]
+    frame: str = "map"
+
+
+class MapEdge(NamedTuple):
+    """A directed edge.
+
+    :ivar length: in metres.
+    :ivar speed: in m/s, if the map says so.
+    :ivar seconds: how long it takes, if the map says so.
+    :ivar capacity: how many robots may be on it, if the map says so.
+    :ivar action: name of the action server that drives along it.
+    :ivar action_type: the type of its goals, as the map has it.
+    :ivar goal: its goal, in which ``$node.pose`` and ``$node.parent_frame`` stand for what the node
+        has.
+    """
+
+    source: str
+    target: str
+    length: float
+    speed: Optional[float] = None
+    seconds: Optional[float] = None
+    capacity: Optional[int] = None
+    action: str = "move_base"
+    action_type: str = "move_base_msgs/MoveBaseGoal"
+    goal: Optional[Mapping[str, Any]] = None
+
+
+class SiteMap(NamedTuple):
+    """A map: its ``nodes`` by name, its ``edges``, and ``notes`` on how it was read."""
+
+    name: str
+    nodes: Mapping[str, MapNode]
+    edges: Sequence[MapEdge]
+    notes: Sequence[str]
+
+
+def read_map(path: str) -> SiteMap:
+    """Read a map.
+
+    :raises InputError: the file cannot be read, or is not a map; with file, line and element.
+    """
+    text = read_bytes(path).decode("utf-8", "replace")
+    if re.match(r"\s*node:\s*\n\s*[^\s:]+\s*\n\s*waypoint:", text):
+        return _read_oldest(path, text)
+    document = LocatedYaml(path)
+    reader = _Reader(document)
+    data = document.data
+    name = os.path.splitext(os.path.basename(path))[0]
+    if isinstance(data, list):
+        reader.read_topological(data, [])
+    elif isinstance(data, dict) and "nodes" in data:
+        name = str(data.get("name") or name)
+        listed = data["nodes"]
+        if isinstance(listed, list) and any(isinstance(e, dict) and "node" in e for e in listed):
+            reader.read_topological(listed, ["nodes"])
+        else:
+            reader.read_graph(data)
+    else:
+        raise document.error(
+            "it is not a map: there are no 'nodes'",
+            [],
+            "a .tmap2 file of topological_navigation, or a graph with nodes and edges",
+        )
+    return reader.finished(name)
+
+
+def _read_oldest(path: str, text: str) -> SiteMap:
+    """Read a map in the first form of topological_navigation, which is not YAML: blocks of indented
+    lines, ``node:``, ``waypoint:`` with the seven numbers of its pose, ``edges:`` with lines
+    ``NODE, ACTION``, ``vertices:``."""
+    nodes: List[Dict[str, Any]] = []
+    lines: List[int] = []
+    part = ""
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.strip()
+        if not line:
+            continue
+        if line in ("node:", "waypoint:", "edges:", "vertices:"):
+            part = line[:-1]
+            continue
+        words = [word.strip() for word in line.split(",")]
+        if part == "node":
+            nodes.append({"name": line, "edges": []})
+            lines.append(number)
+        elif part == "waypoint":
+            try:
+                values = [float(word) for word in words]
+                x, y, z, *turned = values
+                if len(turned) != 4 or not all(map(math.isfinite, values)):
+                    raise ValueError
+            except ValueError:
+                raise InputError(
+                    "a waypoint has seven numbers: x, y, z and a quaternion",
+                    file=path,
+                    line=number,
+                    element=nodes[-1]["name"],
+                ) from None
+            pose = {
+                "position": dict(zip("xyz", (x, y, z))),
+                "orientation": dict(zip("xyzw", turned)),
+            }
+            nodes[-1]["pose"] = pose
+        elif part == "edges":
+            nodes[-1]["edges"].append({"node": words[0], "action": "".join(words[1:2])})
+    reader = _Reader(_Lines(path, lines))
+    reader.read_topological(nodes, [])
+    return reader.finished(os.path.splitext(os.path.basename(path))[0])
+
+
+class _Lines:
+    """Says where the nodes of a file that is not YAML are."""
+
+    def __init__(self, path: str, lines: List[int]) -> None:
+        self._path, self._lines = path, lines
+
+    def error(self, message: str, steps: Sequence[Step], hint: str = "") -> InputError:
+        """Return the error for an element, with file and line of its node."""
+        first = steps[0] if steps else None
+        line = self._lines[first] if isinstance(first, int) else None
+        return InputError(message, file=self._path, line=line, hint=hint or None)
+
+
+class _Reader:
+    def __init__(self, document: Union[LocatedYaml, _Lines]) -> None:
+        self._document = document
+        self._nodes: Dict[str, MapNode] = {}
+        self._edges: List[Tuple[MapEdge, List[Step]]] = []
+        self._closed: List[str] = []
+        self._restricted: Dict[str, int] = {}
+        self._untyped: Dict[str, int] = {}
+        self._itself = 0
+        self._notes: List[str] = []
+
+    # -- topological_navigation
+
+    def read_topological(self, entries: List[Any], at: List[Step]) -> None:
+        listed: List[Tuple[str, List[Any], List[Step]]] = []
+        for number, entry in enumerate(entries):
+            where = [*at, number]
+            if not isinstance(entry, dict):
+                raise self._document.error("it is not a node", where)
+            where = [*where, "node"] if "node" in entry else where
+            node = entry.get("node", entry)
+            if not isinstance(node, dict):
+                raise self._document.error("it is not a node", where)
+            meta = entry.get("meta")
+            name = node.get("name", meta.get("node") if isinstance(meta, dict) else None)
+            name = self._name(name, where)
+            pose = node.get("pose")
+            if not isinstance(pose, dict) or not isinstance(pose.get("position"), dict):
+                raise self._document.error(
+                    "the node '%s' has no pose with a position" % name, [*where, "pose"]
+                )
+            position = pose["position"]
+            x, y = (self._number(position.get(a), [*where, "pose", "position", a]) for a in "xy")
+            self._add(
+                MapNode(name, x, y, _whole_pose(pose), str(node.get("parent_frame") or "map")),
+                where,
+            )
+            if self._shut(node, "the node %s" % name):
+                self._closed.append(name)
+            edges = node.get("edges") or []
+            if not isinstance(edges, list):
+                raise self._document.error("it is not a list of edges", [*where, "edges"])
+            listed.append((name, edges, [*where, "edges"]))
+        for name, edges, where in listed:
+            for number, edge in enumerate(edges):
+                self._read_edge(name, edge, [*where, number])
+
+    def _read_edge(self, source: str, edge: Any, where: List[Step]) -> None:
+        if not isinstance(edge, dict) or "node" not in edge:
+            raise self._document.error("the edge does not say to which 'node' it leads", where)
+        target = self._name(edge["node"], [*where, "node"])
+        if self._shut(edge, "the edge from %s to %s" % (source, target)):
+            return
+        speed = edge.get("top_vel")
+        goal = edge.get("goal")
+        action = str(edge.get("action") or "move_base")
+        if not edge.get("action_type") and action != "move_base":
+            self._untyped[action] = self._untyped.get(action, 0) + 1
+        self._connect(
+            MapEdge(
+                source,
+                target,
+                0.0,
+                speed=self._number(speed, [*where, "top_vel"], above=0.0) if speed else None,
+                action=action,
+                action_type=str(edge.get("action_type") or "move_base_msgs/MoveBaseGoal"),
+                goal=goal if isinstance(goal, dict) and goal else None,
+            ),
+            where,
+        )
+
+    def _shut(self, element: Mapping[str, Any], what: str) -> bool:
+        """Whether nobody may use a node or an edge; restrictions that depend on the robot are
+        counted."""
+        for key in ("restrictions_planning", "restrictions_runtime"):
+            text = str(element.get(key, "True")).strip()
+            if text.lower() == "false":
+                self._notes.append("%s is left out: %s is False" % (what, key))
+                return True
+            if key == "restrictions_planning" and text.lower() not in ("true", "", "none"):
+                self._restricted[text] = self._restricted.get(text, 0) + 1
+        return False
+
+    # -- plain graphs
+
+    def read_graph(self, data: Mapping[str, Any]) -> None:
+        nodes, edges = data["nodes"], data.get("edges")
+        if isinstance(nodes, dict):
+            pairs = [(name, value, ["nodes", name]) for name, value in nodes.items()]
+        elif isinstance(nodes, list):
+            pairs = []
+            for number, value in enumerate(nodes):
+                if not isinstance(value, dict) or "name" not in value:
+                    raise self._document.error(
+                        "a node has a 'name', 'x' and 'y'", ["nodes", number]
+                    )
+                pairs.append((value["name"], value, ["nodes", number]))
+        else:
+            raise self._document.error("nodes are a list, or map names to positions", ["nodes"])
+        for name, value, where in pairs:
+            self._read_position(self._name(name, where), value, where)
+        if not isinstance(edges, list):
+            raise self._document.error("the graph has no list of 'edges'", ["edges"])
+        for number, edge in enumerate(edges):
+            self._read_graph_edge(edge, ["edges", number])
+
+    def _read_position(self, name: str, value: Any, where: List[Step]) -> None:
+        if isinstance(value, dict):
+            axes = [value.get(axis) for axis in "xy"]
+            yaw = self._number(value.get("yaw", 0.0), [*where, "yaw"])
+        elif isinstance(value, list) and len(value) in (2, 3):
+            axes = value[:2]
+            yaw = self._number(value[2], where) if len(value) == 3 else 0.0
+        else:
+            raise self._document.error(
+                "the node '%s' has no position" % name, where, "[x, y] or {x: 1.0, y: 2.0}"
+            )
+        x, y = (self._number(axis, where) for axis in axes)
+        turned = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+        pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turned}
+        self._add(MapNode(name, x, y, pose), where)
+
+    def _read_graph_edge(self, edge: Any, where: List[Step]) -> None:
+        if isinstance(edge, list) and len(edge) == 2:
+            edge = {"from": edge[0], "to": edge[1]}
+        if not isinstance(edge, dict) or not {"from", "to"} <= set(edge):
+            raise self._document.error("an edge is [A, B] or {from: A, to: B}", where)
+        unknown = set(edge) - {"from", "to", "one_way", "length", "seconds", "speed", "capacity"}
+        if unknown:
+            raise self._document.error(
+                "an edge has no '%s'" % sorted(map(str, unknown))[0],
+                where,
+                "it may have: one_way, length, seconds, speed, capacity",
+            )
+        values = {
+            key: self._number(edge[key], [*where, key], above=0.0)
+            for key in ("length", "seconds", "speed")
+            if key in edge
+        }
+        capacity = edge.get("capacity")
+        if capacity is not None and (type(capacity) is not int or capacity < 1):
+            raise self._document.error("it is not a whole number above 0", [*where, "capacity"])
+        a, b = (self._name(edge[key], [*where, key]) for key in ("from", "to"))
+        for source, target in ((a, b), (b, a))[: 1 if edge.get("one_way") else 2]:
+            self._connect(
+                MapEdge(
+                    source,
+                    target,
+                    values.get("length", 0.0),
+                    values.get("speed"),
+                    values.get("seconds"),
+                    capacity,
+                ),
+                where,
+            )
+
+    # -- both
+
+    def _name(self, name: Any, where: List[Step]) -> str:
+        if isinstance(name, bool) or not isinstance(name, (str, int)) or not str(name).strip():
+            raise self._document.error("a node has no name", where)
+        return str(name)
+
+    def _number(self, value: Any, where: List[Step], above: Optional[float] = None) -> float:
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            number = float(value)
+            if math.isfinite(number) and abs(number) < 1e9 and (above is None or number > above):
+                return number
+        raise self._document.error(
+            "'%s' is not a number%s" % (value, "" if above is None else " above %g" % above), where
+        )
+
+    def _add(self, node: MapNode, where: List[Step]) -> None:
+        if node.name in self._nodes:
+            raise self._document.error("the node '%s' is there twice" % node.name, where)
+        if len(self._nodes) >= MOST_NODES:
+            raise self._document.error("a map may have %d nodes" % MOST_NODES, where)
+        self._nodes[node.name] = node
+
+    def _connect(self, edge: MapEdge, where: List[Step]) -> None:
+        if edge.source == edge.target:
+            self._itself += 1
+            return
+        self._edges.append((edge, where))
+
+    def finished(self, name: str) -> SiteMap:
+        """Return the map. :raises InputError: an edge leads nowhere, or there is no node."""
+        if not self._nodes:
+            raise self._document.error("the map has no nodes", ["nodes"])
+        found: Dict[Tuple[str, str], MapEdge] = {}
+        doubles = 0
+        for edge, where in self._edges:
+            for end in (edge.source, edge.target):
+                if end not in self._nodes:
+                    raise self._document.error("there is no node '%s'" % end, where)
+            if edge.source in self._closed or edge.target in self._closed:
+                continue
+            if (edge.source, edge.target) in found:
+                doubles += 1
+                continue
+            a, b = self._nodes[edge.source], self._nodes[edge.target]
+            length = edge.length or math.hypot(b.x - a.x, b.y - a.y)
+            found[edge.source, edge.target] = edge._replace(length=length)
+        if self._itself:
+            self._notes.append("edges from a node to itself are left out (%d)" % self._itself)
+        if doubles:
+            self._notes.append(
+                "of several edges between the same nodes the first one counts; left out: %d"
+                % doubles
+            )
+        for action, times in self._untyped.items():
+            self._notes.append(
+                "the map gives no type for the action '%s' (%d times): on ROS it gets a goal "
+                "of move_base" % (action, times)
+            )
+        for text, times in self._restricted.items():
+            self._notes.append(
+                "the restriction '%s' (%d times) depends on the robot, so it is not applied"
+                % (text, times)
+            )
+        nodes = {key: node for key, node in self._nodes.items() if key not in self._closed}
+        return SiteMap(name, nodes, list(found.values()), self._notes)
+
+
+def _whole_pose(pose: Mapping[str, Any]) -> Dict[str, Any]:
+    """The pose with all fields. A quaternion of zeros, as some maps have it, is no rotation."""
+    position = {a: float(pose["position"].get(a) or 0.0) for a in "xyz"}
+    given = pose.get("orientation")
+    turned = dict.fromkeys("xyzw", 0.0)
+    if isinstance(given, dict):
+        for axis in turned:
+            value = given.get(axis)
+            turned[axis] = float(value) if isinstance(value, (int, float)) else 0.0
+    if not any(turned.values()):
+        turned["w"] = 1.0
+    return {"position": position, "orientation": turned}

@@ -1,0 +1,133 @@
+"""What the robots do at the nodes of a map: ``tasks.yaml``."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+import jsonschema
+
+from gspn_framework_package.making.site_map import SiteMap
+from gspn_framework_package.making.yaml_file import LocatedYaml
+
+SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
+"""The JSON schema of the file."""
+
+
+class SiteTask(NamedTuple):
+    """A task: its nodes, mean ``seconds``, mean seconds until it is due ``again_after`` it was
+    done, and its ``action`` on ROS (as in a plan file), if any."""
+
+    at: Sequence[str]
+    seconds: float
+    again_after: float = 60.0
+    action: Any = None
+
+
+class SiteTasks(NamedTuple):
+    """The content of the file, with its defaults.
+
+    :ivar edges: (node, node) -> capacity and seconds that the file gives that edge, in both
+        directions; a capacity of None is any number.
+    :ivar battery: level, from full to low -> probability that it ends on an edge; empty: robots do
+        not need to charge.
+    :ivar docks: node -> how many robots can charge there at a time.
+    """
+
+    plan: Optional[str] = None
+    start: Sequence[str] = ()
+    speed: float = 0.5
+    shape: float = 16.0
+    capacity: Optional[int] = 1
+    edges: Mapping[Tuple[str, str], Mapping[str, Any]] = {}
+    tasks: Mapping[str, SiteTask] = {}
+    battery: Mapping[str, float] = {}
+    docks: Mapping[str, int] = {}
+    charge: float = 60.0
+    stranded: float = 600.0
+
+
+def read_tasks(path: str, site: SiteMap) -> SiteTasks:
+    """Read the file for a map.
+
+    :raises InputError: it does not fit the schema or the map; with file, line and element.
+    """
+    document = LocatedYaml(path)
+    data = {} if document.data is None else document.data
+    with open(SCHEMA, encoding="utf-8") as file:
+        validator = jsonschema.Draft7Validator(json.load(file))
+    fault = jsonschema.exceptions.best_match(validator.iter_errors(data))
+    if fault is not None:
+        raise document.error(fault.message, list(fault.absolute_path), "see docs/building_plans.md")
+    reader = _Names(document, site)
+    tasks = {
+        name: SiteTask(
+            reader.nodes(task["at"], ["tasks", name, "at"]),
+            float(task["seconds"]),
+            float(task.get("again_after", SiteTask._field_defaults["again_after"])),
+            task.get("action"),
+        )
+        for name, task in data.get("tasks", {}).items()
+    }
+    docks = {
+        reader.node(node, ["docks", str(node)]): places
+        for node, places in data.get("docks", {}).items()
+    }
+    battery = {str(level): float(share) for level, share in data.get("battery", {}).items()}
+    if battery and not docks:
+        raise document.error(
+            "the robots have batteries, and nowhere to charge", ["battery"], "give 'docks' too"
+        )
+    simple = {key: data[key] for key in ("plan",) if key in data}
+    for key in ("speed", "shape", "charge", "stranded"):
+        if key in data:
+            simple[key] = float(data[key])
+    if "capacity" in data:
+        simple["capacity"] = data["capacity"]
+    return SiteTasks(
+        start=reader.nodes(data.get("start", []), ["start"]),
+        edges=reader.edges(data.get("edges", {})),
+        tasks=tasks,
+        battery=battery,
+        docks=docks,
+        **simple,
+    )
+
+
+class _Names:
+    """Looks up nodes and edges of the map."""
+
+    def __init__(self, document: LocatedYaml, site: SiteMap) -> None:
+        self._document = document
+        self._site = site
+
+    def node(self, name: Any, where: List[Union[str, int]]) -> str:
+        if str(name) not in self._site.nodes:
+            raise self._document.error(
+                "there is no node '%s' in the map" % name,
+                where,
+                "it has %s" % ", ".join(list(self._site.nodes)[:8]),
+            )
+        return str(name)
+
+    def nodes(self, names: Sequence[Any], where: List[Union[str, int]]) -> List[str]:
+        found = [self.node(name, [*where, number]) for number, name in enumerate(names)]
+        for number, name in enumerate(found):
+            if name in found[:number]:
+                raise self._document.error("'%s' is there twice" % name, [*where, number])
+        return found
+
+    def edges(self, data: Mapping[Any, Any]) -> Dict[Tuple[str, str], Mapping[str, Any]]:
+        pairs = [(edge.source, edge.target) for edge in self._site.edges]
+        found: Dict[Tuple[str, str], Mapping[str, Any]] = {}
+        for name, given in data.items():
+            meant = [pair for pair in pairs if "_".join(pair) == str(name)]
+            if len(meant) != 1:
+                raise self._document.error(
+                    "%s edge '%s' in the map" % ("more than one" if meant else "there is no", name),
+                    ["edges", str(name)],
+                    "A_B is the edge from A to B",
+                )
+            found[meant[0]] = found[meant[0][::-1]] = given
+        return found
