@@ -170,6 +170,13 @@ class _Printer(Listener):
             elif not self._quiet:
                 print("%6d  %s  %s" % (self._count, firing.transition, _moves(firing)), flush=True)
 
+    def on_plan(self, plan: Plan) -> None:
+        self._plan = plan
+        if self._json:
+            self._print({"event": "plan", "plan": plan.name})
+        elif not self._quiet:
+            print("        goes on under the plan %s" % plan.name, flush=True)
+
     def on_fault(self, agent: str, message: str) -> None:
         if self._json:
             self._print({"event": "fault", "agent": agent, "message": message})

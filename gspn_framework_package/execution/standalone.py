@@ -18,6 +18,7 @@ import time
 from typing import (
     Any,
     Callable,
+    Collection,
     Dict,
     List,
     Mapping,
@@ -28,7 +29,7 @@ from typing import (
     Union,
 )
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
@@ -68,6 +69,7 @@ from gspn_framework_package.model.errors import (
     GspnError,
     InputError,
     PlanError,
+    RefusedError,
     UsageError,
 )
 from gspn_framework_package.model.plan import Plan
@@ -85,6 +87,9 @@ class Listener:
         state: TeamState,
     ) -> None:
         """The entries of log slot ``slot`` were reduced and led to these firings and this state."""
+
+    def on_plan(self, plan: Plan) -> None:
+        """The run goes on under another plan; told before the step that adopts it."""
 
     def on_phase(self, agent: str, phase: Phase) -> None:
         """An agent entered a phase: FREE, DOING (Occupied), DONE, WAITING, FAILED, INACTIVE, or at
@@ -160,7 +165,10 @@ class StandaloneExecutor:
         self._clock = time_source
         if not allow_commands:
             refuse_commands(plan, ALLOW)
+        self._allow_commands = allow_commands
         self._actions = _load_functions(plan)
+        self._prepared: Dict[str, Tuple[Plan, Dict[str, Dict[str, LocalAction]]]] = {}
+        """Digest of a plan that is about to be adopted -> the plan, and its actions."""
         self._pool = WorkerPool("agent")
         self._queue: queue.SimpleQueue[_Message] = queue.SimpleQueue()
         self._running: Dict[str, _Attempt] = {}
@@ -172,8 +180,10 @@ class StandaloneExecutor:
         self._halted: Dict[str, StartAction] = {}
         self._timers: List[Tuple[float, int, _Message]] = []
         self._timer_numbers = itertools.count()
-        host = EventHost(self._event_observed, self._task_came, self._event_failed, self._data_of)
-        self._functions = EventFunctions(plan, host, topics=False)
+        self._host = EventHost(
+            self._event_observed, self._task_came, self._event_failed, self._data_of
+        )
+        self._functions = EventFunctions(plan, self._host, topics=False)
         self._environment = Environment(
             self.game, random.Random(plan.seed), without=self._functions.tasks
         )
@@ -209,6 +219,82 @@ class StandaloneExecutor:
         """Queue an order of the operator: Pause, Resume, Retry, SetPlace, Fire, Submit, Leave or
         Stop."""
         self._queue.put(lambda: [entry])
+
+    def deploy(
+        self,
+        plan: Plan,
+        mapping: Mapping[str, str] = NOTHING,
+        timeout: float = 30.0,
+        check: Callable[[Plan], str] = lambda plan: "",
+    ) -> None:
+        """Go on under another plan without stopping; returns when the run follows it. Actions that
+        run finish under their old binding (see ``docs/semantics.md``).
+
+        :param plan: a validated plan.
+        :param mapping: names of places and transitions of the present net -> their names in
+            ``plan``.
+        :param timeout: most seconds to wait.
+        :param check: receives the plan as if it began where the run is; returns why it must not
+            run, "" if it may.
+        :raises PlanError: an action needs ROS; a function is missing or broken.
+        :raises RefusedError: the state of the run does not fit the plan, the check refuses it from
+            there, an action is a command, and they are not allowed, or the run is over. Nothing has
+            changed.
+        :raises ExecutionError: the executor did not answer in time.
+        """
+        if not self._allow_commands:
+            refuse_commands(plan, ALLOW)
+        actions = _load_functions(plan)
+        self._check_from_here(plan, mapping, check)
+        entry = plan_change.stage_of(plan, mapping, plan.folder or "")
+        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+        def adopted() -> List[log_entries.Entry]:
+            now = self.state.adopted
+            answers.put(
+                "" if now is not None and now.digest == entry.digest else "it was overtaken"
+            )
+            return []
+
+        def message() -> List[log_entries.Entry]:
+            why = plan_change.why_not(self.state, self.plan, plan, mapping)
+            if why:
+                answers.put("; ".join(why))
+                return []
+            self._prepared[entry.digest] = plan, actions
+            self._queue.put(adopted)
+            number = self.state.stages + 1
+            return [entry, log_entries.Staged("", 0, number), log_entries.Adopt(number)]
+
+        self._queue.put(message)
+        deadline = time.monotonic() + timeout
+        while True:
+            try:
+                why = answers.get(timeout=0.05)
+                break
+            except queue.Empty:
+                if self.over:
+                    why = "the run is over"
+                    break
+                if time.monotonic() > deadline:
+                    raise ExecutionError("the plan was not adopted within %g s" % timeout) from None
+        if why:
+            raise RefusedError("the plan is not adopted: %s" % why, file=plan.file)
+
+    def _check_from_here(
+        self, plan: Plan, mapping: Mapping[str, str], check: Callable[[Plan], str]
+    ) -> None:
+        """:raises RefusedError: the check refuses a plan from where the run is."""
+        with self._lock:
+            why = plan_change.why_not(self.state, self.plan, plan, mapping)
+            if why:
+                raise RefusedError("the plan is not adopted: %s" % "; ".join(why), file=plan.file)
+            here = plan_change.begun_here(self.state, self.plan, plan, mapping)
+        refused = check(here)
+        if refused:
+            raise RefusedError(
+                "the check refuses the plan from where the run is: %s" % refused, file=plan.file
+            )
 
     def submit(
         self, transition: str, data: Mapping[str, Any] = NOTHING, task: Union[str, int] = ""
@@ -309,6 +395,8 @@ class StandaloneExecutor:
             entries = self._queue.get(timeout=timeout)()
         except queue.Empty:
             entries = []
+        if any(isinstance(entry, log_entries.Adopt) for entry in entries):
+            return entries  # in a slot of its own: one slot, one net
         now = self._clock()
         while self._timers and self._timers[0][0] <= now:
             entries += heapq.heappop(self._timers)[2]()
@@ -326,6 +414,8 @@ class StandaloneExecutor:
         with self._lock:
             slot = self._ledger.length
             step = self.game.reduce(self.state, slot, entries)
+            if step.adopted:
+                self._follow_plan(step.game(self.game))
         if self._event_log is not None:  # before any of its effects leaves the process
             self._record(self._ledger.record(slot, entries, [], step))
         self._tell_phases(step)
@@ -339,7 +429,8 @@ class StandaloneExecutor:
         if self._halted:
             self._release()
         if self._interrupts and self.state.ended is None:
-            self._follow_visits(entries, step)
+            everyone = self.state.robots if step.adopted else ()
+            self._follow_visits({*robots_in(self.state, entries, step), *everyone})
         if enough:
             more = (
                 ""
@@ -347,6 +438,31 @@ class StandaloneExecutor:
                 else " (%d fired: one event sets off several)" % self._fired
             )
             self._reduce([log_entries.Stop("the limit of %s firings%s" % (limit, more))])
+
+    def _follow_plan(self, game: TokenGame) -> None:
+        """Start later actions as another plan says, and watch its events."""
+        adopted = self.state.adopted
+        assert adopted is not None
+        before = self.plan
+        self.game = game
+        self.plan, self._actions = self._prepared.pop(adopted.digest)
+        if (self.plan.events, self.plan.submissions) != (before.events, before.submissions):
+            self._functions.close()
+            self._functions = EventFunctions(self.plan, self._host, topics=False)
+            self._functions.watch_tasks()
+            self._watched_visits.clear()
+        self._environment = Environment(
+            game, random.Random(self.plan.seed), without=self._functions.tasks
+        )
+        self._interrupts = any(self.plan.interrupts(place) for place in self.plan.action_places)
+        self._asked_anew = asked_anew(self.plan, topics=False)
+        watches, self._watches = self._watches, {}
+        if self._interrupts:
+            for agent, watch in watches.items():
+                self._watches[agent] = EventWatch(self.plan, agent, self._asked_anew)
+                self._watches[agent].go_on_from(watch, adopted.mapping)
+                self._functions.watch(agent)
+        self._listener.on_plan(self.plan)
 
     def _record(self, *records: Record) -> None:
         if self._event_log is not None:
@@ -510,9 +626,9 @@ class StandaloneExecutor:
                     task = task._replace(id=new)
         return task
 
-    def _follow_visits(self, entries: List[log_entries.Entry], step: Step) -> None:
-        """Look for events that interrupt the visits that have begun."""
-        for agent in sorted(robots_in(self.state, entries, step)):
+    def _follow_visits(self, agents: Collection[str]) -> None:
+        """Look for events that interrupt the visits of these agents, which may have begun."""
+        for agent in sorted(agents):
             robot = self.state.robots.get(agent)
             if robot is None or robot.phase.gone:
                 if self._watches.pop(agent, None) is not None:
@@ -576,14 +692,21 @@ class StandaloneExecutor:
         if timeout is not None:
             self._at(self._clock() + timeout, lambda: self._timed_out(command, timeout))
         self._set_phase(command.robot, Phase.DOING)
+        plan, actions = self.plan, self._actions  # another plan may follow before it ends
         try:
-            self._pool.submit(lambda: self._execute(command, attempt))
+            self._pool.submit(lambda: self._execute(command, attempt, plan, actions))
         except RuntimeError as error:  # the system cannot create another thread
             entry = self._failed(command, "aborted", "the action cannot be started: %s" % error)
             self._queue.put(lambda: self._finished(command, attempt, entry))
         return []
 
-    def _execute(self, command: StartAction, attempt: _Attempt) -> None:
+    def _execute(
+        self,
+        command: StartAction,
+        attempt: _Attempt,
+        plan: Plan,
+        actions: Mapping[str, Mapping[str, LocalAction]],
+    ) -> None:
         """Run the function and put the outcome into the queue (on a thread of the pool)."""
 
         def feedback(*progress: Any) -> None:
@@ -592,13 +715,13 @@ class StandaloneExecutor:
         context = ActionContext.of(command, feedback, attempt.cancellation)
         entry: log_entries.Entry
         try:
-            action = self._actions.get(command.robot) or self._actions[""]
+            action = actions.get(command.robot) or actions[""]
             result = action[command.place](context)
             entry = log_entries.Done(
                 command.robot,
                 command.incarnation,
                 command.visit,
-                self.plan.transition_meant(command.place, result.transition),
+                plan.transition_meant(command.place, result.transition),
                 result.data,
             )
         except (ActionFailed, DataError) as error:

@@ -297,7 +297,12 @@ def _change_policy(data: Dict[str, Any], mapping: Dict[str, str], source: random
 def _rename(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
     """Another name for a place or transition, with a mapping or (seldom) without."""
     nodes = [n["name"] for n in (*data["net"]["places"], *data["net"]["transitions"])]
-    old = source.choice([n for n in nodes if n != "full"])  # "full" is also a word of the format
+    if source.random() < 0.5:  # results of running actions name transitions
+        old = source.choice([t["name"] for t in data["net"]["transitions"]])
+    else:
+        old = source.choice(nodes)
+    if old == "full":  # also a word of the format
+        return
     new = "%s_%d" % (old.split("_")[0], source.randrange(1000))
     if new in nodes:
         return

@@ -1,0 +1,112 @@
+#!/usr/bin/env python3
+"""Another plan for a running team: staged, voted on and adopted by real nodes, one of which is
+killed at a step of staging."""
+
+import contextlib
+import io
+import os
+import sys
+
+import rospy
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+
+from robots import RobotTestCase, chain, write_plan
+from waiting import wait_for
+
+from gspn_framework_package.cli.main import main
+
+ACTIONS = """
+def work(is_cancelled):
+    is_cancelled.wait(0.2)
+"""
+
+
+def round_of(places):
+    """The net of a patrol: each place leads to the next, the last one to the first."""
+    net = chain(places)
+    net["transitions"].append({"name": "again", "timed": True})
+    net["arcs"] += [{"from": places[-1], "to": "again"}, {"from": "again", "to": places[0]}]
+    return net
+
+
+def patrol(places, mode, **more):
+    """A plan for two robots that go round."""
+    return {
+        "plan": "%d places" % len(places),
+        "net": round_of(places),
+        "actions": dict.fromkeys(places, "actions.work"),
+        "robots": {"robot_1": "A", "robot_2": "A"},
+        "synchronisation": mode,
+        "agreement": {"evict_after": 0},
+        **more,
+    }
+
+
+def gspn(*words):
+    """The command line, in this process: (exit code, output)."""
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        code = main(words)
+    return code, output.getvalue()
+
+
+class DeployTest(RobotTestCase):
+    def start(self, mode):
+        team = self.team(patrol("ABCD", mode), ("robot_1", "robot_2"), actions=ACTIONS).start()
+        team.wait_for_firings(2)
+        return team
+
+    def plan(self, places, mode, actions=ACTIONS, **more):
+        return os.path.join(write_plan(patrol(places, mode, **more), actions), "plan.json")
+
+    def test_a_patrol_gets_a_fifth_location_without_stopping(self):
+        for mode in ("full", "partial"):
+            team = self.start(mode)
+            broken = self.plan("ABCDE", mode, actions="def other():\n    pass\n")
+            code, text = gspn("deploy", broken)
+            self.assertEqual(code, 1)
+            self.assertIn("work", text)
+            self.assertIsNone(team["robot_1"].status()["staged"])
+            other = "partial" if mode == "full" else "full"
+            code, text = gspn("deploy", self.plan("ABCDE", other))
+            self.assertEqual(code, 1)
+            self.assertIn("synchronisation", text)
+            code, text = gspn("deploy", self.plan("ABCDE", mode))
+            self.assertEqual(code, 0, text)
+            for robot in team:
+                wait_for(lambda: robot.status()["plan_name"] == "5 places", 10, "the new plan")
+                wait_for(lambda: robot.status()["marking"].get("E", 0) > 0, 30, "a robot in E")
+            self.assertEqual({r["incarnation"] for r in team["robot_1"].status()["robots"]}, {0})
+            team["robot_2"].kill()  # it learns of the plan from its log
+            team["robot_2"].start()
+            wait_for(lambda: team["robot_2"].status()["active"], 20, "its return")
+            self.assertEqual(team["robot_2"].status()["plan_name"], "5 places")
+            firings = len(team["robot_1"].logged_transitions())
+            wait_for(
+                lambda: len(team["robot_1"].logged_transitions()) > firings + 5, 30, "more firings"
+            )
+            self.assertIsNone(team.verify())
+            team.close()
+
+    def test_a_robot_that_is_killed_while_it_looks_at_a_plan_votes_when_it_is_back(self):
+        team = self.start("full")
+        slow = "import time\ntime.sleep(3)\n" + ACTIONS
+        stage = self.plan("ABCDE", "full", actions=slow)
+        code, text = gspn("deploy", stage, "--wait", "0.2")
+        self.assertEqual(code, 1)
+        self.assertIn("no word", text)
+        team["robot_2"].kill()
+        team["robot_2"].start()
+        wait_for(lambda: team["robot_2"].status()["active"], 20, "its return")
+        code, text = gspn("deploy", stage)
+        self.assertEqual(code, 0, text)
+        self.assertIsNone(team.verify())
+
+
+if __name__ == "__main__":
+    import rostest
+
+    rospy.init_node("test_deploy")
+    rostest.rosrun("gspn_framework_package", "deploy", __name__)

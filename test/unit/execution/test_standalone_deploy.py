@@ -1,0 +1,92 @@
+"""Another plan for a standalone run: adopted while its agents act."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+import pytest
+
+from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+from gspn_framework_package.formats.plan_json import plan_from_json
+from gspn_framework_package.model.errors import PlanError, RefusedError
+
+ACTIONS = """
+import sys
+import threading
+
+GO = threading.Event()
+
+def old(is_cancelled):
+    GO.wait(30)
+    return "ab"
+
+def new(is_cancelled):
+    is_cancelled.wait(0.01)
+"""
+
+
+def _plan(folder, arcs, actions, start="A"):
+    places = sorted({p for pair in arcs.values() for p in pair})
+    net = {
+        "places": [{"name": p, "tokens": int(p == start)} for p in places],
+        "transitions": [{"name": t, "timed": True} for t in arcs],
+        "arcs": [
+            arc
+            for t, (a, b) in arcs.items()
+            for arc in ({"from": a, "to": t}, {"from": t, "to": b})
+        ],
+    }
+    return plan_from_json({"net": net, "actions": actions}, folder=str(folder))
+
+
+class _Heard(Listener):
+    def __init__(self):
+        self.fired, self.plans = [], []
+        self.there = threading.Condition()
+
+    def on_step(self, slot, entries, firings, state):
+        with self.there:
+            self.fired += [f.transition for f in firings]
+            self.there.notify_all()
+
+    def on_plan(self, plan):
+        self.plans.append(plan.name)
+
+    def wait_for(self, transition):
+        with self.there:
+            assert self.there.wait_for(lambda: transition in self.fired, 30), self.fired
+
+
+def test_a_run_goes_on_under_another_plan(tmp_path) -> None:
+    name = "acts_%d" % time.monotonic_ns()
+    (tmp_path / (name + ".py")).write_text(ACTIONS)
+    old, new = "%s.old" % name, "%s.new" % name
+    plan = _plan(tmp_path, {"ab": "AB", "ba": "BA"}, {"A": old, "B": new})
+    log = EventLogWriter(str(tmp_path / "log.jsonl"), header(plan, "r", "", "x", agents=True))
+    heard = _Heard()
+    executor = StandaloneExecutor(plan, heard, log)
+    executor.start()
+    wider = {"xb": "XB", "bc": "BC", "cx": "CX"}
+    bound = dict.fromkeys("XBC", new)
+    with pytest.raises(RefusedError, match="is in 'A'"):
+        executor.deploy(_plan(tmp_path, wider, bound, "X"))
+    with pytest.raises(PlanError):
+        executor.deploy(_plan(tmp_path, wider, {**bound, "C": name + ".none"}, "X"), {"A": "X"})
+    mapping = {"A": "X", "ab": "xb", "ba": "bc"}
+    executor.deploy(_plan(tmp_path, wider, bound, "X"), mapping)
+    assert heard.plans and executor.status()["marking"] == {"X": 1, "B": 0, "C": 0}
+
+    module = next(m for n, m in sys.modules.items() if n.endswith(name) or name in n)
+    module.GO.set()
+    heard.wait_for("cx")
+    assert heard.fired[:3] == ["xb", "bc", "cx"]
+    executor.stop()
+    executor.wait(10)
+    log.close()
+    read = read_log(str(tmp_path / "log.jsonl"))
+    assert verify([read]).violation is None
+    assert list(replay(read))[-1].state.ended
