@@ -540,7 +540,16 @@ def _is_installed(name: str) -> bool:
     )
 
 
+_LOADING = threading.RLock()
+"""Held while a file is loaded: no other thread gets a module that is not whole yet."""
+
+
 def _load_file(folder: str, file: str, element: str) -> ModuleType:
+    with _LOADING:
+        return _load_file_once(folder, file, element)
+
+
+def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
     # The name is unique: two plans may both have an actions.py, even in one process.
     digest = hashlib.sha256(os.path.realpath(file).encode()).hexdigest()[:12]
     name = "gspn_plan_%s_%s" % (digest, os.path.splitext(os.path.basename(file))[0])
@@ -556,11 +565,15 @@ def _load_file(folder: str, file: str, element: str) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
+    except PlanError as error:
+        del sys.modules[name]
+        raise error.located(file=file) from None
     except Exception as error:
         del sys.modules[name]
-        if isinstance(error, PlanError):
-            raise error.located(file=file) from None
         raise _import_failed(error, file, element) from error
+    except BaseException:  # it is not whole either
+        del sys.modules[name]
+        raise
     return module
 
 

@@ -1,5 +1,6 @@
 """Actions that are Python functions: finding them, and what they are given."""
 
+import builtins
 import threading
 
 import pytest
@@ -115,6 +116,26 @@ def test_modules_of_the_folder_may_import_each_other(tmp_path):
     write(tmp_path, "deep/er.py", "def go():\n    return 'T8'\n")
     assert load_action(folder, "acts.go")(context()).transition == "T7"
     assert load_action(folder, "deep.er.go")(context()).transition == "T8"
+
+
+def test_a_module_that_another_thread_is_loading_is_waited_for(tmp_path, monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(builtins, "gspn_test", (begun, go_on), raising=False)
+    text = "gspn_test[0].set()\ngspn_test[1].wait(60)\ndef go():\n    return 'T7'\n"
+    folder = write(tmp_path, "slow.py", text)
+    loaded = []
+    threads = [
+        threading.Thread(target=lambda: loaded.append(load_action(folder, "slow.go")))
+        for _ in range(2)
+    ]
+    threads[0].start()
+    assert begun.wait(60)
+    threads[1].start()
+    threads[1].join(0.2)  # time to find the module half loaded
+    go_on.set()
+    for thread in threads:
+        thread.join(60)
+    assert [action(context()).transition for action in loaded] == ["T7", "T7"]
 
 
 def test_two_plans_may_have_modules_of_one_name(tmp_path):
