@@ -79,6 +79,7 @@ class Editor:
 
     def tab(self, name):
         self.page.click("#ed-tab-" + name)
+        self.page.wait_for_selector("#ed-panel-%s .ed-form > *" % name)
         self.page.evaluate(
             """(name) => { for (const fold of document.querySelectorAll(`#ed-panel-${name} details`))
             fold.open = true; }""",

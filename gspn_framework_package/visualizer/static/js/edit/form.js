@@ -194,6 +194,9 @@ export class FormPanel {
         ? [active.selectionStart, active.selectionEnd]
         : null;
     this.wanted = null;
+    // one that was unfolded or folded just now: its event has not come yet
+    for (const details of this.element.querySelectorAll("details[data-fold]"))
+      if (details.open !== details.drawnOpen) this.fold(details);
     this.element.replaceChildren(...[this.content()].flat(9).filter(Boolean));
     if (!key) return;
     const found = [...this.element.querySelectorAll("[data-key]")].find(
@@ -291,6 +294,7 @@ export class FormPanel {
       h("summary", { text: title, "data-key": `fold ${key}` }),
       inside,
     );
+    details.drawnOpen = unfolded;
     if (lazy && !unfolded)
       details.addEventListener(
         "toggle",
