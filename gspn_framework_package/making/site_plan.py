@@ -340,7 +340,7 @@ class _Builder:
                 position=(x + 90 + off, y + 20 + off),
             )
             self._net.exponential(
-                self._named("Done", here, level),
+                self._named("Finished", here, level),
                 1 / given.seconds,
                 None,
                 inputs=place,
