@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from typing import Any, Dict, Optional
 
-from gspn_framework_package.formats.plan_file import PLAN_FILE, plan_from_parts
+from gspn_framework_package.formats.plan_file import PLAN_FILE, plan_from_object
 from gspn_framework_package.formats.plan_parts import read_parts
 from gspn_framework_package.model.errors import GspnError, PlanError
 from gspn_framework_package.model.plan import Plan
@@ -70,7 +70,7 @@ def plan_of_document(document: EditedDocument, path: str, root: Optional[str] = 
         data = joined(document)
         if root is not None:
             _keep_inside(data, os.path.dirname(os.path.abspath(path)), root)
-        return plan_from_parts(data, data["net"], data.get("policy"), path)
+        return plan_from_object(data, path)
     except GspnError as error:
         error.located(file=path)
         raise

@@ -28,6 +28,7 @@ from gspn_framework_package.formats.xml_tree import (
     number_text,
     parse_xml,
     tag,
+    xml_parser,
 )
 from gspn_framework_package.model.errors import GspnError, NetError
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
@@ -123,6 +124,7 @@ class _CannotHoldError(Exception):
 
 
 def _child(element: Any, name: str) -> Any:
+    """As :func:`child`, of an element that has it, or whose caller asks."""
     return child(element, name)
 
 
@@ -178,16 +180,7 @@ def _update_xml(
 def _parse(data: bytes) -> Any:
     """The root of a document with all its comments, which :func:`parse_xml` accepts."""
     parse_xml(data)
-    parser = etree.XMLParser(
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        dtd_validation=False,
-        attribute_defaults=False,
-        huge_tree=False,
-        strip_cdata=False,
-    )
-    return etree.fromstring(data, parser)
+    return etree.fromstring(data, xml_parser(strip_cdata=False))
 
 
 def _serialised(root: Any, data: bytes, before: bytes) -> bytes:
@@ -643,9 +636,8 @@ def _identifier(element: Any) -> str:
 def _set_kind(element: Any, inhibitor: bool) -> None:
     """Make an arc a normal or an inhibitor arc, in the way in which the file says it."""
     word = "inhibitor" if inhibitor else "normal"
-    for name in ("arctype",):
-        for node in all_of(element, name):
-            _inner(node, "text").text = word
+    for node in all_of(element, "arctype"):
+        _inner(node, "text").text = word
     said = element.get("type")
     if said is not None:
         element.set("type", word)

@@ -208,21 +208,14 @@ def is_plan(path: str) -> bool:
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
-def plan_from_parts(
-    data: Mapping[str, Any], net: Mapping[str, Any], policy: Optional[Mapping[str, Any]], path: str
-) -> Plan:
-    """Return the plan of parts that an editor holds, as it will be read once they are saved.
+def plan_from_object(data: Mapping[str, Any], path: str) -> Plan:
+    """Return the plan of the object of a plan file, as it will be read once it is saved.
 
-    :param data: the object of the plan file without ``net`` and ``policy``.
-    :param net: the net as a JSON object.
-    :param policy: the policy as a JSON object, None for none.
+    :param data: the object, with the net and the policy inside.
     :param path: the plan file. It need not exist; subnets and functions are in its folder.
     :raises GspnError: the plan cannot be read; see :func:`read_plan`.
     """
-    whole = {**data, "net": net}
-    if policy is not None:
-        whole["policy"] = policy
-    return _own_form(JsonDocument(whole, ""), path, (os.path.realpath(path),), {})
+    return _own_form(JsonDocument(data, ""), path, (os.path.realpath(path),), {})
 
 
 def _own_form(

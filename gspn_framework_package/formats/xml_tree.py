@@ -14,6 +14,23 @@ from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net, Position
 
 
+def xml_parser(**options: Any) -> etree.XMLParser:
+    """A parser that follows nothing out of the document: no entities, external files, network or
+    attribute defaults of a DTD.
+
+    :param options: of ``lxml.etree.XMLParser``, what it keeps.
+    """
+    return etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        dtd_validation=False,
+        attribute_defaults=False,
+        huge_tree=False,
+        **options,
+    )
+
+
 def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
     """Parse an XML document and return its root, without comments and processing instructions.
 
@@ -21,17 +38,7 @@ def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
 
     :raises InputError: the document is not well-formed (with the line), or it declares entities.
     """
-    parser = etree.XMLParser(
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        dtd_validation=False,
-        attribute_defaults=False,
-        huge_tree=False,
-        remove_comments=True,
-        remove_pis=True,
-        remove_blank_text=False,
-    )
+    parser = xml_parser(remove_comments=True, remove_pis=True, remove_blank_text=False)
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:

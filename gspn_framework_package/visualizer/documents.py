@@ -299,12 +299,16 @@ def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
 
 def _checked(document: Document) -> Document:
     """Return the document if a browser can show it. :raises LimitError: it is too large."""
-    nodes = len(document.net.places) + len(document.net.transitions)
-    if nodes > NODES or len(document.net.arcs) > ARCS:
+    net = document.net
+    check_size(len(net.places) + len(net.transitions), len(net.arcs), document.title)
+    return document
+
+
+def check_size(nodes: int, arcs: int, file: Optional[str] = None) -> None:
+    """Check that a browser can show a net of this size. :raises LimitError: it is too large."""
+    if nodes > NODES or arcs > ARCS:
         raise LimitError(
-            "a net of %d nodes and %d arcs is too large for the page"
-            % (nodes, len(document.net.arcs)),
-            file=document.title,
+            "a net of %d nodes and %d arcs is too large for the page" % (nodes, arcs),
+            file=file,
             hint="up to %d nodes and %d arcs are shown" % (NODES, ARCS),
         )
-    return document

@@ -8,7 +8,7 @@ import secrets
 from typing import Any, Callable, Dict, Iterable, Optional
 
 from gspn_framework_package.execution.phase import phases_to_json
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.robot_colours import PALETTE
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
@@ -18,6 +18,13 @@ from gspn_framework_package.visualizer.run_marks import CutRun, cut_runs
 from gspn_framework_package.visualizer.session import ActivityMaker, Session, Sessions
 
 FILE_KEY = "file-"
+
+
+def path_of_key(key: str) -> str:
+    """The path of the file of a session. :raises UsageError: the session is not one of a file."""
+    if not key.startswith(FILE_KEY):
+        raise UsageError("only files of the served folder are edited")
+    return key[len(FILE_KEY) :]
 
 
 class Project:

@@ -15,12 +15,12 @@ from gspn_framework_package.formats.difference import difference
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
-from gspn_framework_package.visualizer.documents import ARCS, NODES, Folder
+from gspn_framework_package.visualizer.documents import Folder, check_size
 from gspn_framework_package.visualizer.editing.check_workers import CheckWorkers
 from gspn_framework_package.visualizer.editing.open_document import open_document
 from gspn_framework_package.visualizer.editing.palette import palette
 from gspn_framework_package.visualizer.layout import lay_out
-from gspn_framework_package.visualizer.project import FILE_KEY, Project
+from gspn_framework_package.visualizer.project import Project, path_of_key
 
 QUICK_STATES = 6_000
 """Markings that the first check after an edit visits; the full one visits as many as ``gspn
@@ -142,9 +142,7 @@ def path_in(folder: Folder, key: str) -> str:
 
     :raises GspnError: the session is not one of a file there.
     """
-    if not key.startswith(FILE_KEY):
-        raise UsageError("only files of the served folder are edited")
-    return folder.name(key[len(FILE_KEY) :])
+    return folder.name(path_of_key(key))
 
 
 def _document(fields: Mapping[str, Any], key: str) -> Dict[str, Any]:
@@ -176,8 +174,7 @@ def _drawable(document: Mapping[str, Any]) -> Net:
         and isinstance(arc.get("to"), str)
         and {names.get(arc["from"]), names.get(arc["to"])} == {"places", "transitions"}
     ]
-    if len(names) > NODES or len(arcs) > ARCS:
-        raise InputError("a net of more than %d nodes or %d arcs is too large" % (NODES, ARCS))
+    check_size(len(names), len(arcs))
     return Net(
         [Place(name) for name, key in names.items() if key == "places"],
         [Transition(name) for name, key in names.items() if key == "transitions"],

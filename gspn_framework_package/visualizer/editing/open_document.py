@@ -10,8 +10,8 @@ from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_parts import JsonObject, PlanParts, read_parts
 from gspn_framework_package.formats.source import read_bytes
-from gspn_framework_package.model.errors import InputError, LimitError, RefusedError
-from gspn_framework_package.visualizer.documents import ARCS, NODES, Folder
+from gspn_framework_package.model.errors import InputError, RefusedError
+from gspn_framework_package.visualizer.documents import Folder, check_size
 from gspn_framework_package.visualizer.layout import NEAREST, lay_out, nearest_distance
 
 Point = Tuple[float, float]
@@ -77,13 +77,7 @@ def open_document(folder: Folder, path: str) -> Opened:
 
 def _opened(name: str, parts: PlanParts, etag: str) -> Opened:
     nodes = len(parts.net["places"]) + len(parts.net["transitions"])
-    if nodes > NODES or len(parts.net["arcs"]) > ARCS:
-        raise LimitError(
-            "a net of %d nodes and %d arcs is too large for the page"
-            % (nodes, len(parts.net["arcs"])),
-            file=name,
-            hint="up to %d nodes and %d arcs are shown" % (NODES, ARCS),
-        )
+    check_size(nodes, len(parts.net["arcs"]), name)
     net, laid_out = with_positions(parts.net)
     document = {"plan": parts.plan, "net": net, "policy": parts.policy}
     return Opened(name, parts, document, etag, laid_out, scale_of(net))

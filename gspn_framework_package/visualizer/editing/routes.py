@@ -9,7 +9,6 @@ from typing import Any, Callable, Dict, Mapping, Optional
 import flask
 from flask import Response, request
 
-from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.visualizer.editing.export import exported
 from gspn_framework_package.visualizer.editing.help_routes import add_help_routes
 from gspn_framework_package.visualizer.editing.open_document import Opened
@@ -19,7 +18,7 @@ from gspn_framework_package.visualizer.editing.workshop import (
     template_names,
 )
 from gspn_framework_package.visualizer.guard import OPERATOR, Refusal
-from gspn_framework_package.visualizer.project import FILE_KEY, Project
+from gspn_framework_package.visualizer.project import Project, path_of_key
 
 PREFIX = "/api/edit"
 
@@ -114,13 +113,6 @@ def offer(project: Project, role: str) -> Dict[str, Any]:
     """What the page is told of the editor: whether it may be used, and the templates of plans."""
     edits = project.edits and role == OPERATOR
     return {"edits": edits, "templates": template_names() if edits else []}
-
-
-def path_of_key(key: str) -> str:
-    """The path of the file of a session. :raises UsageError: the session is not one of a file."""
-    if not key.startswith(FILE_KEY):
-        raise UsageError("only files of the served folder are edited")
-    return key[len(FILE_KEY) :]
 
 
 def answer(data: Mapping[str, Any], status: int = 200) -> Response:

@@ -7,16 +7,16 @@ import math
 import os
 from typing import Any, Dict, List, NamedTuple, Optional
 
+from gspn_framework_package.formats.edited_document import plan_of_document
 from gspn_framework_package.formats.json_file import read_document
 from gspn_framework_package.formats.json_update import same, update_json
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.net_update import update_net
-from gspn_framework_package.formats.plan_file import plan_from_parts
 from gspn_framework_package.formats.plan_json import check_schema
 from gspn_framework_package.formats.plan_parts import JsonObject
 from gspn_framework_package.formats.source import read_bytes
-from gspn_framework_package.model.errors import GspnError, InputError, LimitError, UsageError
-from gspn_framework_package.visualizer.documents import ARCS, NODES
+from gspn_framework_package.model.errors import GspnError, InputError, UsageError
+from gspn_framework_package.visualizer.documents import check_size
 from gspn_framework_package.visualizer.editing.open_document import Opened
 
 DEPTH = 60
@@ -44,10 +44,7 @@ def document_in(value: object) -> JsonObject:
     found = unfinished(value)
     plan, net, policy = (found[key] for key in ("plan", "net", "policy"))
     _check_part(net, "net")
-    if len(net["places"]) + len(net["transitions"]) > NODES or len(net["arcs"]) > ARCS:
-        raise LimitError(
-            "the net is too large for the page", hint="up to %d nodes and %d arcs" % (NODES, ARCS)
-        )
+    check_size(len(net["places"]) + len(net["transitions"]), len(net["arcs"]))
     if policy is not None:
         _check_part(policy, "policy")
     plan = {key: part for key, part in plan.items() if key not in ("net", "policy")}
@@ -110,7 +107,7 @@ def read_back(document: JsonObject, path: str) -> None:
     :raises GspnError: it does not.
     """
     try:
-        plan_from_parts(document["plan"], document["net"], document["policy"], path)
+        plan_of_document(document, path)
     except GspnError as error:
         if error.file == path:
             error.file = None

@@ -17,6 +17,7 @@ from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.net_update import same_net
 from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
 from gspn_framework_package.formats.plan_parts import JsonObject
+from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.xml_tree import parse_xml
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import GspnError, InputError, RefusedError, UsageError
@@ -274,11 +275,11 @@ class Workshop:
         else:
             changed = changes_of(opened, new).contents
             place = os.path.dirname(parts.plan_file)
-            for file in parts.files:
-                inner = os.path.relpath(file, place)
-                if not inner.startswith(os.pardir):
-                    contents[inner] = changed.get(file) or _read(file)
-            if any(os.path.relpath(f, place).startswith(os.pardir) for f in parts.files):
+            inner = {file: os.path.relpath(file, place) for file in parts.files}
+            beside = {file: name for file, name in inner.items() if not name.startswith(os.pardir)}
+            for file, name in beside.items():
+                contents[name] = changed.get(file) or read_bytes(file)
+            if len(beside) < len(inner):
                 contents.update(contents_of(new))
         return contents
 
@@ -312,13 +313,10 @@ def _in_pipe(data: JsonObject) -> Optional[bytes]:
     try:
         net: Net = net_from_json(data)
         drawn = pipe.to_bytes(net)
-        return (
-            drawn
-            if same_net(pipe.from_xml(parse_xml(drawn), None, ReadOptions())[0], net)
-            else None
-        )
+        read = pipe.from_xml(parse_xml(drawn), None, ReadOptions())[0]
     except GspnError:
         return None
+    return drawn if same_net(read, net) else None
 
 
 def _json(data: Any) -> bytes:
@@ -331,8 +329,3 @@ def _write(path: str, data: bytes) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _read(path: str) -> bytes:
-    with open(path, "rb") as file:
-        return file.read()
