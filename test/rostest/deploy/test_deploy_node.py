@@ -5,7 +5,9 @@ killed at a step of staging."""
 import contextlib
 import io
 import os
+import shutil
 import sys
+import tempfile
 
 import rospy
 
@@ -20,6 +22,12 @@ from gspn_framework_package.cli.main import main
 ACTIONS = """
 def work(is_cancelled):
     is_cancelled.wait(0.2)
+"""
+
+WAITS = """
+import os, time
+while not os.path.exists(%r):
+    time.sleep(0.01)
 """
 
 
@@ -92,14 +100,16 @@ class DeployTest(RobotTestCase):
 
     def test_a_robot_that_is_killed_while_it_looks_at_a_plan_votes_when_it_is_back(self):
         team = self.start("full")
-        slow = "import time\ntime.sleep(3)\n" + ACTIONS
-        stage = self.plan("ABCDE", "full", actions=slow)
+        go = os.path.join(tempfile.mkdtemp(prefix="gspn_rostest_"), "go")
+        self.addCleanup(shutil.rmtree, os.path.dirname(go))
+        stage = self.plan("ABCDE", "full", actions=WAITS % go + ACTIONS)
         code, text = gspn("deploy", stage, "--wait", "0.2")
         self.assertEqual(code, 1)
         self.assertIn("no word", text)
         team["robot_2"].kill()
         team["robot_2"].start()
         wait_for(lambda: team["robot_2"].status()["active"], 20, "its return")
+        open(go, "w").close()
         code, text = gspn("deploy", stage)
         self.assertEqual(code, 0, text)
         self.assertIsNone(team.verify())

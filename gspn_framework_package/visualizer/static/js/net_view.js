@@ -3,6 +3,7 @@
 
 import { h, s } from "./dom.js";
 import { Arcs } from "./net_arcs.js";
+import { boundsOf } from "./geometry.js";
 import { Camera } from "./net_camera.js";
 import { Pointer } from "./net_pointer.js";
 import {
@@ -120,14 +121,7 @@ export class NetView extends EventTarget {
   }
 
   bounds() {
-    let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const { x, y } of this.nodes) {
-      x0 = Math.min(x0, x);
-      y0 = Math.min(y0, y);
-      x1 = Math.max(x1, x);
-      y1 = Math.max(y1, y);
-    }
-    return this.nodes.length ? [x0 - 24, y0 - 32, x1 + 24, y1 + 24] : [0, 0, 100, 100];
+    return boundsOf(this.nodes, 24, 32) || [0, 0, 100, 100];
   }
 
   // -- the board -----------------------------------------------------------------------------------

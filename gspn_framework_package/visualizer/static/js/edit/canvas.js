@@ -2,7 +2,7 @@
 // the elements of changed objects are drawn again: an edit of a large net costs as much as one of a small net.
 
 import { s } from "../dom.js";
-import { arcShape, arcLine, arcEnd } from "../geometry.js";
+import { arcShape, arcLine, arcEnd, boundsOf } from "../geometry.js";
 import { Camera } from "../net_camera.js";
 import { Labels } from "../labels.js";
 import { at, buildPlace, buildTransition, drawPlace } from "../net_nodes.js";
@@ -146,14 +146,7 @@ export class Canvas extends EventTarget {
   }
 
   bounds() {
-    let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const { x, y } of this.nodes) {
-      x0 = Math.min(x0, x);
-      y0 = Math.min(y0, y);
-      x1 = Math.max(x1, x);
-      y1 = Math.max(y1, y);
-    }
-    return this.nodes.length ? [x0 - 40, y0 - 40, x1 + 40, y1 + 40] : [0, 0, 480, 320];
+    return boundsOf(this.nodes, 40, 40) || [0, 0, 480, 320];
   }
 
   // -- drawing what changed ------------------------------------------------------------------------
