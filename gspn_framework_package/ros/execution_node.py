@@ -140,7 +140,6 @@ class ExecutionNode(Worker):
         self._told_visit = 0
         self._gone: Dict[str, Phase] = {}
         self._told_length = -1
-        self._plan_hash = plan.hash()
         self._began_with = plan
         self._narrator = Narrator(robot, namespace, options.run)
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
@@ -493,7 +492,6 @@ class ExecutionNode(Worker):
         """
         before = self.plan
         plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
-        self._plan_hash = plan.hash()
         self._narrator.tell("follows the plan '%s'" % plan.name)
         if not self._witness:
             if self._servers is not None:
@@ -605,7 +603,7 @@ class ExecutionNode(Worker):
         status = dict(
             self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent
         )
-        status["plan"] = self._plan_hash
+        status["plan"] = self.plan.hash()
         state = self._replica.ledger.state
         status.update(
             finished=state.finished, fault=state.fault or self._replica.halted is not None
@@ -688,7 +686,7 @@ class ExecutionNode(Worker):
         return {
             "robot": self.robot,
             "run": self.run,
-            "plan": self._plan_hash,
+            "plan": self.plan.hash(),
             "place": view.place,
             "state": view.robot_state,
             "visit": view.visit,
