@@ -58,6 +58,7 @@ from gspn_framework_package.ros.plan_examination import (
     with_folder,
 )
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
+from gspn_framework_package.team.carrier import firing_fields
 
 FAREWELL = 2.0
 """Seconds that a node keeps running after the end of the run, so that the others hear of it."""
@@ -431,9 +432,7 @@ class ExecutionNode(Worker):
 
     def _on_fired(self, effect: interface.Fired) -> None:
         if effect.publish or effect.private:
-            self._fired.publish(
-                fired_message(effect, effect.plan.net, effect.plan.hash(), self.options.run)
-            )
+            self._fired.publish(fired_message(firing_fields(effect, self.run)))
         for move in effect.firing.moves:
             # a local transition is reported a second time when it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:

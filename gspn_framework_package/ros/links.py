@@ -19,7 +19,6 @@ from gspn_framework_package.execution.agreement.interface import (
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros.messages import json_object
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
@@ -30,6 +29,7 @@ from gspn_framework_package.srv import (
     SetPlace,
     SetPlaceRequest,
 )
+from gspn_framework_package.team.carrier import json_object
 
 TOPIC = "/gspn_agreement"
 

@@ -13,7 +13,6 @@ from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.execution.plan_change import digest_of
 from gspn_framework_package.model.errors import DataError, GspnError, LogError
 from gspn_framework_package.model.net import Marking, Net
-from gspn_framework_package.ros.messages import json_object, marking_fields
 from gspn_framework_package.srv import (
     Command,
     CommandRequest,
@@ -28,6 +27,7 @@ from gspn_framework_package.srv import (
     SetPlaceRequest,
     SetPlaceResponse,
 )
+from gspn_framework_package.team.carrier import json_object, marking_fields
 
 ANSWER_TIME = 2.0
 """Seconds within which the node's worker must answer a plain question."""

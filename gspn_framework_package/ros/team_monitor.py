@@ -11,7 +11,8 @@ import rospy
 from std_msgs.msg import String
 
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.messages import FIRED_TOPIC, json_object
+from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.team.carrier import json_object
 
 _ACTIVITY_FIELDS = {"run", "place", "state", "visit", "waits_for", "ended", "fault"}
 

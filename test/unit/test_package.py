@@ -36,13 +36,14 @@ LAYERS = {
     "making": 2,
     "execution": 3,
     "testing": 4,
-    "ros": 4,
-    "visualizer": 5,
-    "world": 5,
-    "benchmark": 6,
-    "cli": 7,
+    "team": 4,
+    "ros": 5,
+    "visualizer": 6,
+    "world": 6,
+    "benchmark": 7,
+    "cli": 8,
 }
-INNER = [layer for layer, number in LAYERS.items() if number <= 3 or layer == "testing"]
+INNER = [layer for layer, number in LAYERS.items() if number <= 4]
 
 #: What no inner module may import: ROS, and the generated messages of this package.
 ROS = re.compile(

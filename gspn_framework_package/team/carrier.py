@@ -1,0 +1,128 @@
+"""What carries the messages of a robot's replica to the other robots, and its facts to whoever
+watches.
+
+The host of a replica knows this interface only. :mod:`gspn_framework_package.ros.links` carries
+over the topics and services of ROS.
+
+A carrier may lose, repeat, delay and reorder messages: the agreement copes with all of it. It must
+not invent any. A carrier that knows which robot sent a message drops one that names another sender
+(:func:`sender_of`).
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Tuple
+
+from gspn_framework_package.execution.agreement.interface import Fired, Message, Send
+from gspn_framework_package.model.net import Marking, Net
+
+
+class OperatorRequest(NamedTuple):
+    """What an operator asks of a robot: an order, or a question such as ``status``."""
+
+    command: str
+    """The name of the order or question, as in the service ``Command``."""
+    robot: str = ""
+    """The robot that the order concerns; "": the one that is asked, or the team."""
+    argument: str = ""
+    run: str = ""
+    """The run that is meant; "": whatever run the robot is in."""
+
+
+class OperatorAnswer(NamedTuple):
+    """The answer to an :class:`OperatorRequest`."""
+
+    success: bool
+    message: str
+    """For ``status``, a JSON object; else a sentence."""
+
+
+class Handlers(NamedTuple):
+    """What a carrier calls, from any thread."""
+
+    received: Callable[[Message], None]
+    """Takes each protocol message for this robot; returns at once."""
+    command: Callable[[OperatorRequest, str], OperatorAnswer]
+    """Answers an operator, whose name is the second argument ("" if the carrier does not know it).
+    It may take some seconds, because an order waits until it is in the log."""
+
+
+class Carrier(Protocol):
+    """Carries the messages of one robot. The host's worker thread calls all methods.
+
+    :ivar sent: how many messages the robot has sent; one to several robots counts once.
+    """
+
+    sent: int
+
+    def send(self, sends: List[Send]) -> None:
+        """Send protocol messages to the robots that they name; does not wait for anybody."""
+
+    def tell_firing(self, fields: Dict[str, Any]) -> None:
+        """Publish a firing that this robot decided, or a local transition of its own.
+
+        :param fields: see :func:`firing_fields`.
+        """
+
+    def tell_activity(self, activity: Dict[str, Any]) -> None:
+        """Publish what the robot does; whoever begins to watch later sees the last one.
+
+        :param activity: a JSON object.
+        """
+
+    def close(self) -> None:
+        """Send nothing more, and release everything."""
+
+
+def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
+    """A firing as a JSON object, with the fields of the ROS message ``FiredTransition`` but for its
+    header.
+
+    :param run: the name of the run.
+    """
+    firing = fired.firing
+    moved = [move for move in firing.moves if move.target is not None]
+    places, counts = marking_fields(firing.marking, fired.plan.net)
+    details: Dict[str, Any] = {}
+    if firing.cause:
+        details["cause"] = dict(firing.cause)
+    if firing.tasks:
+        details["tasks"] = [list(move) for move in firing.tasks]
+    return {
+        "plan": fired.plan.hash(),
+        "run": run,
+        "transition": firing.transition,
+        "robot": firing.robot,
+        "incarnation": firing.incarnation,
+        "visit": firing.visit,
+        "robots": [move.robot for move in moved],
+        "robot_places": [str(move.target) for move in moved],
+        "places": places,
+        "counts": counts,
+        "slot": firing.slot,
+        "index": firing.index,
+        "private_move": fired.private,
+        "hash": fired.hash,
+        "details": json.dumps(details) if details else "",
+    }
+
+
+def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
+    """A marking as two lists, place names and counts, with every place of the net."""
+    return [place.name for place in net.places], list(marking)
+
+
+def json_object(text: str) -> Optional[Dict[str, Any]]:
+    """The JSON object in a text from an untrusted sender; None if there is none."""
+    try:
+        value = json.loads(text) if text else None
+    except (ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def sender_of(message: Message) -> str:
+    """The robot that a protocol message says it comes from; "" if it does not say."""
+    sender = message.get("from")
+    return sender if isinstance(sender, str) else ""
