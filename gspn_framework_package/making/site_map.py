@@ -9,13 +9,14 @@ import re
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.formats.source import read_bytes
-from gspn_framework_package.making.yaml_file import LocatedYaml
+from gspn_framework_package.formats.yaml_file import Step, YamlDocument
 from gspn_framework_package.model.errors import InputError
-
-Step = Union[str, int]
 
 MOST_NODES = 2000
 """Maximum number of nodes of a map."""
+
+MOST_ELEMENTS = 1_000_000
+"""Maximum number of elements of its file: a node has some hundred."""
 
 
 class MapNode(NamedTuple):
@@ -66,10 +67,11 @@ def read_map(path: str) -> SiteMap:
 
     :raises InputError: the file cannot be read, or is not a map; with file, line and element.
     """
-    text = read_bytes(path).decode("utf-8", "replace")
+    content = read_bytes(path)
+    text = content.decode("utf-8", "replace")
     if re.match(r"\s*node:\s*\n\s*[^\s:]+\s*\n\s*waypoint:", text):
         return _read_oldest(path, text)
-    document = LocatedYaml(path)
+    document = YamlDocument(content, path, MOST_ELEMENTS)
     reader = _Reader(document)
     data = document.data
     name = os.path.splitext(os.path.basename(path))[0]
@@ -148,7 +150,7 @@ class _Lines:
 
 
 class _Reader:
-    def __init__(self, document: Union[LocatedYaml, _Lines]) -> None:
+    def __init__(self, document: Union[YamlDocument, _Lines]) -> None:
         self._document = document
         self._nodes: Dict[str, MapNode] = {}
         self._edges: List[Tuple[MapEdge, List[Step]]] = []

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import jsonschema
 
+from gspn_framework_package.formats.yaml_file import Step, YamlDocument, read_yaml
 from gspn_framework_package.making.site_map import SiteMap
-from gspn_framework_package.making.yaml_file import LocatedYaml
 
 SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
 """The JSON schema of the file."""
@@ -53,8 +53,8 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
 
     :raises InputError: it does not fit the schema or the map; with file, line and element.
     """
-    document = LocatedYaml(path)
-    data = {} if document.data is None else document.data
+    document = read_yaml(path)
+    data = document.data
     with open(SCHEMA, encoding="utf-8") as file:
         validator = jsonschema.Draft7Validator(json.load(file))
     fault = jsonschema.exceptions.best_match(validator.iter_errors(data))
@@ -98,11 +98,11 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
 class _Names:
     """Looks up nodes and edges of the map."""
 
-    def __init__(self, document: LocatedYaml, site: SiteMap) -> None:
+    def __init__(self, document: YamlDocument, site: SiteMap) -> None:
         self._document = document
         self._site = site
 
-    def node(self, name: Any, where: List[Union[str, int]]) -> str:
+    def node(self, name: Any, where: List[Step]) -> str:
         if str(name) not in self._site.nodes:
             raise self._document.error(
                 "there is no node '%s' in the map" % name,
@@ -111,7 +111,7 @@ class _Names:
             )
         return str(name)
 
-    def nodes(self, names: Sequence[Any], where: List[Union[str, int]]) -> List[str]:
+    def nodes(self, names: Sequence[Any], where: List[Step]) -> List[str]:
         found = [self.node(name, [*where, number]) for number, name in enumerate(names)]
         for number, name in enumerate(found):
             if name in found[:number]:

@@ -1,6 +1,6 @@
 """The simulated world: a room, robots that physically move in it, and their ROS interface.
 
-``room``, ``room_file``, ``room_check``, ``yaml_file``
+``room``, ``room_file``, ``room_check``
     walls, obstacles, locations, waiting bays, temperature field, and the file that describes them.
 ``bodies``, ``physics``
     the room and the robots as PyBullet bodies with wheels and contacts.

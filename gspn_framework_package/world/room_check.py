@@ -11,10 +11,10 @@ import math
 from dataclasses import replace
 from typing import List, Tuple
 
+from gspn_framework_package.formats.yaml_file import Step, YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.room import Location, Pose, Room
-from gspn_framework_package.world.yaml_file import Step, YamlDocument, path_text
 
 LARGEST_FLOOR = 1_600.0
 """Largest floor in square metres; the grid of a larger one would take too much memory and time."""

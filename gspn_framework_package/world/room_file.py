@@ -13,6 +13,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
 
 import jsonschema
 
+from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import (
     Area,
@@ -29,7 +30,6 @@ from gspn_framework_package.world.room import (
     TemperatureField,
 )
 from gspn_framework_package.world.room_check import check_room
-from gspn_framework_package.world.yaml_file import YamlDocument, path_text
 
 _NUMBER = {"type": "number", "minimum": -10_000, "maximum": 10_000}
 

@@ -13,9 +13,9 @@ from typing import Any, Dict, List, Mapping, Tuple
 
 import jsonschema
 
+from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import Pose
-from gspn_framework_package.world.yaml_file import YamlDocument, path_text
 
 _POSITIVE = {"type": "number", "exclusiveMinimum": 0, "maximum": 1e9}
 

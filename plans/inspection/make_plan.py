@@ -9,10 +9,10 @@ import os
 import shutil
 from collections import deque
 
-import yaml
-
 from gspn_framework_package.formats.dot import net_graph, render
 from gspn_framework_package.formats.registry import write_net
+from gspn_framework_package.formats.yaml_file import read_yaml
+from gspn_framework_package.making.site_map import read_map
 from gspn_framework_package.model.builder import NetBuilder
 
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -25,14 +25,10 @@ class Site:
     """The nodes and edges of a map of topological_navigation, and the tasks there."""
 
     def __init__(self, folder=HERE, levels=None):
-        with open(os.path.join(folder, "site.tmap2"), encoding="utf-8") as file:
-            nodes = [entry["node"] for entry in yaml.safe_load(file)["nodes"]]
-        with open(os.path.join(folder, "tasks.yaml"), encoding="utf-8") as file:
-            self.tasks = yaml.safe_load(file)
-        self.at = {
-            node["name"]: tuple(node["pose"]["position"][axis] for axis in "xy") for node in nodes
-        }
-        self.edges = [(node["name"], edge["node"]) for node in nodes for edge in node["edges"]]
+        site = read_map(os.path.join(folder, "site.tmap2"))
+        self.tasks = read_yaml(os.path.join(folder, "tasks.yaml")).data
+        self.at = {name: (node.x, node.y) for name, node in site.nodes.items()}
+        self.edges = [(edge.source, edge.target) for edge in site.edges]
         self.narrow = {}
         """Narrow edge, in both directions -> the resource place with a token while it is free."""
         for edge in self.tasks["narrow"]:

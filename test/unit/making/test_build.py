@@ -158,7 +158,7 @@ BAD_MAPS = {
     ),
     "nodes:\n  a: [0, 0]\n  a: [1, 1]\n": ("occurs twice", 3),
     "nodes: [\n": ("it is not YAML", 2),
-    "nodes: !!python/object:os.system {}\n": ("it is not YAML", 1),
+    "nodes: !!python/object:os.system {}\n": ("not plain data", 1),
     "node: \n\tA\n\twaypoint:\n\t\t1,2\n": ("seven numbers", 4),
     "nodes: []\nedges: []\n": ("has no nodes", 1),
 }  # fmt: skip

@@ -90,7 +90,7 @@ def refusal(text):
         ("spawn:", "name: again\nspawn:", 12, "the key 'name' occurs twice"),
         ("name: small", "name: &n [*n]", 1, "an alias that holds itself"),
         ("name: small", "name: *n", 1, "undefined alias"),
-        ("name: small", "name: !!python/object/apply:os.abort []", 1, "not YAML"),
+        ("name: small", "name: !!python/object/apply:os.abort []", 1, "not plain data"),
         ("name: small", "name: 2026-13-45", 1, "not YAML"),
         ("name: small", "name: \0", 1, "not YAML"),
         ("name: small", "? [a, b]\n: small", 1, "not YAML"),

@@ -1,5 +1,5 @@
-"""Reads YAML texts as plain data, with the line numbers of their elements; errors name file and
-line.
+"""Reads YAML (and so JSON) as plain data, with the line numbers of its elements; errors name file
+and line.
 
 PyYAML's safe loader only builds plain data. In addition, this module rejects duplicate keys, and
 aliases that would expand endlessly, or into far more than anyone writes by hand.
@@ -7,52 +7,94 @@ aliases that would expand endlessly, or into far more than anyone writes by hand
 
 from __future__ import annotations
 
+import re
 from typing import Any, Dict, Iterable, Optional, Set, Tuple, Union
 
 import yaml
 
+from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError
 
 Step = Union[str, int]
 """One step from an element to a child: a key or an index."""
 
 MOST_ELEMENTS = 200_000
-"""Largest number of elements in a text; those behind aliases count each time."""
+"""Largest number of elements, unless the reader says otherwise; those behind aliases count each
+time."""
+
+MOST_LEVELS = 100
+"""Most mappings and lists inside one another."""
 
 _MERGE = "tag:yaml.org,2002:merge"  # the tag of the key <<
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class YamlDocument:
-    """A YAML text.
+    """A YAML text: its ``data``, made of plain Python objects.
 
-    :param text: one YAML document.
+    :param text: one YAML document; bytes are UTF-8 or UTF-16.
     :param file: the name for error messages.
-    :raises InputError: it is not YAML, repeats a key in a mapping, or expands too far.
+    :param limit: largest number of elements.
+    :raises InputError: it is not YAML, is empty, repeats a key in a mapping, holds more than plain
+        data, or expands too far.
     """
 
-    def __init__(self, text: str, file: Optional[str] = None) -> None:
+    def __init__(
+        self, text: Union[str, bytes], file: Optional[str] = None, limit: int = MOST_ELEMENTS
+    ) -> None:
         self.file = file
+        self._limit = limit
+        loader = None
         try:
-            loader = yaml.SafeLoader(text)
+            self._check_depth(text)
+            loader = _Loader(text)
             self._root: Optional[yaml.Node] = loader.get_single_node()
             if self._root is None:
                 raise InputError("there is nothing in it", file=file)
             self._check(loader)
             self.data: Any = loader.construct_document(self._root)
         except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark or error.context_mark
-            words = [word for word in (error.context, error.problem) if word]
-            line = mark.line + 1 if mark is not None else None
-            raise InputError("not YAML: %s" % ", ".join(words), file=file, line=line) from None
+            raise self._not_yaml(error, _line_of(text, len(text))) from None
         except yaml.reader.ReaderError as error:
-            line = text.count("\n", 0, error.position) + 1
             raise InputError(
-                "not YAML: the character #x%04x" % error.character, file=file, line=line
+                "it is not YAML: the character #x%04x" % error.character,
+                file=file,
+                line=_line_of(text, error.position),
             ) from None
-        except RecursionError:
-            raise InputError("it is nested too deeply", file=file) from None
+        finally:
+            if loader is not None:
+                loader.dispose()
 
-    def _check(self, loader: yaml.SafeLoader) -> None:
+    def _check_depth(self, text: Union[str, bytes]) -> None:
+        """Refuse deep nesting by the events of the text, before the nodes are composed: that
+        recurses, and in the C library ends the process."""
+        depth = 0
+        events: Any = yaml.parse(text, Loader=_Loader)
+        for event in events:
+            if isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
+                depth += 1
+                if depth > MOST_LEVELS:
+                    line = getattr(event.start_mark, "line", 0) + 1
+                    raise InputError("it is nested too deeply", file=self.file, line=line)
+            elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
+                depth -= 1
+
+    def _not_yaml(self, error: yaml.MarkedYAMLError, last: int) -> InputError:
+        mark = error.problem_mark or error.context_mark
+        line = min(mark.line + 1, last) if mark is not None else None
+        tag = re.match("could not determine a constructor for the tag '(.*)'", error.problem or "")
+        if tag:
+            name = tag.group(1).replace("tag:yaml.org,2002:", "!!")
+            return InputError(
+                "an element with the tag '%.60s' is not plain data" % name,
+                file=self.file,
+                line=line,
+                hint="such elements are not read: write it without the tag",
+            )
+        words = [word for word in (error.context, error.problem) if word]
+        return InputError("it is not YAML: %s" % ", ".join(words), file=self.file, line=line)
+
+    def _check(self, loader: Any) -> None:
         sizes: Dict[int, int] = {}
         open_: Set[int] = set()
 
@@ -74,13 +116,13 @@ class YamlDocument:
                     loader.construct_object(node)
                 except ValueError:
                     raise InputError(
-                        "not YAML: '%.40s' is not a value of its kind" % node.value,
+                        "it is not YAML: '%.40s' is not a value of its kind" % node.value,
                         file=self.file,
                         line=line,
                     ) from None
-            if total > MOST_ELEMENTS:
+            if total > self._limit:
                 raise InputError(
-                    "it has more than %d elements" % MOST_ELEMENTS, file=self.file, line=line
+                    "it has more than %d elements" % self._limit, file=self.file, line=line
                 )
             open_.discard(id(node))
             sizes[id(node)] = total
@@ -122,6 +164,31 @@ class YamlDocument:
                 (name.start_mark.line + 1 for name, _ in node.value if name.value == key), line
             )
         return int(line)
+
+    def error(self, message: str, path: Iterable[Step], hint: str = "") -> InputError:
+        """Return the error for the element at ``path``, with file, line and element."""
+        steps = list(path)
+        return InputError(
+            message,
+            file=self.file,
+            line=self.line(steps),
+            element=path_text(steps) or None,
+            hint=hint or None,
+        )
+
+
+def read_yaml(path: str, limit: int = MOST_ELEMENTS) -> YamlDocument:
+    """Read a YAML file.
+
+    :param limit: largest number of elements.
+    :raises InputError: the file cannot be read, or as :class:`YamlDocument`.
+    """
+    return YamlDocument(read_bytes(path), path, limit)
+
+
+def _line_of(text: Union[str, bytes], position: int) -> int:
+    before = text[:position]
+    return 1 + (before.count("\n") if isinstance(before, str) else before.count(b"\n"))
 
 
 def path_text(path: Iterable[Step]) -> str:
