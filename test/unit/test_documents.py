@@ -267,7 +267,7 @@ def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
     assert typed == (
         [
             *("check", "check", "run", "analyse", "simulate", "fit", "compare", "optimise"),
-            *("new", "serve", "replay"),
+            *("new", "serve", "serve", "replay"),
         ]
     )
 
