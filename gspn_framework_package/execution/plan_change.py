@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter, OrderedDict
+from collections import Counter
 from dataclasses import replace
 from typing import Any, Dict, List, Mapping, Optional, Tuple
 
@@ -17,12 +17,13 @@ from gspn_framework_package.execution.log_entries import StagePlan
 from gspn_framework_package.execution.team_state import StagedPlan, TeamState
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.errors import GspnError, PlanError
+from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
 KEPT = 8
 """Plans that are kept after they were read."""
 
-_plans: OrderedDict[str, Plan] = OrderedDict()
+_plans: Kept[str, Plan] = Kept(KEPT)
 
 
 def digest_of(plan: Mapping[str, Any]) -> str:
@@ -47,18 +48,16 @@ def plan_of(staged: StagedPlan) -> Plan:
 
     :raises GspnError: it is none, or not the one with that digest.
     """
-    known = _plans.get(staged.digest)
-    if known is None:
+
+    def read() -> Plan:
         if digest_of(staged.plan) != staged.digest:
             raise PlanError("the digest of the staged plan differs from the recorded one")
         try:
-            known = plan_from_json(dict(staged.plan))
+            return plan_from_json(dict(staged.plan))
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise PlanError("not a plan (%r)" % error) from None
-        _plans[staged.digest] = known
-        while len(_plans) > KEPT:
-            _plans.popitem(last=False)
-    return known
+
+    return _plans.get(staged.digest, read)
 
 
 class NewNames:
@@ -292,7 +291,7 @@ def renamed(
     return {a: b for a, b in names.items() if b and a not in nodes}
 
 
-def same_net(old: Plan, new: Plan) -> bool:
+def same_structure(old: Plan, new: Plan) -> bool:
     """Whether two plans have the same places, transitions and arcs, in the same order, so that
     numbers and drawings of one fit the other."""
 

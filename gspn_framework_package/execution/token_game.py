@@ -8,7 +8,6 @@ of the log.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution import log_entries, plan_change
@@ -24,6 +23,7 @@ from gspn_framework_package.execution.team_state import (
 )
 from gspn_framework_package.execution.turn import Turn
 from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import LostKind
 
 KNOWN_TASKS = 10_000
@@ -71,18 +71,14 @@ def robots_in(
 GAMES = 8
 """Rules of adopted plans that are kept."""
 
-_games: OrderedDict[Tuple[str, bool], TokenGame] = OrderedDict()
+_games: Kept[Tuple[str, bool], TokenGame] = Kept(GAMES)
 
 
 def adopted_game(staged: StagedPlan, agents: bool) -> TokenGame:
     """The rules of a plan that was staged. :raises GspnError: it cannot be read."""
-    key = (staged.digest, agents)
-    game = _games.get(key)
-    if game is None:
-        game = _games[key] = TokenGame(plan_change.plan_of(staged), agents=agents)
-        while len(_games) > GAMES:
-            _games.popitem(last=False)
-    return game
+    return _games.get(
+        (staged.digest, agents), lambda: TokenGame(plan_change.plan_of(staged), agents=agents)
+    )
 
 
 class TokenGame(Rules):

@@ -11,10 +11,9 @@ import hashlib
 import json
 import math
 import subprocess
-import threading
-from collections import OrderedDict
 from typing import Dict, List, NamedTuple, Optional, Tuple, Union
 
+from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.net import Net, Place, Transition
 
 Point = Tuple[float, float]
@@ -61,8 +60,7 @@ class Layout(NamedTuple):
     engine: str
 
 
-_kept: OrderedDict[Tuple[str, bool], Layout] = OrderedDict()
-_lock = threading.Lock()
+_kept: Kept[Tuple[str, bool], Layout] = Kept(_KEPT)
 
 
 def net_hash(net: Net) -> str:
@@ -82,17 +80,7 @@ def lay_out(net: Net, *, anew: bool = False, deadline: float = DEADLINE) -> Layo
     :param anew: ignore the positions of the file.
     :param deadline: deadline of each Graphviz run, in seconds.
     """
-    key = (net_hash(net), anew)
-    with _lock:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key]
-    layout = _compute(net, anew, deadline)
-    with _lock:
-        _kept[key] = layout
-        while len(_kept) > _KEPT:
-            _kept.popitem(last=False)
-    return layout
+    return _kept.get((net_hash(net), anew), lambda: _compute(net, anew, deadline))
 
 
 def _compute(net: Net, anew: bool, deadline: float) -> Layout:

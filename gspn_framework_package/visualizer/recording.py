@@ -18,7 +18,7 @@ from collections import OrderedDict
 from typing import BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
-from gspn_framework_package.execution.plan_change import same_net
+from gspn_framework_package.execution.plan_change import same_structure
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.visualizer.board import Board, Event
@@ -130,7 +130,7 @@ class _Reader:
         :raises LogError: it does not fit.
         """
         game = self._replayer.game
-        if not same_net(before.plan, game.plan):
+        if not same_structure(before.plan, game.plan):
             raise LogError(
                 "from slot %d on, the team follows the plan '%s', whose net is another one; "
                 "this replay shows the net that the run began with" % (slot, game.plan.name)

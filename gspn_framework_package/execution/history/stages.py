@@ -15,9 +15,10 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.history.cargo import Cargo
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import Plan
 
-_read: Dict[str, Plan] = {}
+_read: Kept[str, Plan] = Kept(8)
 
 
 class Speaker(Protocol):
@@ -149,12 +150,10 @@ class LoggedStages:
         text = json.dumps(staged.plan, sort_keys=True, separators=(",", ":"))
         if hashlib.sha256(text.encode("utf-8")).hexdigest()[:32] != staged.digest:
             return None
-        if staged.digest not in _read:
-            try:
-                _read[staged.digest] = plan_from_json(dict(staged.plan))
-            except (GspnError, KeyError, TypeError, ValueError, AttributeError):
-                return None
-        return _read[staged.digest]
+        try:
+            return _read.get(staged.digest, lambda: plan_from_json(dict(staged.plan)))
+        except (GspnError, KeyError, TypeError, ValueError, AttributeError):
+            return None
 
 
 def _fits(team: DeployedTeam, new: Plan, mapping: Mapping[str, str]) -> bool:
