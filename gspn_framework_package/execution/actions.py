@@ -65,16 +65,11 @@ from __future__ import annotations
 
 import ast
 import copy
-import hashlib
-import importlib
-import importlib.util
 import inspect
 import json
 import os
 import re
-import sys
 import threading
-from types import ModuleType
 from typing import (
     Any,
     Callable,
@@ -94,6 +89,7 @@ from typing import (
 )
 
 from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.plan_modules import is_installed, load_module
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
@@ -407,7 +403,7 @@ def load_function(
             element=element,
             hint="write module.function",
         )
-    module = _load_module(folder, module_name, element)
+    module = load_module(folder, module_name, element)
     function = getattr(module, function_name, None)
     if function is None:
         there = sorted(
@@ -466,7 +462,7 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
         None,
     )
     if file is None:
-        if _is_installed(module):
+        if is_installed(module):
             return None
         return "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
     try:
@@ -496,101 +492,6 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
     if function in defined or "*" in defined or "__getattr__" in defined:
         return None
     return "there is no '%s' in %s" % (function, file)
-
-
-def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
-    path = os.path.join(os.path.abspath(folder), *name.split(".")) if folder else ""
-    for file in (path + ".py", os.path.join(path, "__init__.py")):
-        if path and os.path.isfile(file):
-            return _load_file(str(folder), file, element)
-    try:
-        if not _is_installed(name):
-            raise ModuleNotFoundError(name=name)
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not (name + ".").startswith(error.name + "."):
-            raise _import_failed(error, None, element) from error
-        raise PlanError(
-            "there is no module '%s'" % name,
-            element=element,
-            hint="searched for %s.py in %s, and among the installed modules"
-            % (name.replace(".", "/"), folder or "no folder"),
-        ) from None
-    except Exception as error:
-        raise _import_failed(error, None, element) from error
-
-
-_plan_folders: set[str] = set()
-"""Plan folders that were put on ``sys.path``, because their modules may import each other."""
-
-
-def _is_installed(name: str) -> bool:
-    """Whether Python can find the module, or the package it is in, outside the folders of other
-    plans."""
-    try:
-        spec = importlib.util.find_spec(name.split(".")[0])
-    except (ImportError, ValueError):
-        return False
-    if spec is None:
-        return False
-    packages = list(spec.submodule_search_locations or ())
-    entries = packages or ([spec.origin] if spec.has_location and spec.origin else [])
-    return not entries or any(
-        os.path.dirname(os.path.abspath(entry)) not in _plan_folders for entry in entries
-    )
-
-
-_LOADING = threading.RLock()
-"""Held while a file is loaded: no other thread gets a module that is not whole yet."""
-
-
-def _load_file(folder: str, file: str, element: str) -> ModuleType:
-    with _LOADING:
-        return _load_file_once(folder, file, element)
-
-
-def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
-    # The name is unique: two plans may both have an actions.py, even in one process.
-    digest = hashlib.sha256(os.path.realpath(file).encode()).hexdigest()[:12]
-    name = "gspn_plan_%s_%s" % (digest, os.path.splitext(os.path.basename(file))[0])
-    if name in sys.modules:
-        return sys.modules[name]
-    folder = os.path.abspath(folder)
-    if folder not in sys.path:
-        sys.path.append(folder)  # its modules may import each other, but hide none of Python's own
-        _plan_folders.add(folder)
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except PlanError as error:
-        del sys.modules[name]
-        raise error.located(file=file) from None
-    except Exception as error:
-        del sys.modules[name]
-        raise _import_failed(error, file, element) from error
-    except BaseException:  # it is not whole either
-        del sys.modules[name]
-        raise
-    return module
-
-
-def _import_failed(error: Exception, file: Optional[str], element: str) -> PlanError:
-    line = error.lineno if isinstance(error, SyntaxError) and error.filename == file else None
-    frame = error.__traceback__
-    while frame is not None:
-        if frame.tb_frame.f_code.co_filename == file:
-            line = frame.tb_lineno
-        frame = frame.tb_next
-    text = error.msg if isinstance(error, SyntaxError) else str(error)
-    return PlanError(
-        "importing the module failed: %s: %s" % (type(error).__name__, text),
-        file=file,
-        line=line,
-        element=element,
-    )
 
 
 def _no_parameter(element: str, settings: Iterable[str]) -> PlanError:

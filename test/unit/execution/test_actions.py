@@ -1,6 +1,7 @@
 """Actions that are Python functions: finding them, and what they are given."""
 
 import builtins
+import os
 import threading
 
 import pytest
@@ -35,6 +36,13 @@ def write(folder, name, text):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     return str(folder)
+
+
+def rewrite(path, text):
+    """Change a file in the same second, a moment later."""
+    before = path.stat().st_mtime_ns
+    path.write_text(text)
+    os.utime(path, ns=(before + 1, before + 1))
 
 
 def test_a_function_gets_what_it_asks_for_by_name():
@@ -187,3 +195,25 @@ def test_the_actions_of_a_robot(tmp_path):
         "P2": "actions.a",
     }
     assert load_actions(plan, "r2")["P2"](context()).transition == "B"
+
+
+def test_a_module_that_changed_is_loaded_anew_with_all_that_is_beside_it(tmp_path):
+    folder = write(
+        tmp_path, "acts.py", "import fresh_helper\ndef go():\n    return fresh_helper.T\n"
+    )
+    write(tmp_path, "fresh_helper.py", "T = 'T1'\n")
+    write(tmp_path, "other.py", "def go():\n    return 'T5'\n")
+    old, other = load_action(folder, "acts.go"), load_action(folder, "other.go")
+    assert load_action(folder, "acts.go").call(context()) == "T1"
+    assert load_action(folder, "other.go")._function is other._function
+    rewrite(tmp_path / "fresh_helper.py", "T = 'T2'\n")
+    assert load_action(folder, "acts.go").call(context()) == "T2"
+    assert old.call(context()) == "T1"
+    rewrite(tmp_path / "acts.py", "def go():\n    return 'T3'\n")
+    assert load_action(folder, "acts.go").call(context()) == "T3"
+    rewrite(tmp_path / "acts.py", "def go(:\n")
+    with pytest.raises(PlanError, match="SyntaxError"):
+        load_action(folder, "acts.go")
+    assert old.call(context()) == "T1"
+    rewrite(tmp_path / "acts.py", "def go():\n    return 'T4'\n")
+    assert load_action(folder, "acts.go").call(context()) == "T4"

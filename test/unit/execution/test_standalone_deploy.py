@@ -80,8 +80,7 @@ def test_a_run_goes_on_under_another_plan(tmp_path) -> None:
     executor.deploy(_plan(tmp_path, wider, bound, "X"), mapping)
     assert heard.plans and executor.status()["marking"] == {"X": 1, "B": 0, "C": 0}
 
-    module = next(m for n, m in sys.modules.items() if n.endswith(name) or name in n)
-    module.GO.set()
+    _module(name).GO.set()
     heard.wait_for("cx")
     assert heard.fired[:3] == ["xb", "bc", "cx"]
     executor.stop()
@@ -90,3 +89,41 @@ def test_a_run_goes_on_under_another_plan(tmp_path) -> None:
     read = read_log(str(tmp_path / "log.jsonl"))
     assert verify([read]).violation is None
     assert list(replay(read))[-1].state.ended
+
+
+EDITED = """
+import threading
+
+GO = threading.Event()
+
+def act(is_cancelled):
+    while not GO.is_set() and not is_cancelled.wait(0.01):
+        pass
+    return %r
+"""
+
+
+def test_actions_that_start_after_an_edited_module_was_deployed_use_it(tmp_path) -> None:
+    name = "edited_%d" % time.monotonic_ns()
+    module = tmp_path / (name + ".py")
+    module.write_text(EDITED % "ab")
+    plan = _plan(tmp_path, {"ab": "AB", "ac": "AC", "ba": "BA"}, dict.fromkeys("AB", name + ".act"))
+    before = _module(name)
+    heard = _Heard()
+    executor = StandaloneExecutor(plan, heard)
+    executor.start()
+    first = _module(name)
+    assert before is None and first is not None
+    module.write_text(EDITED % "ba" + "GO.set()\n")
+    executor.deploy(plan)
+    second = _module(name)
+    assert second is not first and not heard.fired  # the action under way goes on as it was
+    first.GO.set()
+    heard.wait_for("ba")
+    assert heard.fired[:2] == ["ab", "ba"]
+    executor.stop()
+    executor.wait(10)
+
+
+def _module(name):
+    return next((m for n, m in sys.modules.items() if n.endswith(name)), None)
