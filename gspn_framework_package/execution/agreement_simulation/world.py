@@ -18,6 +18,7 @@ from gspn_framework_package.execution.agreement_simulation.plans import (
 )
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction
+from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
@@ -239,6 +240,7 @@ class SimulatedNode:
                 self.world.examine(self, effect)
             elif isinstance(effect, interface.PlanChanged):
                 self.plan = effect.plan
+                self.world.give_up_tasks(self)
 
     def _wake_at(self, time: float) -> None:
         """Schedule a Tick at that time; an alarm that is due earlier reschedules itself."""
@@ -290,6 +292,19 @@ class SimulatedNode:
 def _robot_events(plan: Plan) -> List[str]:
     """The events that interrupt robots, except those by time."""
     return [t for t, e in plan.events.items() if t not in plan.submissions and e.after is None]
+
+
+def _entrance(task: log_entries.Submit, ledger: Ledger) -> Optional[int]:
+    """The number of the transition by which a task comes in now; None if it cannot."""
+    name = ledger.state.renamed.get(task.transition, task.transition)
+    t = ledger.game.net.transition_index.get(name)
+    return t if t in ledger.game.submissions else None
+
+
+def _is_missing(task: log_entries.Submit, ledger: Ledger) -> bool:
+    """Whether a team that should have a task does not."""
+    t = _entrance(task, ledger)
+    return t is not None and not ledger.state.is_known(t, task.id)
 
 
 class World:
@@ -533,29 +548,34 @@ class World:
         life, disk, replica = node.life, node.disk, node.replica
         awake = not (node.suspended or node.halted) and disk is not None and replica is not None
         over = replica is not None and replica.ledger.state.ended is not None
+        taken = replica is not None and _entrance(task, replica.ledger) is not None
         node.give(interface.TaskCame(task))
-        if awake and not over and node.life == life and disk is not None:
+        if awake and not over and taken and node.life == life and disk is not None:
             self.reached.append((disk, task))
+
+    def give_up_tasks(self, node: SimulatedNode) -> None:
+        """A robot follows another plan: it gives up tasks that this one does not take, also if a
+        later plan would."""
+        replica = node.replica
+        if replica is not None:
+            self.reached = [
+                (disk, task)
+                for disk, task in self.reached
+                if disk is not node.disk or _entrance(task, replica.ledger) is not None
+            ]
 
     def lost_tasks(self) -> List[str]:
         """The tasks that a running robot has taken in with the log that it has, and that the team
         does not have."""
         kept = [n.disk for n in self.alive() if not n.halted and n.disk is not None]
-        ledgers = [n.replica.ledger.state for n in self.alive() if n.replica is not None]
-        team = max(ledgers, key=lambda state: state.next_slot, default=None)
-        if team is None or team.ended is not None:
+        ledgers = [n.replica.ledger for n in self.alive() if n.replica is not None]
+        team = max(ledgers, key=lambda ledger: ledger.length, default=None)
+        if team is None or team.state.ended is not None:
             return []
-        game = next(n.replica.ledger.game for n in self.alive() if n.replica is not None)
-
-        def is_lost(task: log_entries.Submit) -> bool:
-            name = team.renamed.get(task.transition, task.transition)
-            t = game.net.transition_index.get(name)
-            return t in game.submissions and not team.is_known(t, task.id)
-
         return [
             task.id
             for disk, task in self.reached
-            if any(disk is other for other in kept) and is_lost(task)
+            if any(disk is other for other in kept) and _is_missing(task, team)
         ]
 
     # -- checks during the run ---------------------------------------------------------------------
