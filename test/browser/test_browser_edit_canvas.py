@@ -290,6 +290,17 @@ def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
     plan = {"plan": "large", "net": net_to_json(workshop(1000)), "actions": {}}
     page = edit({"large": plan}, "large")
     before = net(page)
+    # a menu of all places is made when somebody turns to it
+    page.evaluate("() => window.gspn.edit.choose(['place:r0_p0'])")
+    page.click("summary:has-text('Robots that start here')")
+    menu = page.locator("select[data-key='plan.robots.0.place']")
+    assert menu.locator("option").all_text_contents() == ["r0_p0"]
+    menu.focus()
+    assert menu.locator("option").count() == len(before["places"])
+    assert menu.locator("option:checked").text_content() == "r0_p0"
+    key(page, "ArrowDown")
+    page.wait_for_function("() => window.gspn.edit.document.plan.robots?.robot_1 === 'r0_p1'")
+    page.click("#ed-undo")
     # what an edit does not change is not drawn again
     page.evaluate(
         """() => { const { canvas, document: edited } = window.gspn.edit;

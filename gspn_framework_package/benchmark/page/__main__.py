@@ -3,8 +3,8 @@
     python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [edit] [log]
     [team] [--json]
 
-*render*: first render, frames per second and firing to frame, in Chromium. *edit*: frames per
-second while a net is edited. *viewers*: many headless
+*render*: first render, frames per second and firing to frame, in Chromium. *edit*: the time that
+the editor takes for an edit of a large net, with its panels open. *viewers*: many headless
 viewers. *memory*: memory of the server, with a viewer that has stalled. *log*: opening a long event
 log. *team*: the cost of the page to five robots at full speed (needs ROS). By default, the first
 three run.

@@ -3,15 +3,12 @@
 
 import { h, plural } from "../dom.js";
 import { post } from "../api.js";
+import { onlyMoved } from "./plan_document.js";
 
 const QUIET = 150; // ms without an edit after which the state is checked
 const LISTED = 60; // findings of one level that are listed
 const LEVELS = { error: "Error", warning: "Warning", note: "Note" };
 const RANK = { error: 3, warning: 2, note: 1 };
-
-/** What of a state the check reads: all but the positions, as text. */
-const essence = (state) =>
-  JSON.stringify(state, (key, value) => (key === "position" ? undefined : value));
 
 /** The keys of the selection that a finding is about; of an arc its ends too, which can have a mark. */
 function keysOf(elements) {
@@ -29,8 +26,7 @@ export class Checks {
     this.page = Math.random().toString(36).slice(2); // other pages' checks go on beside these
     this.revision = 0;
     this.timer = 0;
-    this.checked = null; // the essence of the state that the findings are of
-    this.asked = null; // that of the state that is being checked
+    this.asked = null; // the state that is being checked, or was; the check reads no positions
     this.state = h("p", { id: "ed-check-state", class: "ed-check-state", role: "status" });
     this.again = h("button", { text: "Check again", hidden: true, onclick: () => this.check() });
     this.list = h("div", { id: "ed-findings", class: "ed-findings" });
@@ -76,7 +72,7 @@ export class Checks {
   }
 
   later() {
-    if (essence(this.mode.document.state) === this.asked) return;
+    if (this.asked && onlyMoved(this.asked, this.mode.document.state)) return;
     this.revision += 1; // answers that come now are of another state
     this.tell("checking", "Checking … the findings below are those before the last edit.");
     clearTimeout(this.timer);
@@ -86,8 +82,8 @@ export class Checks {
   /** Check the present state: quickly first, then as far as gspn check goes if that left something open. */
   async check() {
     clearTimeout(this.timer);
-    const { document: state } = { document: this.mode.document.state };
-    this.asked = essence(state);
+    const { state } = this.mode.document;
+    this.asked = state;
     this.revision += 1;
     const { revision } = this;
     this.tell("checking", "Checking …");

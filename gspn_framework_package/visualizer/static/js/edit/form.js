@@ -3,6 +3,8 @@
 // document. A form follows the document: every edit, undo and redo redraws it, and the focus stays where it was.
 
 import { h, isPressed } from "../dom.js";
+import { completionsOf, selectOf } from "./long_options.js";
+import { onlyMoved } from "./plan_document.js";
 
 let ids = 0;
 
@@ -61,27 +63,6 @@ export class Lens {
     lens.name = this.name;
     return lens;
   }
-}
-
-/** Whether two states differ in nothing but the positions of nodes. */
-function onlyMoved(before, after) {
-  if (before.plan !== after.plan || before.policy !== after.policy) return false;
-  const [a, b] = [before.net, after.net];
-  const alike = (one, other) => {
-    if (one === other) return true;
-    const keys = (node) => Object.keys(node).filter((key) => key !== "position");
-    return (
-      keys(one).join() === keys(other).join() && keys(one).every((key) => one[key] === other[key])
-    );
-  };
-  return (
-    a.arcs === b.arcs &&
-    a.name === b.name &&
-    ["places", "transitions"].every(
-      (list) =>
-        a[list].length === b[list].length && a[list].every((it, i) => alike(it, b[list][i])),
-    )
-  );
 }
 
 /** Stands for the values of several nodes that differ. */
@@ -176,7 +157,7 @@ export class FormPanel {
       setTimeout(() => this.settle(), 50);
       return;
     }
-    if (!this.element.getClientRects().length) return;
+    if (this.element.closest("[hidden]")) return; // asking for its size would lay out the whole page
     const begun = performance.now();
     this.draw();
     const now = performance.now();
@@ -392,13 +373,7 @@ export class FormPanel {
   }
 
   completion(input, names) {
-    const list = h(
-      "datalist",
-      { id: newId() },
-      [...new Set(names)].slice(0, 500).map((value) => h("option", { value })),
-    );
-    input.setAttribute("list", list.id);
-    return list;
+    return completionsOf(input, newId(), [...new Set(names)]);
   }
 
   /** A number. `blank`: the value of an empty field; without it, an empty field is wrong. */
@@ -426,10 +401,9 @@ export class FormPanel {
       known < 0
         ? [[value, value === MIXED ? "several values" : `${value ?? "choose …"}`], ...options]
         : options;
-    const select = h(
-      "select",
+    const select = selectOf(
       { "data-key": lens.key, ...attributes },
-      all.map(([it, text], i) => h("option", { value: i, text, selected: it === value })),
+      all.map(([it, text], i) => ({ value: i, text, selected: it === value })),
     );
     select.addEventListener("change", () => {
       const chosen = all[Number(select.value)][0];
@@ -469,12 +443,10 @@ export class FormPanel {
 
   /** A choice that adds what is chosen. */
   adder(key, label, names, add) {
-    const select = h(
-      "select",
-      { "data-key": `${key} add`, "aria-label": label },
-      h("option", { value: "", text: `${label} …` }),
-      names.map((name) => h("option", { value: name, text: name })),
-    );
+    const select = selectOf({ "data-key": `${key} add`, "aria-label": label }, [
+      { value: "", text: `${label} …` },
+      ...names.map((name) => ({ value: name, text: name })),
+    ]);
     select.addEventListener("change", () => select.value && add(select.value));
     select.disabled = !names.length;
     return select;

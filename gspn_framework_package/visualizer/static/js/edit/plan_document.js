@@ -11,6 +11,27 @@ export function changed(object, values) {
   return result;
 }
 
+/** Whether two states differ in nothing but the positions of nodes. */
+export function onlyMoved(before, after) {
+  if (before.plan !== after.plan || before.policy !== after.policy) return false;
+  const [a, b] = [before.net, after.net];
+  const alike = (one, other) => {
+    if (one === other) return true;
+    const keys = (node) => Object.keys(node).filter((key) => key !== "position");
+    return (
+      keys(one).join() === keys(other).join() && keys(one).every((key) => one[key] === other[key])
+    );
+  };
+  return (
+    a.arcs === b.arcs &&
+    a.name === b.name &&
+    ["places", "transitions"].every(
+      (list) =>
+        a[list].length === b[list].length && a[list].every((it, i) => alike(it, b[list][i])),
+    )
+  );
+}
+
 /** Fires "change" (detail {before, edit}) after each edit, undo and redo; "saved" when the state on the disk is
  * known to be the present one. */
 export class PlanDocument extends EventTarget {

@@ -258,26 +258,18 @@ export class PropertyPanel extends PlanForm {
       resource
         ? this.inList("tasks.queues", ["tasks", "queues"], name, "Its tokens are tasks (a queue)")
         : [
-            this.section("place action", "Action", true, this.entry("actions", name, "Action")),
-            this.section("place robots", "Robots that start here", false, this.robots(name)),
-            this.section(
-              "place failure",
-              "When it fails or takes long",
-              false,
-              this.entry("on_failure", name),
-              this.entry("timeout", name),
-              this.entry("on_evict", name),
+            this.section("place action", "Action", true, () =>
+              this.entry("actions", name, "Action"),
             ),
-            this.section(
-              "place times",
-              "Durations, outcomes, failures",
-              false,
-              this.entry("durations", name),
-              this.entry("outcomes", name),
-              this.entry("failures", name),
+            this.section("place robots", "Robots that start here", false, () => this.robots(name)),
+            this.section("place failure", "When it fails or takes long", false, () =>
+              ["on_failure", "timeout", "on_evict"].map((key) => this.entry(key, name)),
+            ),
+            this.section("place times", "Durations, outcomes, failures", false, () => [
+              ["durations", "outcomes", "failures"].map((key) => this.entry(key, name)),
               this.inList("chance", ["chance"], name, "Nobody chooses here (chance)"),
               this.inList("spawn", ["spawn"], name, "Robots of a larger team start here"),
-            ),
+            ]),
           ],
     ];
   }
@@ -432,16 +424,10 @@ export class PropertyPanel extends PlanForm {
       this.transitionFields(list),
       this.position("transition", name),
       timed && [
-        this.section(
-          "transition event",
-          "Event",
-          Boolean(this.document.plan.events?.[name]),
+        this.section("transition event", "Event", Boolean(this.document.plan.events?.[name]), () =>
           this.entry("events", name),
         ),
-        this.section(
-          "transition rate",
-          "Rate that replaces the net's",
-          false,
+        this.section("transition rate", "Rate that replaces the net's", false, () =>
           this.entry("rates", name),
         ),
       ],
@@ -449,7 +435,7 @@ export class PropertyPanel extends PlanForm {
         "transition routing",
         "Which robot goes where",
         Boolean(this.document.plan.routing?.[name]),
-        this.entry("routing", name),
+        () => this.entry("routing", name),
       ),
       this.inList("tasks.done", ["tasks", "done"], name, "A robot's task is done here"),
       this.neighbours(name),

@@ -10,15 +10,22 @@ import { durationForm, evidence, learned } from "./learned_form.js";
 import { robotsForm } from "./robots_form.js";
 import { actionField } from "./action_form.js";
 
-const names = (nodes) => nodes.map(({ name }) => name).sort(natural);
+const sorted = new WeakMap(); // list of nodes -> its names: forms ask for them again and again
+
+function names(nodes) {
+  if (!sorted.has(nodes)) sorted.set(nodes, nodes.map(({ name }) => name).sort(natural));
+  return [...sorted.get(nodes)];
+}
 
 /** The names that belong somewhere: (state, name of the entry) -> list. */
 export const NAMES = {
   places: ({ net }) => names(net.places),
   placesAndAll: ({ net }) => ["*", ...names(net.places)],
   resources: ({ plan }) => [...(plan.resource_places ?? [])].sort(natural),
-  actionPlaces: ({ net, plan }) =>
-    names(net.places).filter((name) => !plan.resource_places?.includes(name)),
+  actionPlaces({ net, plan }) {
+    const resources = new Set(plan.resource_places);
+    return names(net.places).filter((name) => !resources.has(name));
+  },
   transitions: ({ net }) => names(net.transitions),
   timed: ({ net }) => names(net.transitions.filter(({ timed }) => timed)),
   immediate: ({ net }) => names(net.transitions.filter(({ timed }) => !timed)),

@@ -1,0 +1,44 @@
+// Menus and completions with many entries. Making a thousand options takes a browser longer than all the rest of a
+// form, so those of a long list are made when somebody turns to the control.
+
+import { h } from "../dom.js";
+
+const SHORT = 30; // options that are made at once
+
+const option = ({ value, text, selected }) => h("option", { value, text, selected });
+
+/** Call `act` once, before somebody can open the menu or the completions of a control. */
+function whenUsed(control, act) {
+  const ends = new AbortController();
+  const { signal } = ends;
+  for (const event of ["pointerdown", "focus"])
+    control.addEventListener(
+      event,
+      () => {
+        ends.abort();
+        act();
+      },
+      { signal },
+    );
+}
+
+/** A select with `entries`: [{value, text, selected}, ...]. */
+export function selectOf(attributes, entries) {
+  const select = h("select", attributes);
+  if (entries.length <= SHORT) select.append(...entries.map(option));
+  else {
+    select.append(option(entries.find(({ selected }) => selected) ?? entries[0]));
+    whenUsed(select, () => select.replaceChildren(...entries.map(option)));
+  }
+  return select;
+}
+
+/** The completions of a field. */
+export function completionsOf(input, id, names) {
+  const list = h("datalist", { id });
+  const fill = () => list.append(...names.map((value) => h("option", { value })));
+  if (names.length <= SHORT) fill();
+  else whenUsed(input, fill);
+  input.setAttribute("list", id);
+  return list;
+}
