@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import glob
 import io
 import math
-from typing import Any, Callable, Dict, Mapping, Optional, Tuple, Union
+import os
+import sys
+from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple, Union
 
 import genmsg.msgs
 import genpy
@@ -220,3 +223,84 @@ def json_value(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [json_value(part) for part in value]
     return value
+
+
+# -- for forms -------------------------------------------------------------------------------------
+
+
+def action_fields(kind: str, name: str) -> Dict[str, Optional[List[Dict[str, Any]]]]:
+    """What an action of a plan sends and receives, for a form.
+
+    :param kind: the key of the action: "server", "service", "publish" or "wait_for".
+    :param name: its type.
+    :returns: ``sent`` and ``received``: the fields as of :func:`field_tree`; None where there is no
+        message.
+    :raises PlanError: there is no such type here, or it is not one of an action.
+    """
+    sent: Any = None
+    received: Any = None
+    if kind == "server":
+        action = message_class(name, "action")()
+        if not hasattr(action, "action_goal"):
+            raise PlanError(
+                "'%s' is a message, not an action type" % name, hint="write package/NameAction"
+            )
+        sent, received = type(action.action_goal.goal), type(action.action_result.result)
+    elif kind == "service":
+        service = service_class(name)
+        sent, received = service._request_class, service._response_class
+    elif kind == "publish":
+        sent = message_class(name)
+    else:
+        received = message_class(name)
+    return {
+        "sent": None if sent is None else field_tree(sent),
+        "received": None if received is None else field_tree(received),
+    }
+
+
+def field_tree(owner: Any) -> List[Dict[str, Any]]:
+    """The fields of a class of messages, with those inside them.
+
+    :returns: for each field ``name``, ``type`` (without brackets), ``array`` (whether it is one),
+        ``length`` (of an array of fixed length, else None), and ``fields`` if it holds messages,
+        else ``default``.
+    """
+    tree = []
+    for name, written in zip(owner.__slots__, owner._slot_types):
+        base, is_array, length = genmsg.msgs.parse_type(written)
+        field = {"name": name, "type": _full_type(base), "array": is_array, "length": length}
+        if base in _TIMES:
+            field["default"] = json_value(_TIMES[base]())
+        elif base in genmsg.msgs.PRIMITIVE_TYPES:
+            field["default"] = False if base == "bool" else _default(base)
+        else:
+            field["fields"] = field_tree(message_class(_full_type(base)))
+        tree.append(field)
+    return tree
+
+
+def installed_types() -> Dict[str, List[str]]:
+    """The types that this workspace has, by the kind of action that uses them, as in
+    :func:`action_fields`. Nothing is imported."""
+    names: Dict[str, Set[str]] = {"msg": set(), "srv": set()}
+    for folder, found in names.items():
+        for entry in sys.path:
+            for file in glob.iglob(os.path.join(glob.escape(entry), "*", folder, "_*.py")):
+                package, _, module = file.split(os.sep)[-3:]
+                if not module.startswith("__"):
+                    found.add("%s/%s" % (package, module[1 : -len(".py")]))
+    actions = {name for name in names["msg"] if name + "Goal" in names["msg"]}
+    parts = {
+        stem + part
+        for name in actions
+        for stem in (name, name[: -len("Action")])
+        for part in ("Goal", "Result", "Feedback")
+    }
+    plain = sorted(names["msg"] - actions - parts)
+    return {
+        "server": sorted(actions),
+        "service": sorted(names["srv"]),
+        "publish": plain,
+        "wait_for": plain,
+    }

@@ -501,6 +501,82 @@ def test_every_key_of_a_plan_has_a_form(editor, axe, picture):
     axe(page, "the plan")
 
 
+def test_the_goal_of_an_action_has_the_fields_of_its_type(editor, axe, picture):
+    """Types of ROS: fields with their defaults, nested, lists, data; without the type, any fields."""
+    pytest.importorskip("move_base_msgs.msg")
+    page = editor
+    goal = "plan.actions.Fetch.goal"
+    page.evaluate(
+        """() => gspn.edit.document.edit("goal", ({ plan }) => ({ plan: { ...plan, actions: { ...plan.actions,
+          Fetch: { server: "move_base", type: "move_base_msgs/MoveBaseAction", goal: { speed: 3 } } } } }))"""
+    )
+    choose(page, "place:Fetch")
+    page.wait_for_selector("#ed-properties .message .typed-part")
+    page.wait_for_selector("#ed-properties .wrong:has-text('The type has no field of this name')")
+    control(page, goal + ".speed remove").click()
+    unfold(page, "properties")
+    enter(page, goal + ".target_pose.header.frame_id", "map")
+    enter(page, goal + ".target_pose.header.stamp", "now")
+    enter(page, goal + ".target_pose.header.seq", "-1")
+    page.wait_for_selector("#ed-properties .wrong:has-text('uint32 is 0 to 4294967295')")
+    enter(page, goal + ".target_pose.header.seq", "")
+    enter(page, goal + ".target_pose.pose.position.x", "2.5")
+    control(page, goal + ".target_pose.pose.orientation source").click()
+    enter(page, goal + ".target_pose.pose.orientation", "task.heading")
+    picture(page, "edit_goal")
+    axe(page, "a goal")
+
+    def action(place="Fetch"):
+        return state(page)["plan"]["actions"][place]
+
+    assert action()["goal"] == {
+        "target_pose": {
+            "header": {"frame_id": "map", "stamp": "now"},
+            "pose": {"position": {"x": 2.5}, "orientation": {"from": "task.heading"}},
+        }
+    }
+    # what is emptied is not written: the field has its default
+    enter(page, goal + ".target_pose.pose.position.x", "")
+    control(page, goal + ".target_pose.pose.orientation source").click()
+    assert action()["goal"] == {"target_pose": {"header": {"frame_id": "map", "stamp": "now"}}}
+
+    # a message with lists, of messages and of numbers of which there are 36
+    path = "plan.actions.Sort"
+    page.evaluate(
+        """() => gspn.edit.document.edit("message", ({ plan }) => ({ plan: { ...plan, actions: { ...plan.actions,
+          Sort: { publish: "poses", type: "geometry_msgs/PoseArray" },
+          "Rest room": { publish: "pose", type: "geometry_msgs/PoseWithCovariance" } } } }))"""
+    )
+    choose(page, "place:Sort")
+    page.wait_for_selector("#ed-properties .message .typed-part")
+    unfold(page, "properties")
+    control(page, path + ".message.poses add").click()
+    control(page, path + ".message.poses add").click()
+    unfold(page, "properties")
+    enter(page, path + ".message.poses.1.position.y", "4")
+    control(page, path + ".message.poses.0 source").click()
+    assert action("Sort")["message"] == {"poses": [{"from": "task.id"}, {"position": {"y": 4}}]}
+    choose(page, "place:Rest room")
+    page.wait_for_selector("#ed-properties .message code:has-text('PoseWithCovariance')")
+    unfold(page, "properties")
+    field = "plan.actions.Rest room.message.covariance"
+    enter(page, field, "1 2")
+    page.wait_for_selector("#ed-properties .wrong:has-text('36 numbers are needed')")
+    enter(page, field, "0 " * 36)
+    assert action("Rest room")["message"]["covariance"] == [0] * 36
+    plan_of(state(page))
+
+    # a type that is not here: any fields can be given, and the form says why
+    enter(page, "plan.actions.Rest room.type", "nowhere/Pose")
+    page.wait_for_selector(
+        "#ed-properties .message .muted:has-text(\"no message type 'nowhere/Pose'\")"
+    )
+    control(page, "plan.actions.Rest room.message add").fill("speed")
+    page.keyboard.press("Enter")
+    enter(page, "plan.actions.Rest room.message.speed", "fast")
+    assert action("Rest room")["message"]["speed"] == "fast"
+
+
 def test_the_policy_as_a_table(editor, axe, picture):
     page = editor
     before = state(page)

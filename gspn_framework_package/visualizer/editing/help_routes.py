@@ -18,7 +18,7 @@ from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.visualizer.documents import Folder, check_size
 from gspn_framework_package.visualizer.editing.check_workers import CheckWorkers
 from gspn_framework_package.visualizer.editing.open_document import open_document
-from gspn_framework_package.visualizer.editing.palette import palette
+from gspn_framework_package.visualizer.editing.palette import message_fields, palette
 from gspn_framework_package.visualizer.layout import lay_out
 from gspn_framework_package.visualizer.project import Project, path_of_key
 
@@ -135,6 +135,11 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
     def palette_of_plan() -> Response:
         workers.warm()  # whoever asks for this is about to edit
         return answer(palette(folder, path_in(folder, key())))
+
+    @app.route("/api/edit/fields")
+    def fields_of_messages() -> Response:
+        asked_for = request.args.get("kind", ""), request.args.get("type", "")
+        return answer(message_fields(*asked_for))
 
 
 def path_in(folder: Folder, key: str) -> str:

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 from typing import Any, Dict, Iterator, List, Mapping, Optional
 
 from gspn_framework_package.execution.actions import PARAMETERS
 from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.model.action import KINDS
-from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.visualizer.documents import Folder
 
 FILES = 100
@@ -21,6 +22,10 @@ SOURCE_BYTES = 1_000_000
 DOC_CHARACTERS = 600
 MASTER_SECONDS = 1.0
 ACTION_SUFFIXES = ("goal", "cancel", "status", "feedback", "result")
+TYPED = ("server", "service", "publish", "wait_for")
+"""The kinds of action that have a type of ROS."""
+
+_TYPE_NAME = re.compile(r"[A-Za-z]\w{0,99}/[A-Za-z]\w{0,99}", re.ASCII)
 
 
 def palette(folder: Folder, path: str) -> Dict[str, Any]:
@@ -29,13 +34,15 @@ def palette(folder: Folder, path: str) -> Dict[str, Any]:
     :param folder: the served folder; nothing outside it is read.
     :param path: the plan file, relative to that folder.
     :returns: ``functions``, ``plans``, ``kinds`` (the keys by which actions of a plan file are told
-        apart) and ``ros``: None if no master answers, or this shell has no ROS.
+        apart), ``types`` (of messages, by kind of action; none without ROS) and ``ros``: None if no
+        master answers, or this shell has no ROS.
     """
     whole = os.path.join(folder.root, os.path.dirname(path))
     return {
         "functions": list(_functions(folder, whole)),
         "plans": list(_plans(folder, whole, path)),
         "kinds": [*KINDS, "plan"],
+        "types": _types(),
         "ros": _ros(),
     }
 
@@ -178,6 +185,38 @@ def _plan(file: str) -> Optional[Dict[str, Any]]:
 
 
 # -- ROS -------------------------------------------------------------------------------------------
+
+
+def message_fields(kind: str, name: str) -> Dict[str, Any]:
+    """Return the fields of the messages of an action.
+
+    :param kind: one of :data:`TYPED`.
+    :param name: its type, e.g. ``move_base_msgs/MoveBaseAction``.
+    :returns: ``sent`` and ``received``, as of ``action_fields`` in ``ros.message_fields``, and
+        ``why``: "", or why the fields are not known.
+    :raises UsageError: there is no such kind.
+    """
+    if kind not in TYPED:
+        raise UsageError("an action of the kind '%.50s' has no message" % kind)
+    nothing = {"sent": None, "received": None}
+    if _TYPE_NAME.fullmatch(name) is None:
+        return {**nothing, "why": "'%.100s' is not the name of a type" % name}
+    try:
+        from gspn_framework_package.ros.message_fields import action_fields
+    except ImportError:
+        return {**nothing, "why": "this server runs without ROS"}
+    try:
+        return {**action_fields(kind, name), "why": ""}
+    except GspnError as error:
+        return {**nothing, "why": error.message}
+
+
+def _types() -> Dict[str, List[str]]:
+    try:
+        from gspn_framework_package.ros.message_fields import installed_types
+    except ImportError:
+        return {}
+    return installed_types()
 
 
 def _ros() -> Optional[Dict[str, Any]]:

@@ -16,10 +16,13 @@ from std_msgs.msg import String
 from gspn_framework_package.model.errors import ExpressionError, PlanError
 from gspn_framework_package.model.message_condition import MessageCondition, parse_field
 from gspn_framework_package.ros.message_fields import (
+    action_fields,
     check_condition,
     check_field,
     check_fields,
+    field_tree,
     fill_message,
+    installed_types,
     json_value,
     message_class,
     service_class,
@@ -128,3 +131,62 @@ def test_the_fields_of_a_condition_are_checked():
 def test_a_type_that_is_not_here_is_named(find, kind, name):
     with pytest.raises(PlanError, match="%s type '%s'" % (kind, name)):
         find(name)
+
+
+def defaults(tree):
+    """The message that a tree of fields describes."""
+    return {
+        field["name"]: [defaults(field["fields"]) if "fields" in field else field["default"]]
+        * (field["length"] or 0)
+        if field["array"]
+        else defaults(field["fields"])
+        if "fields" in field
+        else field["default"]
+        for field in tree
+    }
+
+
+@pytest.mark.parametrize("owner", [BatteryState, Image, LaserScan, MoveBaseGoal, PoseArray])
+def test_the_tree_of_a_type_has_its_fields_and_their_defaults(owner):
+    tree = json.loads(json.dumps(field_tree(owner)))
+    fill_message(owner(), defaults(tree), "message")
+    assert defaults(tree) == json_value(owner())
+
+
+def test_a_tree_says_what_is_an_array_and_what_holds_messages():
+    poses = {field["name"]: field for field in field_tree(PoseArray)}["poses"]
+    assert (poses["type"], poses["array"], poses["length"]) == ("geometry_msgs/Pose", True, None)
+    assert [field["name"] for field in poses["fields"]] == ["position", "orientation"]
+    stamp = field_tree(PoseStamped)[0]["fields"][1]
+    assert (stamp["type"], stamp["default"]) == ("time", {"secs": 0, "nsecs": 0})
+
+
+def test_the_fields_of_each_kind_of_action():
+    def names(kind, type_name):
+        found = action_fields(kind, type_name)
+        return {
+            way: tree if tree is None else [field["name"] for field in tree]
+            for way, tree in found.items()
+        }
+
+    move = "move_base_msgs/MoveBaseAction"
+    assert names("server", move) == {"sent": ["target_pose"], "received": []}
+    assert names("service", "std_srvs/SetBool") == {
+        "sent": ["data"],
+        "received": ["success", "message"],
+    }
+    assert names("publish", "std_msgs/String") == {"sent": ["data"], "received": None}
+    assert names("wait_for", "std_msgs/String") == {"sent": None, "received": ["data"]}
+    for kind, wrong in (
+        ("server", "std_msgs/String"),
+        ("server", "std_msgs/None"),
+        ("service", "std_msgs/String"),
+        ("publish", "nowhere/String"),
+    ):
+        with pytest.raises(PlanError):
+            action_fields(kind, wrong)
+    types = installed_types()
+    assert move in types["server"] and "std_srvs/SetBool" in types["service"]
+    assert "std_msgs/String" in types["publish"] and types["publish"] == types["wait_for"]
+    parts = {"move_base_msgs/MoveBaseGoal", "move_base_msgs/MoveBaseActionGoal", move}
+    assert not parts & set(types["publish"])

@@ -29,7 +29,7 @@ from gspn_framework_package.visualizer.editing import check_workers
 from gspn_framework_package.visualizer.editing.check_workers import CheckWorkers
 from gspn_framework_package.visualizer.editing.choices import choices
 from gspn_framework_package.visualizer.editing.findings import findings
-from gspn_framework_package.visualizer.editing.palette import palette
+from gspn_framework_package.visualizer.editing.palette import message_fields, palette
 from gspn_framework_package.visualizer.project import Project
 
 PLANS = Path(__file__).resolve().parents[3] / "plans"
@@ -345,6 +345,16 @@ def test_the_palette_reads_functions_without_running_anything(
     assert "function" in found["kinds"] and found["ros"] is None
 
 
+def test_why_the_fields_of_an_action_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "'x' is not the name of a type" == message_fields("server", "x")["why"]
+    assert "is not the name of a type" in message_fields("publish", "../x/Name")["why"]
+    monkeypatch.setitem(sys.modules, "gspn_framework_package.ros.message_fields", None)
+    found = message_fields("publish", "std_msgs/String")
+    assert found == {"sent": None, "received": None, "why": "this server runs without ROS"}
+    with pytest.raises(GspnError, match="'function' has no message"):
+        message_fields("function", "std_msgs/String")
+
+
 # -- the processes ---------------------------------------------------------------------------------
 
 
@@ -474,6 +484,8 @@ def test_the_routes_answer(client: PageClient) -> None:
     marking = {p["name"]: p.get("tokens", 0) for p in document["net"]["places"]}
     assert post("choices", {"document": document, "marking": marking})["places"]
     assert client.get("/api/edit/palette?id=" + key).get_json()["functions"]
+    fields = client.get("/api/edit/fields?kind=publish&type=std_msgs/String").get_json()
+    assert fields["sent"] or fields["why"]
 
 
 @pytest.mark.parametrize("what", ["check", "diff", "layout", "choices"])

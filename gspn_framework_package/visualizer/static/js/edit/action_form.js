@@ -2,6 +2,7 @@
 
 import { h } from "../dom.js";
 import { valueField } from "./data_form.js";
+import { messageHint, messagesOf, pathsOf } from "./message_form.js";
 import { problemOf } from "./schema.js";
 import { NAMES, actionHints, group, objectForm } from "./schema_form.js";
 
@@ -25,6 +26,8 @@ const START = {
   command: () => ({ command: [""] }),
   plan: () => ({ plan: "", entry: "", exit: "" }),
 };
+
+const SENT = { server: "goal", service: "request", publish: "message" };
 
 /** The kinds of action in the schema: kind -> the schema of its object. */
 function kindsOf(root) {
@@ -167,9 +170,8 @@ function palette(form, lens, title, kind, allowed) {
 const parameterName = (parameter) => (typeof parameter === "string" ? parameter : parameter.name);
 
 function hints(form, kind, value, place) {
-  const { functions = [], plans = [], ros } = form.palette ?? {};
+  const { functions = [], plans = [], ros, types = {} } = form.palette ?? {};
   const of = (list) => () => (list ?? []).map(({ name }) => name);
-  const types = (list) => () => [...new Set((list ?? []).map(({ type }) => type).filter(Boolean))];
   const { outcomes, keep } = actionHints(place);
   if (kind === "function") {
     const known = functions.find(({ name }) => name === value.function);
@@ -199,12 +201,15 @@ function hints(form, kind, value, place) {
     publish: ros?.topics,
     wait_for: ros?.topics,
   };
+  if (kind === "command") return { outcomes, keep, command: { draw: commandField } };
+  const messages = messagesOf(form, kind, value.type);
+  const live = (lists[kind] ?? []).map(({ type }) => type).filter(Boolean);
   return {
     [kind]: { names: of(lists[kind]) },
-    type: { names: types(lists[kind]) },
+    type: { names: () => [...new Set([...live, ...(types[kind] ?? [])])] },
+    [SENT[kind]]: messageHint(messages, value.type),
     outcomes,
-    keep,
-    command: { draw: commandField },
+    keep: { ...keep, each: { names: () => pathsOf(messages.received) } },
   };
 }
 

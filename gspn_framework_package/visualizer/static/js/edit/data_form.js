@@ -23,7 +23,8 @@ const EMPTY = {
   null: null,
 };
 
-const isReference = (value) =>
+/** Whether a value stands for data: {from: NAME}. */
+export const isReference = (value) =>
   typeOf(value) === "object" &&
   Object.keys(value).join() === "from" &&
   typeof value.from === "string";

@@ -1,0 +1,299 @@
+// The goal, request or message of an action as a form: the fields of its type, with the default of each. What is not
+// filled in is not written. Where the type is not known, any fields can be given.
+
+import { h } from "../dom.js";
+import { get } from "../api.js";
+import { dataNames, fields, isReference, kindOf, problemOfData, valueField } from "./data_form.js";
+import { typeOf } from "./schema.js";
+
+const known = new Map(); // "kind type" -> {sent, received, why}; null: asked for
+
+const ASKED = { why: "asking the server for its fields …", waiting: true };
+
+/** The fields of the messages of an action, as far as they are known by now; the form is redrawn when they come. */
+export function messagesOf(form, kind, type) {
+  if (!type) return { why: "" };
+  const key = `${kind} ${type}`;
+  if (!known.has(key)) {
+    known.set(key, null);
+    get("edit/fields", { kind, type })
+      .then((answer) => known.set(key, answer))
+      .catch((error) => known.set(key, { why: error.message, failed: true }))
+      .then(() => form.refresh());
+  }
+  const found = known.get(key);
+  if (found?.failed) known.delete(key); // it is asked for again when the form is drawn next
+  return found ?? ASKED;
+}
+
+/** The fields of a message by their paths: "pose.position.x". Those in arrays are left out. */
+export function pathsOf(tree, before = "") {
+  return (tree ?? []).flatMap(({ name, array, fields: inside }) => [
+    before + name,
+    ...(inside && !array ? pathsOf(inside, `${before}${name}.`) : []),
+  ]);
+}
+
+/** How the goal, request or message of an action is drawn: a hint for the schema form. */
+export const messageHint = (messages, type) => ({
+  draw: (form, lens, title) => [
+    h(
+      "fieldset",
+      { class: "message" },
+      h("legend", {}, title, type && h("code", { text: type })),
+      messages.why && !messages.waiting
+        ? h("p", { class: "muted", text: `Any fields can be given here: ${messages.why}.` })
+        : messages.waiting && h("p", { class: "muted", text: messages.why }),
+      messages.sent ? message(form, lens, title, messages.sent, true) : fields(form, lens, title),
+    ),
+  ],
+});
+
+/** A message: its fields, or data in their place. `drop`: it goes when its last field goes. */
+function message(form, lens, label, tree, drop) {
+  const value = lens.get();
+  if (isReference(value)) return fromData(form, lens, label);
+  if (value !== undefined && typeOf(value) !== "object") return misfit(form, lens, label, "fields");
+  const foreign = Object.keys(value ?? {}).filter((name) => !tree.some((it) => it.name === name));
+  return h(
+    "div",
+    { class: "nest", role: "group", "aria-label": label },
+    tree.length ? null : h("p", { class: "muted", text: "It has no fields." }),
+    tree.map((field) =>
+      one(form, lens.at(field.name, { given: true, drop }), `${label} ${field.name}`, field),
+    ),
+    foreign.map((name) => {
+      const at = lens.at(name, { given: true, drop });
+      return h(
+        "div",
+        { class: "named" },
+        h("span", { class: "name", text: name }),
+        h("p", { class: "wrong", text: "The type has no field of this name." }),
+        valueField(form, at, `${label} ${name}`, {
+          remove: removal(form, at, `${label} ${name}`, lens.key),
+        }),
+      );
+    }),
+  );
+}
+
+/** One field, with its name and type. */
+function one(form, lens, label, field) {
+  const { name, type, array, length, fields: inside } = field;
+  const written = array ? `${type}[${length ?? ""}]` : type;
+  const title = [h("span", { text: name }), " ", h("span", { class: "of-type", text: written })];
+  if (isReference(lens.get()) || !(inside || array))
+    return row(form, lens, label, title, () => leaf(form, lens, label, field));
+  const body = array ? list(form, lens, label, field) : message(form, lens, label, inside, true);
+  const details = form.section(lens.key, "", lens.get() !== undefined, body);
+  details.querySelector("summary").replaceChildren(...title);
+  return h("div", { class: "typed-part" }, details, toggle(form, lens, label));
+}
+
+/** A row of a form: the name, the value or the data that it comes from, and the button that changes between both. */
+function row(form, lens, label, title, draw, remove = null) {
+  return h(
+    "div",
+    { class: "typed" },
+    h("span", { class: "typed-name" }, title),
+    h(
+      "div",
+      { class: "typed-value" },
+      isReference(lens.get()) ? fromData(form, lens, label) : draw(),
+    ),
+    h("div", { class: "entry" }, toggle(form, lens, label), remove),
+  );
+}
+
+/** The button that takes a value from data, or no longer. */
+function toggle(form, lens, label) {
+  const on = isReference(lens.get());
+  const key = `${lens.key} source`;
+  return form.button(
+    key,
+    "data",
+    () => {
+      form.wanted = key;
+      form.put(lens, on ? undefined : { from: "task.id" }, `Change where ${label} comes from`);
+    },
+    {
+      class: "source",
+      "aria-label": `${label} from data`,
+      "aria-pressed": String(on),
+      title: on ? "Give the value here" : "Take the value from data of the robot, team or task",
+    },
+  );
+}
+
+function fromData(form, lens, label) {
+  return form.text(
+    lens.as(
+      (it) => it?.from,
+      (from) => ({ from }),
+    ),
+    label,
+    {
+      "aria-label": `${label}: name of the data`,
+      what: label,
+      names: dataNames(form.document.plan),
+      parse: (text) => problemOfData(text) || [text],
+    },
+  );
+}
+
+/** A value that its field cannot hold, as it was written. */
+function misfit(form, lens, label, wanted) {
+  return [
+    h("p", { class: "wrong", text: `It is ${kindOf(lens.get())}; the type needs ${wanted}.` }),
+    valueField(form, lens, label, { remove: removal(form, lens, label, `${lens.key} source`) }),
+  ];
+}
+
+const removal = (form, lens, label, next) =>
+  form.remove(lens.key, label, () => form.put(lens, undefined, `Remove ${label}`), next);
+
+const BITS = /^(u?)int(8|16|32|64)$/;
+
+/** The numbers that an integer type holds; those beyond what JavaScript holds exactly are left out. */
+function rangeOf(type) {
+  const name = { char: "uint8", byte: "int8" }[type] ?? type;
+  const found = name.match(BITS);
+  if (!found) return null;
+  const bits = Number(found[2]);
+  const most = Math.min(2 ** (bits - (found[1] ? 0 : 1)) - 1, Number.MAX_SAFE_INTEGER);
+  return [found[1] ? 0 : Math.max(-most - 1, Number.MIN_SAFE_INTEGER), most];
+}
+
+/** What is wrong with a number for a field; "" if nothing is. */
+function problemOfNumber(type, value) {
+  const range = rangeOf(type);
+  if (!range) return "";
+  if (!Number.isInteger(value)) return `${type} is a whole number`;
+  return value < range[0] || value > range[1] ? `${type} is ${range[0]} to ${range[1]}` : "";
+}
+
+/** The control of a field that is one value. */
+function leaf(form, lens, label, { type, default: absent }) {
+  const value = lens.get();
+  const aria = { "aria-label": label, what: label };
+  if (type === "bool") {
+    if (value !== undefined && typeof value !== "boolean")
+      return misfit(form, lens, label, "yes or no");
+    return form.choice(
+      lens,
+      label,
+      [
+        [undefined, `${absent ? "yes" : "no"} (default)`],
+        [true, "yes"],
+        [false, "no"],
+      ],
+      aria,
+    );
+  }
+  if (type === "time" || type === "duration") return moment(form, lens, label, type);
+  if (type === "string") {
+    if (value !== undefined && typeof value !== "string")
+      return misfit(form, lens, label, "a text");
+    return form.text(lens, label, { ...aria, placeholder: "empty" });
+  }
+  if (value !== undefined && typeof value !== "number")
+    return misfit(form, lens, label, "a number");
+  return form.number(lens, label, {
+    ...aria,
+    blank: { value: undefined },
+    placeholder: String(absent ?? 0),
+    check: (it) => problemOfNumber(type, it),
+  });
+}
+
+/** A time: the latest, the present time, or seconds. */
+function moment(form, lens, label, type) {
+  const seconds = (it) => it.secs + it.nsecs / 1e9;
+  return form.text(lens, label, {
+    "aria-label": label,
+    what: label,
+    placeholder: type === "time" ? "0, or now" : "0",
+    names: type === "time" ? ["now"] : null,
+    show: (it) =>
+      it && typeof it === "object" ? seconds({ secs: 0, nsecs: 0, ...it }) : (it ?? ""),
+    parse: (text) => {
+      const wanted = text.trim();
+      if (!wanted) return [undefined];
+      if (wanted === "now") return type === "time" ? ["now"] : "a duration is a number of seconds";
+      const value = Number(wanted);
+      if (!Number.isFinite(value) || (type === "time" && value < 0))
+        return `'${wanted}' is no number of seconds${type === "time" ? ", nor the word now" : ""}`;
+      const secs = Math.floor(value);
+      return [{ secs, nsecs: Math.round((value - secs) * 1e9) }];
+    },
+    late: true,
+  });
+}
+
+/** An array: numbers in one field, all else one below the other. */
+function list(form, lens, label, field) {
+  const { type, length, fields: inside } = field;
+  const value = lens.get();
+  if (value !== undefined && !Array.isArray(value)) return misfit(form, lens, label, "a list");
+  const item = { ...field, array: false };
+  const simple = !inside && !["string", "bool", "time", "duration"].includes(type);
+  if (simple && (value ?? []).every((it) => typeof it === "number"))
+    return form.text(lens, label, {
+      "aria-label": label,
+      what: label,
+      late: true,
+      placeholder: length ? `${length} numbers with spaces between` : "numbers with spaces between",
+      show: (it) => (it ?? []).join(" "),
+      parse: (text) => numbersIn(text, type, length),
+    });
+  const drop = (i) => {
+    const left = lens.get().filter((_, at) => at !== i);
+    form.put(lens, left.length ? left : undefined, `Remove ${label} ${i + 1}`);
+  };
+  return h(
+    "div",
+    { class: "nest", role: "group", "aria-label": label },
+    (value ?? []).map((_, i) => {
+      const at = lens.at(i, { given: true, list: true });
+      const named = `${label} ${i + 1}`;
+      const remove = form.remove(at.key, named, () => drop(i), `${lens.key} add`);
+      const safe = kept(at, field);
+      const draw = () =>
+        inside ? message(form, at, named, inside, false) : leaf(form, safe, named, item);
+      return row(form, safe, named, String(i + 1), draw, remove);
+    }),
+    form.button(
+      `${lens.key} add`,
+      "Add an item",
+      () => form.put(lens, [...(lens.get() ?? []), blankOf(field)], `Add to ${label}`),
+      {
+        "aria-label": `Add an item to ${label}`,
+        disabled: Boolean(length) && (value ?? []).length >= length,
+      },
+    ),
+    length && value && value.length !== length
+      ? h("p", { class: "wrong", text: `${length} items are needed.` })
+      : null,
+  );
+}
+
+const blankOf = (field) => (field.fields ? {} : field.default);
+
+/** An item of a list: emptied, it has its default; it stays where it is. */
+const kept = (lens, field) =>
+  lens.as(
+    (it) => it,
+    (it) => (it === undefined ? blankOf(field) : it),
+  );
+
+function numbersIn(text, type, length) {
+  const words = text.split(/[\s,;]+/).filter(Boolean);
+  if (!words.length) return [undefined];
+  const values = words.map(Number);
+  const wrong = words.find((_, i) => !Number.isFinite(values[i]));
+  if (wrong !== undefined) return `'${wrong}' is not a number`;
+  const problem = values.map((it) => problemOfNumber(type, it)).find(Boolean);
+  if (problem) return problem;
+  if (length && values.length !== length) return `${length} numbers are needed`;
+  return [values];
+}
