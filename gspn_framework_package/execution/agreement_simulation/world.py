@@ -670,9 +670,10 @@ class World:
             if node.suspended or replica.fenced:
                 return False
             ends.add((replica.ledger.length, replica.ledger.hash))
-            if node.superseded:
-                return False  # it has not noticed yet
             over = replica.ledger.state.ended is not None  # then nothing more gets into the log
+            rivals = [other for other in self.alive() if other.name == node.name]
+            if node.superseded and len(rivals) > 1 and not over:
+                return False  # it has not noticed yet
             if not over and any(not o.item.private for o in replica.state.own_proposals):
                 return False
             if self._owes_a_vote(replica):

@@ -144,7 +144,7 @@ class _Check:
                 check.check_goal_at_end()
                 here = replay.robots.get(log.robot)
                 if here is not None and here.here:
-                    check.check_tasks_at_end()
+                    check.check_tasks_at_end(replay.stages)
             if check.open:
                 text = "%s: %d proposals are not in the log" % (log.robot, len(check.open))
                 here = replay.robots.get(log.robot)

@@ -11,6 +11,7 @@ from gspn_framework_package.execution.history.cargo import digest
 from gspn_framework_package.execution.history.logged_team import Situation
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.slot_check import BrokenRuleError
+from gspn_framework_package.execution.history.stages import LoggedStages
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import Plan
 
@@ -350,10 +351,13 @@ class RobotCheck:
         if record.get("resumed_from", 0) != expected:
             raise BrokenRuleError(11, "%s does not continue visit %d" % (what, expected))
 
-    def check_tasks_at_end(self) -> None:
-        """Check that every task that reached the robot is in the agreed log; rule 9. Call this only
-        for robots whose nodes are up and take part."""
-        missing = [task for _, task in sorted(self._offered - self.proposals.tasks)]
+    def check_tasks_at_end(self, stages: LoggedStages) -> None:
+        """Check that every task that reached the robot is in the agreed log; rule 9. A plan that
+        the team adopted may take no more tasks by a transition: those that were on their way are
+        refused then. Call this only for robots whose nodes are up and take part."""
+        there = {(stages.present_name(t), task) for t, task in self.proposals.tasks}
+        offered = {(stages.present_name(t), task) for t, task in self._offered}
+        missing = [task for t, task in sorted(offered - there) if t not in stages.closed]
         if missing:
             raise BrokenRuleError(
                 9, "task %s reached %s, and is not in the log" % (missing[0], self.robot)

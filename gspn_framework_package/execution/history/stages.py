@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from typing import Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.history.cargo import Cargo
@@ -67,8 +67,14 @@ class LoggedStages:
         self._votes: Dict[str, Tuple[int, str]] = {}
         self._called: Dict[str, str] = {}
         """Name in an earlier plan -> name in the present one, if the latter has no such node."""
+        self.closed: Set[str] = set()
+        """The transitions by which tasks came in under a plan, and no more under the next."""
         self.plans: List[Plan] = []
         """The plans that were adopted, in order."""
+
+    def present_name(self, node: str) -> str:
+        """What a place or transition of this or an earlier plan is called now."""
+        return self._called.get(node, node)
 
     def in_present_names(self, entry: log_entries.Entry) -> log_entries.Entry:
         """The entry with the names of the present plan: what was under way when it was adopted used
@@ -130,6 +136,8 @@ class LoggedStages:
         self._called = {
             a: b for a, b in {**chain, **staged.mapping}.items() if a not in nodes and b
         }
+        before = {t: staged.mapping.get(t, t) for t in team.plan.submissions}
+        self.closed.update(name for name in before.values() if name not in new.submissions)
         # of a dropped place nothing is left, not even under its old name
         called = {a: b or "\0" for a, b in staged.mapping.items()}
         self._staged, self._votes = None, {}
