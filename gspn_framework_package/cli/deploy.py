@@ -45,7 +45,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="have the robots look at the plan, and leave it staged",
     )
+    parser.add_argument(
+        "--standalone",
+        nargs="?",
+        const="",
+        metavar="PLAN",
+        help="into a 'gspn run' of yours on this machine: the plan that it began with or follows, "
+        "if there are several; --run then takes the number of its process",
+    )
     add_team_options(parser)
+    parser.epilog = (
+        "Exit codes: 0 the team follows the plan, 1 it goes on as it did, and the output says why, "
+        "2 not a plan."
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,11 +68,15 @@ def run(args: argparse.Namespace) -> int:
 
     mapping = read_mapping(args.map)
     plan = read_plan(args.plan)
-    report = check(plan)
+    if args.standalone is not None and args.stage_only:
+        raise UsageError("--stage-only needs a team: a run without ROS adopts a plan or refuses it")
+    report = check(plan, standalone=args.standalone is not None)
     if report.refused:
         raise RefusedError(
             "the plan was refused", file=plan.file, hint="gspn check says why: %s" % args.plan
         )
+    if args.standalone is not None:
+        return _into_run(args, plan, mapping)
     require_ros()
     from gspn_framework_package.ros.operator_client import OperatorClient
 
@@ -84,9 +100,30 @@ def run(args: argparse.Namespace) -> int:
                 order("unstage", str(stage))
         elif done:
             message = "every robot can follow the plan; it is staged as number %d" % stage
+    return _told(args, done, message, stage=stage)
+
+
+def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> int:
+    """Have a run without ROS go on under the plan."""
+    from gspn_framework_package.execution import run_door
+    from gspn_framework_package.formats.plan_file import PLAN_FILE
+
+    file = args.standalone
+    if file and os.path.isdir(file):
+        file = os.path.join(file, PLAN_FILE)
+    run = run_door.chosen_run(run_door.running_plans(), file, args.run_name)
+    folder = args.folder and os.path.abspath(args.folder)
+    request = run_door.DeployRequest(
+        os.path.abspath(plan.file or args.plan), mapping, folder, args.wait
+    )
+    answer = run_door.ask_to_deploy(run, request)
+    return _told(args, answer["done"], answer["message"], process=run.process)
+
+
+def _told(args: argparse.Namespace, done: bool, message: str, **more: int) -> int:
+    """Print how it went; returns the exit code."""
     if args.json:
-        told = {"order": "deploy", "done": done, "message": message, "stage": stage}
-        print(json.dumps(told))
+        print(json.dumps({"order": "deploy", "done": done, "message": message, **more}))
     else:
         print("%s: %s" % ("done" if done else "not done", message))
     return 0 if done else 1

@@ -10,15 +10,18 @@ import sys
 import threading
 import time
 import uuid
+from dataclasses import replace
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.analysis.preflight.while_running import why_refused
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.local_kinds import ALLOW, refuse_commands
 from gspn_framework_package.execution.log_entries import Entry
+from gspn_framework_package.execution.run_door import DeployRequest, RunDoor
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.plan_file import read_plan
@@ -87,6 +90,7 @@ def _execute(
     started = time.monotonic()
     deadline = started + args.seconds if args.seconds is not None else None
     executor.start()
+    door = _door(executor)
     try:
         if not printer.over.wait(_left(deadline)) and not executor.over:
             executor.stop("the limit of %g seconds" % args.seconds)
@@ -101,12 +105,39 @@ def _execute(
         )
         raise
     finally:
+        if door is not None:
+            door.close()
         if event_log is not None and executor.over:
             event_log.close()
     assert ended is not None
     fault = executor.state.fault  # neither a normal end nor a limit
     printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started, fault)
     return 1 if fault else 0
+
+
+def _door(executor: StandaloneExecutor) -> Optional[RunDoor]:
+    """The door by which ``gspn deploy --standalone`` reaches the run; None if there can be none."""
+    began_with = executor.plan
+
+    def about() -> Dict[str, Any]:
+        present = executor.plan
+        files = [os.path.realpath(p.file) for p in (began_with, present) if p.file is not None]
+        return {"plan": present.name, "files": files}
+
+    def deploy(request: DeployRequest) -> str:
+        plan = read_plan(request.plan)
+        if request.folder is not None:
+            plan = replace(plan, folder=request.folder or began_with.folder)
+        executor.deploy(
+            plan, request.mapping, request.wait, lambda here: why_refused(here, standalone=True)
+        )
+        return "the run goes on under the plan '%s'" % plan.name
+
+    try:
+        return RunDoor(about, deploy)
+    except ExecutionError as error:
+        print("note: gspn deploy cannot reach this run: %s" % error, file=sys.stderr)
+        return None
 
 
 def _left(deadline: Optional[float]) -> Optional[float]:

@@ -240,7 +240,7 @@ class StandaloneExecutor:
         :raises RefusedError: the state of the run does not fit the plan, the check refuses it from
             there, an action is a command, and they are not allowed, or the run is over. Nothing has
             changed.
-        :raises ExecutionError: the executor did not answer in time.
+        :raises ExecutionError: the executor did not take it up in time, and will not.
         """
         if not self._allow_commands:
             refuse_commands(plan, ALLOW)
@@ -248,6 +248,7 @@ class StandaloneExecutor:
         self._check_from_here(plan, mapping, check)
         entry = plan_change.stage_of(plan, mapping, plan.folder or "")
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        taken = threading.Lock()  # by the executor, or by this thread, which gives up
 
         def adopted() -> List[log_entries.Entry]:
             now = self.state.adopted
@@ -257,6 +258,8 @@ class StandaloneExecutor:
             return []
 
         def message() -> List[log_entries.Entry]:
+            if not taken.acquire(blocking=False):
+                return []
             why = plan_change.why_not(self.state, self.plan, plan, mapping)
             if why:
                 answers.put("; ".join(why))
@@ -276,7 +279,7 @@ class StandaloneExecutor:
                 if self.over:
                     why = "the run is over"
                     break
-                if time.monotonic() > deadline:
+                if time.monotonic() > deadline and taken.acquire(blocking=False):
                     raise ExecutionError("the plan was not adopted within %g s" % timeout) from None
         if why:
             raise RefusedError("the plan is not adopted: %s" % why, file=plan.file)

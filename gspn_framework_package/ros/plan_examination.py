@@ -4,28 +4,19 @@ and the check finds nothing against it."""
 from __future__ import annotations
 
 import os
-import time
 from dataclasses import replace
-from typing import Callable, Dict, Optional, Set, Tuple
+from typing import Dict, Optional, Set, Tuple
 
-from gspn_framework_package.analysis.preflight import check
-from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.analysis.preflight.while_running import why_refused as why_refused
 from gspn_framework_package.execution.local_kinds import refuse_commands
 from gspn_framework_package.model.action import FunctionAction
-from gspn_framework_package.model.errors import CancelledError, ExecutionError, GspnError
+from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_kinds import Job, jobs, live_types
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.event_sources import EventSources, Host
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServers
-
-CHECK_TIME = 3.0
-"""Seconds that the check of a plan may take while the team runs. What is not decided by then does
-not speak against the plan."""
-
-CHECK_MARKINGS = 50_000
-"""Markings that this check visits at most."""
 
 ALLOW = "~allow_commands, allow_commands:=true"
 
@@ -94,16 +85,3 @@ def _functions(plan: Plan, robot: str) -> Set[Tuple[str, str]]:
     """(place, function) of every Python action of a robot."""
     bound = ((place, plan.action(robot, place)) for place in plan.action_places)
     return {(place, a.function) for place, a in bound if isinstance(a, FunctionAction)}
-
-
-def why_refused(plan: Plan, clock: Callable[[], float] = time.monotonic) -> str:
-    """What the check has against a plan that begins where the team is; "" for nothing."""
-    deadline = clock() + CHECK_TIME
-    try:
-        report = check(plan, limit=CHECK_MARKINGS, cancel=lambda: clock() > deadline)
-    except CancelledError:
-        return ""
-    except GspnError as error:
-        return str(error)
-    refused = [item.text for item in report.items if item.severity is Severity.REFUSED]
-    return "; ".join(refused[:3])

@@ -1,0 +1,247 @@
+"""A door to a run without ROS: another process of the same user can ask it to go on under another
+plan.
+
+Each run listens on a Unix socket in a folder that only its user may enter. A connection carries one
+request and one answer, each a JSON object on a line. The socket of a process that was killed is
+removed when the runs are next looked for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import socket
+import stat
+import tempfile
+import threading
+from typing import Any, Callable, Dict, List, NamedTuple, Optional
+
+from gspn_framework_package.model.errors import ExecutionError, GspnError
+
+PATIENCE = 5.0
+"""Seconds within which a line has to come, and a run has to say who it is."""
+
+LIMIT = 10_000_000
+"""Most bytes of a request or an answer."""
+
+
+class DeployRequest(NamedTuple):
+    """What a run is asked to go on with.
+
+    :ivar plan: absolute name of the plan file.
+    :ivar mapping: name in the present net -> name in the new one.
+    :ivar folder: where the functions are; None: where the plan is.
+    :ivar wait: most seconds until the run follows the plan.
+    """
+
+    plan: str
+    mapping: Dict[str, str]
+    folder: Optional[str]
+    wait: float
+
+
+class RunningPlan(NamedTuple):
+    """A run that can be asked: its socket, its process, its plan, and the files of the plan that it
+    began with and of the one that it follows."""
+
+    socket: str
+    process: int
+    plan: str
+    files: List[str]
+
+
+class RunDoor:
+    """Lets other processes ask a run to go on under another plan.
+
+    :param about: returns the name of the present plan and the files of the plans, as in
+        :class:`RunningPlan`; called on any thread.
+    :param deploy: carries a request out, or raises a :class:`GspnError` that says why not; called
+        on a thread of its own.
+    :raises ExecutionError: the socket cannot be made.
+    """
+
+    def __init__(
+        self, about: Callable[[], Dict[str, Any]], deploy: Callable[[DeployRequest], str]
+    ) -> None:
+        self._about, self._deploy = about, deploy
+        self._path = os.path.join(_folder(), "%d-%s.sock" % (os.getpid(), secrets.token_hex(4)))
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.bind(self._path)
+            self._socket.listen(8)
+        except OSError as error:
+            self._socket.close()
+            raise ExecutionError("cannot listen (%s)" % error, file=self._path) from None
+        threading.Thread(target=self._accept, name="door", daemon=True).start()
+
+    def close(self) -> None:
+        """Take no more requests. Those that were taken are answered."""
+        with contextlib.suppress(OSError):
+            os.unlink(self._path)
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # ends accept(), which close() does not
+        self._socket.close()
+
+    def __enter__(self) -> RunDoor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            threading.Thread(
+                target=self._serve, args=(connection,), name="visitor", daemon=True
+            ).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with connection, contextlib.suppress(OSError):
+            try:
+                answer = self._answer(_receive(connection, PATIENCE))
+            except GspnError as error:
+                answer = {"done": False, "message": str(error)}
+            except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+                answer = {"done": False, "message": "not a request (%r)" % error}
+            _send(connection, answer)
+
+    def _answer(self, request: Dict[str, Any]) -> Dict[str, Any]:
+        if request["ask"] == "about":
+            return self._about()
+        if request["ask"] != "deploy":
+            raise ValueError(request["ask"])
+        mapping = {str(old): str(new) for old, new in request["mapping"].items()}
+        folder = request["folder"]
+        wanted = DeployRequest(
+            str(request["plan"]),
+            mapping,
+            folder if folder is None else str(folder),
+            float(request["wait"]),
+        )
+        return {"done": True, "message": self._deploy(wanted)}
+
+
+def running_plans() -> List[RunningPlan]:
+    """The runs of this user on this machine, in the order of their processes.
+
+    :raises ExecutionError: their folder is not safe.
+    """
+    found = []
+    folder = _folder()
+    for name in os.listdir(folder):
+        process = name.partition("-")[0]
+        if not name.endswith(".sock") or not process.isdigit():
+            continue
+        path = os.path.join(folder, name)
+        try:
+            about = _ask(path, {"ask": "about"}, PATIENCE)
+            files = [str(file) for file in about["files"]]
+            found.append(RunningPlan(path, int(process), str(about["plan"]), files))
+        except ConnectionRefusedError:  # its process was killed
+            with contextlib.suppress(OSError):
+                os.unlink(path)
+        except (OSError, KeyError, TypeError, ValueError):
+            continue  # it is about to end, or does not answer
+    return sorted(found, key=lambda run: run.process)
+
+
+def ask_to_deploy(run: RunningPlan, request: DeployRequest) -> Dict[str, Any]:
+    """Ask a run to go on under another plan: ``done``, whether it does, and a ``message``.
+
+    :raises ExecutionError: it does not answer; whether it follows the plan is not known.
+    """
+    try:
+        question = {"ask": "deploy", **request._asdict()}
+        answer = _ask(run.socket, question, request.wait + 4 * PATIENCE)
+        return {"done": bool(answer["done"]), "message": str(answer["message"])}
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ExecutionError(
+            "process %d does not answer (%s)" % (run.process, error),
+            hint="its output says whether it goes on under the new plan",
+        ) from None
+
+
+def chosen_run(runs: List[RunningPlan], file: str, process: str) -> RunningPlan:
+    """The run that is meant.
+
+    :param file: the plan that it follows or began with; "" for any.
+    :param process: the number of its process; "" if there is only one.
+    :raises ExecutionError: there is none, or there are several.
+    """
+    fitting = [run for run in runs if not file or os.path.realpath(file) in run.files]
+    if process:
+        fitting = [run for run in fitting if str(run.process) == process]
+    if not fitting:
+        raise ExecutionError(
+            "there is no run%s%s"
+            % (" of %s" % file if file else "", " in process %s" % process if process else ""),
+            hint="; ".join(_told(run) for run in runs) or "gspn run starts one",
+        )
+    if len(fitting) > 1:
+        raise ExecutionError(
+            "there are several: %s" % "; ".join(_told(run) for run in fitting),
+            hint="name one with --run PROCESS",
+        )
+    return fitting[0]
+
+
+def _told(run: RunningPlan) -> str:
+    return "process %d runs %s" % (run.process, run.files[-1] if run.files else run.plan)
+
+
+def _folder() -> str:
+    """The folder of the sockets, which belongs to the user alone.
+
+    :raises ExecutionError: it cannot be made, or others may enter it.
+    """
+    own = os.environ.get("XDG_RUNTIME_DIR", "")
+    if own and os.path.isdir(own):
+        path = os.path.join(own, "gspn_runs")
+    else:
+        path = os.path.join(tempfile.gettempdir(), "gspn_runs_%d" % os.geteuid())
+    try:
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(path, 0o700)
+        found = os.lstat(path)
+    except OSError as error:
+        raise ExecutionError("cannot be made (%s)" % error.strerror, file=path) from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:
+        raise ExecutionError(
+            "is not a folder that only you may enter", file=path, hint="remove it, or chmod 700"
+        )
+    return path
+
+
+def _ask(path: str, request: Dict[str, Any], patience: float) -> Dict[str, Any]:
+    """:raises OSError, ValueError: there is no answer."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        connection.settimeout(PATIENCE)
+        connection.connect(path)
+        _send(connection, request)
+        return _receive(connection, patience)
+
+
+def _send(connection: socket.socket, data: Dict[str, Any]) -> None:
+    connection.sendall(json.dumps(data).encode() + b"\n")
+
+
+def _receive(connection: socket.socket, patience: float) -> Dict[str, Any]:
+    """The JSON object on a line. :raises OSError, ValueError: none came in time."""
+    connection.settimeout(patience)
+    data = b""
+    while not data.endswith(b"\n"):
+        part = connection.recv(65_536)
+        if not part:
+            raise ValueError("it ended")
+        data += part
+        if len(data) > LIMIT:
+            raise ValueError("it is too long")
+    found = json.loads(data.decode())
+    if not isinstance(found, dict):
+        raise ValueError("not a JSON object")
+    return found
