@@ -9,6 +9,7 @@ from setuptools import find_packages, setup
 PACKAGE = "gspn_framework_package"
 
 LIBRARIES = {
+    "python3-cryptography": "cryptography>=2.8",
     "python3-flask": "Flask>=1.1",
     "python3-jsonschema": "jsonschema>=3.2",
     "python3-lxml": "lxml>=4.5",
@@ -41,7 +42,14 @@ def for_pip(manifest):
     return {
         "python_requires": ">=3.8",
         "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
-        "extras_require": {"fast": ["numba"], "world": ["pybullet>=3.2", "imageio-ffmpeg>=0.4"]},
+        "extras_require": {
+            "fast": ["numba"],
+            "team": [
+                "eclipse-zenoh>=1.7,<2 ; python_version >= '3.9'",
+                "eclipse-zenoh>=1.5,<1.6 ; python_version < '3.9'",
+            ],
+            "world": ["pybullet>=3.2", "imageio-ffmpeg>=0.4"],
+        },
         "entry_points": {"console_scripts": ["gspn = %s.cli.main:main" % PACKAGE]},
     }
 

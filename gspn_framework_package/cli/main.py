@@ -83,6 +83,8 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
         ".bench",
         "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
     ),
+    "keys": Verb(".keys", "make, show and revoke the certificates of a team"),
+    "router": Verb(".router", "pass messages on between robots that have no ROS master in common"),
     "status": Verb(".status", "show what every robot of a running team does and waits for"),
     "breakpoints": Verb(".breakpoints", "halt a robot at a place or a transition, for debugging"),
     "deploy": Verb(".deploy", "put another plan into a running team, without stopping it"),

@@ -102,6 +102,10 @@ class LogError(InputError):
     """An event log cannot be read, or its entries contradict each other."""
 
 
+class KeysError(InputError):
+    """The keys of a team are missing, damaged, expired or revoked."""
+
+
 class RefusedError(GspnError):
     """The input is well formed, but the answer is no: for example, a plan must not run, or a
     property does not hold."""

@@ -58,6 +58,7 @@ OPTIONAL = ["numba"]
 # key, "" for what rosdep : does not have and the package does without.
 ROSDEP_KEYS = {
     "PIL": "python3-pil",
+    "cryptography": "python3-cryptography",
     "flask": "python3-flask",
     "imageio_ffmpeg": "",
     "jsonschema": "python3-jsonschema",
@@ -75,6 +76,7 @@ ROSDEP_KEYS = {
     "waitress": "python3-waitress",
     "werkzeug": "python3-flask",  # Flask is built on it
     "yaml": "python3-yaml",
+    "zenoh": "",
 }
 
 

@@ -1,0 +1,110 @@
+"""``gspn keys``: the certificates of a team, so that nobody else takes part."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import List, Sequence
+
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.team import keys
+
+DAYS = 365
+"""How long certificates are valid if nobody says otherwise."""
+
+_ROLE_OPTIONS = {
+    "robot": "robots, named as in the plan",
+    "operator": "people or programs that give orders",
+    "watcher": "people or programs that only watch",
+    "router": "routers, each with the addresses at which it is reached: hub=10.0.0.1,hub.lan",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what this verb does, each with its arguments."""
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for name, told in (
+        ("team", "make an authority, and keys for each member, in a new folder"),
+        ("add", "make keys for further members, or new ones for those that were revoked"),
+    ):
+        made = commands.add_parser(name, help=told, description=told)
+        made.add_argument("folder", metavar="DIR", help="the folder of the team's keys")
+        for role, who in _ROLE_OPTIONS.items():
+            made.add_argument(
+                "--%ss" % role, metavar="NAME[=HOST,...]", nargs="+", default=[], help=who
+            )
+        made.add_argument(
+            "--days",
+            type=int,
+            default=DAYS,
+            metavar="N",
+            help="how long the certificates are valid (default: %d)" % DAYS,
+        )
+        made.set_defaults(command=_make if name == "team" else _add)
+        _add_json(made)
+    told = "take a member off the allow-list; copy the new team.json to each router"
+    revoked = commands.add_parser("revoke", help=told, description=told)
+    revoked.add_argument("folder", metavar="DIR", help="the folder of the team's keys")
+    revoked.add_argument("name", metavar="NAME", help="the member")
+    revoked.set_defaults(command=_revoke)
+    _add_json(revoked)
+    shown = commands.add_parser("show", help="show who is in the team, and until when")
+    shown.add_argument("folder", metavar="DIR", help="the folder of the team or of one member")
+    shown.set_defaults(command=_show)
+    _add_json(shown)
+    parser.epilog = (
+        "Each member gets the folder DIR/NAME, and nothing else of DIR; the folder "
+        "DIR/%s stays with you. Exit codes: 0 done, 2 not done." % keys.AUTHORITY
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry out the command; return 0."""
+    return int(args.command(args))
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def _make(args: argparse.Namespace) -> int:
+    return _tell(keys.make_team(args.folder, _named(args), args.days), args)
+
+
+def _add(args: argparse.Namespace) -> int:
+    return _tell(keys.add_members(args.folder, _named(args), args.days), args)
+
+
+def _revoke(args: argparse.Namespace) -> int:
+    return _tell(keys.revoke(args.folder, args.name), args)
+
+
+def _show(args: argparse.Namespace) -> int:
+    return _tell(keys.read_team(args.folder), args)
+
+
+def _named(args: argparse.Namespace) -> List[keys.NewMember]:
+    """The members that the options name."""
+    members = []
+    for role in keys.ROLES:
+        for text in getattr(args, role + "s"):
+            name, equals, hosts = text.partition("=")
+            if role == "router" and not hosts:
+                raise UsageError(
+                    "router '%s' has no address" % name, hint="--routers %s=HOST" % name
+                )
+            members.append(keys.NewMember(name, role, tuple(hosts.split(",")) if equals else ()))
+    return members
+
+
+def _tell(rows: Sequence[keys.KeyHolder], args: argparse.Namespace) -> int:
+    if args.json:
+        print(json.dumps({"members": [row._asdict() for row in rows]}))
+        return 0
+    width = max((len(row.name) for row in rows), default=4)
+    for row in rows:
+        until = "valid until %s" % row.expires[:10]
+        if row.revoked:
+            until = "revoked on %s" % row.revoked[:10]
+        print("%-*s  %-8s  %s" % (width, row.name, row.role, until))
+    return 0

@@ -1,0 +1,67 @@
+"""``gspn router``: passes the messages of robots on that have no ROS, or masters of their own."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+
+from gspn_framework_package.team.router import Router
+
+_LOOK_PERIOD = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument(
+        "--listen",
+        metavar="ENDPOINT",
+        nargs="+",
+        default=[],
+        help="where robots connect (default: tls/0.0.0.0:7447 with keys, else tcp/127.0.0.1:7447)",
+    )
+    parser.add_argument(
+        "--connect", metavar="ENDPOINT", nargs="+", default=[], help="other routers of the team"
+    )
+    parser.add_argument(
+        "--keys", metavar="DIR", default="", help="the keys of this router, from 'gspn keys'"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON, a line for each event")
+    parser.epilog = (
+        "Without keys, whoever reaches the router takes part in any run. A changed team.json in "
+        "the folder of the keys is applied within a second or two. Exit codes: 0 it was ended, "
+        "1 it cannot listen, 2 the keys or endpoints are wrong."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Route until interrupted; return 0."""
+    listen = args.listen or ["tls/0.0.0.0:7447" if args.keys else "tcp/127.0.0.1:7447"]
+    router = Router(listen, args.connect, args.keys)
+    try:
+        _tell(args, "listens at %s; %s" % (", ".join(listen), _who(router)), listen=listen)
+        with contextlib.suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(_LOOK_PERIOD)
+                news = router.follow_keys()
+                if news:
+                    _tell(args, news, members=router.members)
+    finally:
+        router.close()
+    return 0
+
+
+def _who(router: Router) -> str:
+    if router.members is None:
+        return "no keys: whoever reaches it takes part"
+    return "%d members may take part" % router.members
+
+
+def _tell(args: argparse.Namespace, text: str, **more: object) -> None:
+    if args.json:
+        print(json.dumps({"told": text, **more}))
+    else:
+        print("%s  (Ctrl-C ends it)" % text if "listen" in more else text)
+    sys.stdout.flush()

@@ -1,0 +1,497 @@
+"""The keys of a team: an authority of its own, and a certificate for each robot, operator, watcher
+and router.
+
+The folder that :func:`make_team` writes::
+
+    team.json          who is in the team: the allow-list (no secrets)
+    authority/         certificate and key of the authority; stays with the operator
+    NAME/              for each member: what is copied to that member alone
+        authority.pem  certificate.pem  key.pem  team.json
+
+A certificate has the name of its member as common name. A name that is used again after a
+revocation gets another common name (``robot_2#2``), so that the allow-list tells the new
+certificate from the stolen one. Zenoh reads no revocation lists; routers enforce the allow-list
+instead (see docs/security.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import ipaddress
+import json
+import os
+import shutil
+import stat
+import tempfile
+from typing import TYPE_CHECKING, Any, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.model.errors import KeysError
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+
+ROLES = ("robot", "operator", "watcher", "router")
+"""``robot``: takes part. ``operator``: gives orders and watches. ``watcher``: watches. ``router``:
+passes messages on, and enforces who may send what."""
+
+TEAM_FILE = "team.json"
+AUTHORITY = "authority"
+LONGEST_NAME = 48
+"""Characters of a name: a common name has at most 64, and carries a number as well."""
+
+_VERSION = 1
+_AUTHORITY_DAYS = 3650
+_CLOCKS_DIFFER = datetime.timedelta(days=1)
+
+
+class NewMember(NamedTuple):
+    """A member to be: its name, role, and the addresses at which it listens (host names or IP
+    addresses), which those who connect to it check."""
+
+    name: str
+    role: str
+    hosts: Tuple[str, ...] = ()
+
+
+class KeyHolder(NamedTuple):
+    """A row of the allow-list. ``serial``: of the certificate, in hexadecimal digits. ``expires``:
+    when it ends (ISO 8601, UTC). ``revoked``: since when it is not valid any more; "" if it is."""
+
+    name: str
+    role: str
+    common_name: str
+    serial: str
+    expires: str
+    revoked: str = ""
+
+
+class KeyFolder(NamedTuple):
+    """The keys of one member, checked."""
+
+    folder: str
+    member: KeyHolder
+    members: Tuple[KeyHolder, ...]
+    """Whoever is in the team, without those revoked."""
+
+    @property
+    def authority(self) -> str:
+        """Path of the authority's certificate."""
+        return os.path.join(self.folder, "authority.pem")
+
+    @property
+    def certificate(self) -> str:
+        """Path of the member's certificate."""
+        return os.path.join(self.folder, "certificate.pem")
+
+    @property
+    def key(self) -> str:
+        """Path of the member's private key."""
+        return os.path.join(self.folder, "key.pem")
+
+    @property
+    def team_file(self) -> str:
+        """Path of the allow-list."""
+        return os.path.join(self.folder, TEAM_FILE)
+
+
+# -- making ----------------------------------------------------------------------------------------
+
+
+def make_team(folder: str, members: Sequence[NewMember], days: int) -> List[KeyHolder]:
+    """Make an authority, and keys for each member.
+
+    :param folder: does not exist yet, or is empty.
+    :param days: how long the certificates are valid.
+    :raises KeysError: a name cannot be used, or the folder cannot be written or holds something.
+    """
+    _check_new(members, days, [])
+    if os.path.lexists(folder) and (not os.path.isdir(folder) or os.listdir(folder)):
+        raise KeysError(
+            "is there already; nothing was written",
+            file=folder,
+            hint="give a new folder, or add members with 'gspn keys add'",
+        )
+    parent = os.path.dirname(os.path.abspath(folder))
+    try:
+        os.makedirs(parent, exist_ok=True)
+        half_made = tempfile.mkdtemp(prefix=".keys-", dir=parent)
+    except OSError as error:
+        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
+    try:
+        _Authority.make(half_made, days)
+        rows = _issue(half_made, members, days, [])
+        os.rename(half_made, folder)
+        return rows
+    except OSError as error:
+        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
+    finally:
+        shutil.rmtree(half_made, ignore_errors=True)
+
+
+def add_members(folder: str, members: Sequence[NewMember], days: int) -> List[KeyHolder]:
+    """Make keys for further members, with new certificates for names that were revoked.
+
+    :returns: the whole allow-list.
+    :raises KeysError: a name is in use or cannot be used, or the folder is not one of keys.
+    """
+    there = read_team(folder)
+    _check_new(members, days, there)
+    try:
+        return _issue(folder, members, days, there)
+    except OSError as error:
+        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
+
+
+def revoke(folder: str, name: str) -> List[KeyHolder]:
+    """Take a member off the allow-list of all members, and delete its keys here.
+
+    :returns: the whole allow-list.
+    :raises KeysError: there is no such member, or the folder is not one of keys.
+    """
+    rows = read_team(folder)
+    if name not in _valid_names(rows):
+        known = ", ".join(sorted(_valid_names(rows))) or "nobody"
+        raise KeysError("'%s' is not in the team (there is: %s)" % (name, known), file=folder)
+    now = _told(_now())
+    rows = [
+        row._replace(revoked=now) if row.name == name and not row.revoked else row for row in rows
+    ]
+    try:
+        _write_team(folder, rows)
+        shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
+    except OSError as error:
+        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
+    return rows
+
+
+def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolder]) -> None:
+    _require_library()
+    if not 1 <= days <= 36500:
+        raise KeysError("certificates cannot be valid for %d days" % days, hint="1 to 36500")
+    if not members:
+        raise KeysError("nobody is named", hint="--robots NAME ...")
+    names = _valid_names(there)
+    for new in members:
+        wrong = (
+            not 0 < len(new.name) <= LONGEST_NAME
+            or new.name in (AUTHORITY, TEAM_FILE)
+            or new.name.startswith((".", "-"))
+            or not new.name.isprintable()
+            or any(c in new.name for c in "/\\#*$?")
+        )
+        if wrong:
+            raise KeysError(
+                "'%.60s' cannot be the name of a member" % new.name,
+                hint="at most %d characters, none of / \\ # * $ ?" % LONGEST_NAME,
+            )
+        if new.name in names:
+            raise KeysError(
+                "'%s' is named twice" % new.name if not there else "'%s' has keys" % new.name,
+                hint="each member has a name of its own" if not there else "revoke them first",
+            )
+        names.add(new.name)
+
+
+def _valid_names(rows: Sequence[KeyHolder]) -> Set[str]:
+    return {row.name for row in rows if not row.revoked}
+
+
+def _issue(
+    folder: str, members: Sequence[NewMember], days: int, there: List[KeyHolder]
+) -> List[KeyHolder]:
+    """Write the keys of new members, then the allow-list with them."""
+    authority = _Authority.read(folder)
+    rows = list(there)
+    for new in members:
+        earlier = sum(row.name == new.name for row in rows)
+        common_name = "%s#%d" % (new.name, earlier + 1) if earlier else new.name
+        certificate, key = authority.certify(common_name, new.hosts, days)
+        own = os.path.join(folder, new.name)
+        shutil.rmtree(own, ignore_errors=True)  # of an earlier attempt, which the list lacks
+        os.mkdir(own, 0o700)
+        _write(os.path.join(own, "authority.pem"), authority.pem)
+        _write(os.path.join(own, "certificate.pem"), _pem(certificate))
+        _write(os.path.join(own, "key.pem"), _key_pem(key))
+        expires = _told(_ends(certificate))
+        row = KeyHolder(new.name, new.role, common_name, "%x" % certificate.serial_number, expires)
+        rows.append(row)
+    _write_team(folder, rows)
+    return rows
+
+
+class _Authority(NamedTuple):
+    """Signs the certificates of a team."""
+
+    certificate: x509.Certificate
+    key: EllipticCurvePrivateKey
+
+    @property
+    def pem(self) -> bytes:
+        return _pem(self.certificate)
+
+    @classmethod
+    def make(cls, folder: str, days: int) -> _Authority:
+        from cryptography import x509
+
+        key = _new_key()
+        name = "authority of a team of robots"
+        builder = _builder(name, name, key, max(days, _AUTHORITY_DAYS)).add_extension(
+            x509.BasicConstraints(ca=True, path_length=0), critical=True
+        )
+        made = cls(_signed(builder, key), key)
+        own = os.path.join(folder, AUTHORITY)
+        os.mkdir(own, 0o700)
+        _write(os.path.join(own, "certificate.pem"), made.pem)
+        _write(os.path.join(own, "key.pem"), _key_pem(key))
+        return made
+
+    @classmethod
+    def read(cls, folder: str) -> _Authority:
+        from cryptography.hazmat.backends import default_backend
+        from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+        from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+        path = os.path.join(folder, AUTHORITY, "key.pem")
+        try:
+            with open(path, "rb") as file:
+                key = load_pem_private_key(file.read(), None, default_backend())
+        except OSError as error:
+            raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
+        except (ValueError, TypeError):
+            raise KeysError("is not a private key", file=path) from None
+        if not isinstance(key, EllipticCurvePrivateKey):
+            raise KeysError("is not a key that 'gspn keys team' made", file=path)
+        return cls(read_certificate(os.path.join(folder, AUTHORITY, "certificate.pem")), key)
+
+    def certify(
+        self, common_name: str, hosts: Sequence[str], days: int
+    ) -> Tuple[x509.Certificate, EllipticCurvePrivateKey]:
+        """A certificate that serves at both ends of a connection, and its key."""
+        from cryptography import x509
+        from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+        key = _new_key()
+        issuer = self.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
+        builder = (
+            _builder(common_name, str(issuer), key, days, self.key)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+            .add_extension(_alternative_names(common_name, hosts), critical=False)
+        )
+        return _signed(builder, self.key), key
+
+
+def _alternative_names(common_name: str, hosts: Sequence[str]) -> x509.SubjectAlternativeName:
+    from cryptography import x509
+
+    names: List[x509.GeneralName] = []
+    for host in hosts:
+        try:
+            names.append(x509.IPAddress(ipaddress.ip_address(host)))
+            continue
+        except ValueError:
+            pass
+        if not host.isascii() or not host or len(host) > 253 or " " in host:
+            raise KeysError("'%.60s' is neither a host name nor an IP address" % host)
+        names.append(x509.DNSName(host))
+    names.append(x509.UniformResourceIdentifier("urn:gspn:%s" % common_name.encode().hex()))
+    return x509.SubjectAlternativeName(names)
+
+
+def _builder(
+    name: str,
+    issuer: str,
+    key: EllipticCurvePrivateKey,
+    days: int,
+    authority: Optional[EllipticCurvePrivateKey] = None,
+) -> x509.CertificateBuilder:
+    from cryptography import x509
+    from cryptography.x509.oid import NameOID
+
+    def named(text: str) -> x509.Name:
+        return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+    now = _now()
+    return (
+        x509.CertificateBuilder()
+        .subject_name(named(name))
+        .issuer_name(named(issuer))
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCKS_DIFFER)
+        .not_valid_after(now + datetime.timedelta(days=days))
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key((authority or key).public_key()),
+            critical=False,
+        )
+    )
+
+
+def _signed(builder: x509.CertificateBuilder, key: EllipticCurvePrivateKey) -> x509.Certificate:
+    from cryptography.hazmat.backends import default_backend
+    from cryptography.hazmat.primitives import hashes
+
+    return builder.sign(key, hashes.SHA256(), default_backend())
+
+
+def _new_key() -> EllipticCurvePrivateKey:
+    """A key on P-256, which every TLS library accepts."""
+    from cryptography.hazmat.backends import default_backend
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    return ec.generate_private_key(ec.SECP256R1(), default_backend())
+
+
+def _pem(certificate: x509.Certificate) -> bytes:
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    return certificate.public_bytes(Encoding.PEM)
+
+
+def _key_pem(key: EllipticCurvePrivateKey) -> bytes:
+    from cryptography.hazmat.primitives.serialization import (
+        Encoding,
+        NoEncryption,
+        PrivateFormat,
+    )
+
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def _write(path: str, content: bytes) -> None:
+    """Write a file that did not exist, for its owner alone."""
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        file.write(content)
+
+
+def _write_team(folder: str, rows: Sequence[KeyHolder]) -> None:
+    """Write the allow-list, here and in the folder of each member."""
+    text = json.dumps({"version": _VERSION, "members": [r._asdict() for r in rows]}, indent=1)
+    own = [os.path.join(folder, name) for name in sorted(_valid_names(rows))]
+    for place in [*filter(os.path.isdir, own), folder]:
+        new = os.path.join(place, TEAM_FILE + ".new")
+        with contextlib.suppress(FileNotFoundError):
+            os.remove(new)
+        _write(new, (text + "\n").encode())
+        os.replace(new, os.path.join(place, TEAM_FILE))
+
+
+# -- reading ---------------------------------------------------------------------------------------
+
+
+def read_team(folder: str) -> List[KeyHolder]:
+    """The allow-list of a folder, with those revoked.
+
+    :raises KeysError: there is none, or it is damaged.
+    """
+    path = os.path.join(folder, TEAM_FILE)
+    try:
+        with open(path, encoding="utf-8") as file:
+            data: Any = json.load(file)
+    except OSError as error:
+        raise KeysError(
+            "cannot be read (%s)" % error.strerror,
+            file=path,
+            hint="'gspn keys team' makes a folder of keys",
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise KeysError("is not JSON (%s)" % error, file=path) from None
+    rows = data.get("members") if isinstance(data, dict) else None
+    if not isinstance(rows, list) or data.get("version") != _VERSION:
+        raise KeysError("is not an allow-list of version %d" % _VERSION, file=path)
+    return [_member(row, number, path) for number, row in enumerate(rows, 1)]
+
+
+def _member(row: Any, number: int, path: str) -> KeyHolder:
+    fields = KeyHolder._fields
+    if not isinstance(row, dict) or sorted(row) != sorted(fields):
+        raise KeysError("has not: %s" % ", ".join(fields), file=path, element="member %d" % number)
+    if not all(isinstance(value, str) for value in row.values()) or row["role"] not in ROLES:
+        raise KeysError("is not of the form of a member", file=path, element="member %d" % number)
+    return KeyHolder(**row)
+
+
+def read_keys(folder: str) -> KeyFolder:
+    """The keys of one member, from the folder that was copied to it.
+
+    :raises KeysError: they are incomplete, damaged, expired or revoked, or others can read the key.
+    """
+    if os.path.isdir(os.path.join(folder, AUTHORITY)):
+        names = ", ".join(sorted(_valid_names(read_team(folder))))
+        raise KeysError(
+            "holds the keys of the whole team",
+            file=folder,
+            hint="give the folder in it of one member: %s" % names,
+        )
+    rows = read_team(folder)
+    keys = KeyFolder(folder, rows[0], tuple(r for r in rows if not r.revoked)) if rows else None
+    if keys is None:
+        raise KeysError("names nobody", file=os.path.join(folder, TEAM_FILE))
+    certificate = read_certificate(keys.certificate)
+    read_certificate(keys.authority)
+    try:
+        mode = os.stat(keys.key).st_mode
+    except OSError as error:
+        raise KeysError("cannot be read (%s)" % error.strerror, file=keys.key) from None
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise KeysError(
+            "others can read this private key", file=keys.key, hint="chmod 600 %s" % keys.key
+        )
+    serial = "%x" % certificate.serial_number
+    row = next((row for row in rows if row.serial == serial), None)
+    if row is None:
+        raise KeysError("is not on the allow-list of its folder", file=keys.certificate)
+    if row.revoked:
+        raise KeysError(
+            "the certificate of '%s' was revoked on %s" % (row.name, row.revoked[:10]),
+            file=keys.certificate,
+        )
+    if _ends(certificate) < _now():
+        raise KeysError(
+            "the certificate of '%s' expired on %s" % (row.name, row.expires[:10]),
+            file=keys.certificate,
+            hint="gspn keys revoke, then gspn keys add; or set this machine's clock",
+        )
+    return keys._replace(member=row)
+
+
+def read_certificate(path: str) -> x509.Certificate:
+    """The certificate in a file. :raises KeysError: there is none."""
+    _require_library()
+    from cryptography import x509
+    from cryptography.hazmat.backends import default_backend
+
+    try:
+        with open(path, "rb") as file:
+            return x509.load_pem_x509_certificate(file.read(), default_backend())
+    except OSError as error:
+        raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
+    except ValueError:
+        raise KeysError("is not a certificate", file=path) from None
+
+
+def _require_library() -> None:
+    try:
+        import cryptography  # noqa: F401
+    except ImportError:
+        raise KeysError(
+            "there is no Python library 'cryptography'", hint="pip install cryptography"
+        ) from None
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.timezone.utc).replace(tzinfo=None, microsecond=0)
+
+
+def _ends(certificate: x509.Certificate) -> datetime.datetime:
+    """When a certificate ends; UTC without a zone, as older versions of the library have it."""
+    aware = getattr(certificate, "not_valid_after_utc", None)
+    ends: datetime.datetime = aware or certificate.not_valid_after
+    return ends.replace(tzinfo=None)
+
+
+def _told(moment: datetime.datetime) -> str:
+    return moment.isoformat() + "Z"

@@ -1,0 +1,82 @@
+"""A router between the robots of a team: passes messages on, and enforces who may send what."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.errors import GspnError, UsageError
+from gspn_framework_package.team.keys import KeyFolder, read_keys
+from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
+
+if TYPE_CHECKING:
+    import zenoh
+
+
+class Router:
+    """A router in this process, until it is closed.
+
+    :param listen: endpoints at which robots, operators and other routers connect.
+    :param connect: endpoints of other routers.
+    :param keys_folder: the keys of this router; "" for none: anybody may take part.
+    :raises GspnError: the keys cannot be used, or an endpoint cannot be listened at.
+
+    :ivar members: how many may take part; None: anybody.
+    """
+
+    def __init__(
+        self, listen: Sequence[str], connect: Sequence[str] = (), keys_folder: str = ""
+    ) -> None:
+        self._listen, self._connect = tuple(listen), tuple(connect)
+        self._folder = keys_folder
+        self._seen = self._stamp()
+        self._session = self._open()
+
+    def _open(self) -> zenoh.Session:
+        keys = self._keys()
+        self.members = len(keys.members) if keys else None
+        return open_session(TeamAccess(self._connect, self._listen, keys, router=True))
+
+    def _keys(self) -> Optional[KeyFolder]:
+        if not self._folder:
+            return None
+        keys = read_keys(self._folder)
+        if keys.member.role != "router":
+            raise UsageError(
+                "these are the keys of %s '%s', not of a router"
+                % (keys.member.role, keys.member.name),
+                hint="gspn keys add DIR --routers NAME=HOST",
+            )
+        return keys
+
+    def _stamp(self) -> Tuple[int, int]:
+        """What changes when the allow-list is replaced."""
+        if not self._folder:
+            return (0, 0)
+        try:
+            there = os.stat(os.path.join(self._folder, "team.json"))
+        except OSError:
+            return (0, 0)
+        return (there.st_mtime_ns, there.st_ino)
+
+    def follow_keys(self) -> str:
+        """Apply the allow-list if it was replaced: all connections are closed, and those who are
+        still on it connect again. Call it about once a second.
+
+        :returns: what was done, for people; "" if nothing.
+        """
+        stamp = self._stamp()
+        if stamp == self._seen:
+            return ""
+        self._seen = stamp
+        try:
+            self._keys()
+        except GspnError as error:
+            return "the allow-list stays as it was: %s" % error
+        self._session.close()
+        self._session = self._open()
+        return "the allow-list was replaced: %s may take part" % self.members
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._session.close()

@@ -1,0 +1,211 @@
+"""Opens Zenoh sessions: endpoints, mutual TLS, and who may send what.
+
+The names in Zenoh, each of which belongs to one robot (:func:`key_of`)::
+
+    gspn/RUN/ROBOT/all              protocol messages of ROBOT to everybody
+    gspn/RUN/ROBOT/to/OTHER         protocol messages of ROBOT to OTHER
+    gspn/RUN/ROBOT/fired            the firings that ROBOT decided
+    gspn/RUN/ROBOT/activity         what ROBOT does; also answers queries, with the last one
+    gspn/RUN/ROBOT/status           answers queries of watchers
+    gspn/RUN/ROBOT/orders/OPERATOR  answers queries of that operator
+
+With keys, every session demands a certificate of the team's authority at both ends, and lets a
+robot put only under its own name, an operator query only under its own. A robot connects to the
+routers, which see its certificate; routers trust each other, and robots trust routers.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from urllib.parse import quote, unquote
+
+from gspn_framework_package.model.errors import ExecutionError, UsageError
+from gspn_framework_package.team.keys import KeyFolder, KeyHolder
+
+if TYPE_CHECKING:
+    import zenoh
+
+LARGEST_MESSAGE = 4 * 1024 * 1024
+"""Bytes of a message; larger ones are dropped. A robot that missed a thousand slots is taught in
+messages far smaller than this."""
+
+_ROOT = "gspn"
+_SENDS = ["put", "reply", "declare_queryable"]
+_ASKS = ["query"]
+_SECURE = "tls/"
+
+
+class TeamAccess(NamedTuple):
+    """How a process takes part.
+
+    ``connect``: endpoints of routers (``tls/HOST:PORT``); several are alternatives. ``listen``:
+    endpoints at which this process can be reached. ``keys``: of this member; None: without
+    authentication.
+    """
+
+    connect: Tuple[str, ...] = ()
+    listen: Tuple[str, ...] = ()
+    keys: Optional[KeyFolder] = None
+    router: bool = False
+
+
+def open_session(access: TeamAccess) -> zenoh.Session:
+    """Connect to the team. Do not fork afterwards: a session does not survive it.
+
+    :raises UsageError: Zenoh is not installed, or the endpoints and the keys do not fit.
+    :raises ExecutionError: nobody is reached, or an endpoint cannot be listened at.
+    """
+    zenoh = zenoh_library()
+    config = zenoh.Config.from_json5(json.dumps(session_config(access)))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise ExecutionError(
+            "no Zenoh session with %s (%s)" % (_told(access), _reason(error)),
+            hint="is a router there ('gspn router'), and do the keys belong to its team?",
+        ) from None
+
+
+def zenoh_library() -> Any:
+    """The module ``zenoh``. :raises UsageError: it is not installed."""
+    try:
+        import zenoh
+    except ImportError as error:
+        raise UsageError(
+            "there is no Python library 'zenoh' (%s)" % error, hint="pip install eclipse-zenoh"
+        ) from None
+    return zenoh
+
+
+def key_of(run: str, robot: str, *rest: str) -> str:
+    """The key of a robot in a run; names may hold any character, "*" stands for all."""
+    return "/".join(
+        [_ROOT, *(part if part == "*" else chunk(part) for part in (run, robot, *rest))]
+    )
+
+
+def chunk(name: str) -> str:
+    """A name as one part of a key."""
+    return quote(name, safe="") if name != "*" else "%2A"
+
+
+def names_in(key: str) -> List[str]:
+    """The names in a key: run, robot and what follows; [] if the key is none of ours."""
+    root, *rest = key.split("/")
+    return [unquote(part) for part in rest] if root == _ROOT and len(rest) >= 3 else []
+
+
+def session_config(access: TeamAccess) -> Dict[str, Any]:
+    """The configuration of a session, as Zenoh reads it.
+
+    :raises UsageError: the endpoints and the keys do not fit.
+    """
+    for endpoint in (*access.connect, *access.listen):
+        _check_endpoint(endpoint, access.keys)
+    if not access.connect and not access.listen:
+        raise UsageError("no endpoint to connect to or to listen at", hint="tcp/HOST:7447")
+    mode = "router" if access.router else "peer" if access.listen else "client"
+    link: Dict[str, Any] = {"rx": {"max_message_size": 2 * LARGEST_MESSAGE}}
+    config: Dict[str, Any] = {
+        "mode": mode,
+        "connect": {"endpoints": list(access.connect)},
+        "listen": {"endpoints": list(access.listen)},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {"link": link, "shared_memory": {"enabled": False}},
+    }
+    if mode == "router":
+        # a router outlives the loss of others; a robot without any router has to say so
+        config["connect"].update(timeout_ms=-1, exit_on_failure=False)
+        config["low_pass_filter"] = [
+            {
+                "flows": ["ingress"],
+                "messages": ["put", "delete", "query", "reply"],
+                "key_exprs": ["**"],
+                "size_limit": LARGEST_MESSAGE,
+            }
+        ]
+    keys = access.keys
+    if keys is not None:
+        link["protocols"] = ["tls"]
+        link["tls"] = {
+            "root_ca_certificate": os.path.abspath(keys.authority),
+            "listen_private_key": os.path.abspath(keys.key),
+            "listen_certificate": os.path.abspath(keys.certificate),
+            "connect_private_key": os.path.abspath(keys.key),
+            "connect_certificate": os.path.abspath(keys.certificate),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+        }
+        config["access_control"] = access_control(keys.members)
+    return config
+
+
+def _check_endpoint(endpoint: str, keys: Optional[KeyFolder]) -> None:
+    protocol, slash, address = endpoint.partition("/")
+    if not slash or not address or not protocol.isalpha():
+        raise UsageError("'%s' is not an endpoint" % endpoint, hint="tls/HOST:7447, tcp/HOST:7447")
+    if "#" in address or "?" in address:
+        raise UsageError("an endpoint here takes no settings: '%s'" % endpoint)
+    if keys is not None and not endpoint.startswith(_SECURE):
+        raise UsageError("keys protect nothing on '%s'" % endpoint, hint="use %s..." % _SECURE)
+    if keys is None and protocol in ("tls", "quic"):
+        raise UsageError("'%s' needs keys" % endpoint, hint="--keys DIR, see 'gspn keys'")
+
+
+def access_control(members: Sequence[KeyHolder]) -> Dict[str, Any]:
+    """Who may send what, as Zenoh reads it: all that is not allowed is denied."""
+    rules: List[Dict[str, Any]] = [
+        # what anybody may learn, and ask to learn
+        _rule("out", "egress", ["declare_subscriber", *_SENDS, *_ASKS], ["%s/**" % _ROOT]),
+        _rule("listens", "ingress", ["declare_subscriber"], ["%s/**" % _ROOT]),
+        _rule("asks", "ingress", _ASKS, [key_of("*", "*", "status"), key_of("*", "*", "activity")]),
+        _rule("routes", "ingress", ["declare_subscriber", *_SENDS, *_ASKS], ["%s/**" % _ROOT]),
+    ]
+    subjects: List[Dict[str, Any]] = []
+    policies: List[Dict[str, Any]] = []
+    for number, member in enumerate(members):
+        subject = "%s %d" % (member.role, number)
+        subjects.append({"id": subject, "cert_common_names": [member.common_name]})
+        granted = ["out", "listens", "asks"]
+        if member.role == "router":
+            granted = ["out", "routes"]
+        elif member.role == "robot":
+            own = "%s/*/%s/**" % (_ROOT, chunk(member.name))
+            rules.append(_rule(subject, "ingress", _SENDS, [own]))
+            granted.append(subject)
+        elif member.role == "operator":
+            rules.append(
+                _rule(subject, "ingress", _ASKS, [key_of("*", "*", "orders", member.name)])
+            )
+            granted.append(subject)
+        policies.append({"rules": granted, "subjects": [subject]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _rule(name: str, flow: str, messages: List[str], keys: List[str]) -> Dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": messages,
+        "key_exprs": keys,
+    }
+
+
+def _told(access: TeamAccess) -> str:
+    return ", ".join((*access.connect, *("(here) " + at for at in access.listen)))
+
+
+def _reason(error: Exception) -> str:
+    """The last part of Zenoh's message, which begins with places in its source."""
+    text = " ".join(str(error).split())
+    return text.split(" at ", 1)[0][:200]
