@@ -24,9 +24,7 @@ from gspn_framework_package.ros.goal_state import GoalNews, GoalState
 from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.transport.registration import registered_together
-
-CONNECT_POLL = 0.01
-"""Seconds between two checks whether a server's topics are connected."""
+from gspn_framework_package.team.sides import LOOK_AGAIN
 
 Connection = Union[ActionConnection, DirectConnection]
 
@@ -269,7 +267,7 @@ class ActionCaller:
             detail = "%s did not answer within %g s" % (goal.target.server, self._patience.server)
             self._fail(goal, "no server", detail + (" (half connected)" if others else ""))
             return None
-        return min(now + CONNECT_POLL, goal.connect_by)
+        return min(now + LOOK_AGAIN, goal.connect_by)
 
     def _send(self, goal: _Goal, connection: Connection, now: float) -> None:
         if goal.target.server in self._connections:

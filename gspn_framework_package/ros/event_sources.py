@@ -6,9 +6,9 @@ topic that floods costs the robot's node no more than its rises, and the reading
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
-import time
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 import genpy
@@ -16,8 +16,7 @@ import rosgraph.names
 import rospy
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.agreement.interface import EventObserved, Input, TaskCame
-from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
+from gspn_framework_package.execution.agreement.interface import EventObserved, TaskCame
 from gspn_framework_package.model.errors import DataError, ExpressionError, GspnError, PlanError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.message_condition import (
@@ -28,41 +27,11 @@ from gspn_framework_package.model.message_condition import (
 )
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros import message_fields
-
-COMPLAIN_EVERY = 60.0
-"""Seconds between two reports that the messages of one topic cannot be used."""
+from gspn_framework_package.team.function_sources import Complaints, FunctionSources
+from gspn_framework_package.team.sides import EventListener
 
 CAUSE_LIMIT = 200
 """Longest value of a field in the cause of an event, in characters of JSON."""
-
-
-class Host(NamedTuple):
-    """What the sources need of a robot's node; all but ``give`` may be called from any thread."""
-
-    enqueue: Callable[..., None]
-    """Has the worker thread call a function with arguments."""
-    give: Callable[[Input], None]
-    """Gives an input to the replica, on the worker thread."""
-    watches: Callable[[str], bool]
-    """Whether an event could interrupt the robot in its present visit."""
-    complain: Callable[[str], None]
-    """Reports a fault of a source."""
-    data_of: Callable[[str], Mapping[str, Any]] = lambda robot: {}
-    """The data that a robot, or "" the team, may read."""
-
-
-class _Complaints:
-    """Reports that the messages of a source cannot be used, once in :data:`COMPLAIN_EVERY`."""
-
-    def __init__(self, host: Host, source: str) -> None:
-        self._host, self._source = host, source
-        self._next = 0.0
-
-    def tell(self, text: str) -> None:
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + COMPLAIN_EVERY
-            self._host.complain("%s: %s" % (self._source, text))
 
 
 class ConditionSource:
@@ -72,10 +41,10 @@ class ConditionSource:
     worker has not taken it, later changes are merged into it, so that a busy worker is asked once.
     """
 
-    def __init__(self, transition: str, source: EventSource, host: Host) -> None:
+    def __init__(self, transition: str, source: EventSource, host: EventListener) -> None:
         self._transition, self._host = transition, host
         self._condition = MessageCondition(source.when)
-        self._complaints = _Complaints(host, "event '%s' (%s)" % (transition, source.label))
+        self._complaints = Complaints(host, "event '%s' (%s)" % (transition, source.label))
         self._lock = threading.Lock()
         self._holds = False
         self._given = False  # what the replica was told
@@ -118,7 +87,7 @@ class ConditionSource:
 class MomentSource:
     """An event that comes with each message, and lasts no time."""
 
-    def __init__(self, transition: str, source: EventSource, host: Host) -> None:
+    def __init__(self, transition: str, source: EventSource, host: EventListener) -> None:
         self._transition, self._host = transition, host
         self._lock = threading.Lock()
         self._on_its_way = False
@@ -141,9 +110,9 @@ class MomentSource:
 class TaskSource:
     """Tasks: each message is one."""
 
-    def __init__(self, transition: str, source: EventSource, host: Host) -> None:
+    def __init__(self, transition: str, source: EventSource, host: EventListener) -> None:
         self._transition, self._source, self._host = transition, source, host
-        self._complaints = _Complaints(host, "tasks of '%s' (%s)" % (transition, source.label))
+        self._complaints = Complaints(host, "tasks of '%s' (%s)" % (transition, source.label))
 
     def take(self, message: Any) -> None:
         """Take a message in."""
@@ -327,8 +296,6 @@ def look_at_events(plan: Plan) -> EventFindings:
 class EventSources:
     """Watches the topics and functions of a robot's events and of the tasks.
 
-    A function that lets tasks in runs in the node of every robot, so it has to give them ids.
-
     :param plan: the plan.
     :param robot: name of the robot.
     :param namespace: absolute namespace of the robot, to which the topics are relative.
@@ -337,14 +304,10 @@ class EventSources:
     :raises PlanError: a topic, type, field or condition makes no sense, or a function is missing.
     """
 
-    def __init__(self, plan: Plan, robot: str, namespace: str, witness: bool, host: Host) -> None:
-        self._robot, self._witness, self._host = robot, witness, host
-        self._without_id = _Complaints(host, "tasks from a function")
-        self._functions = EventFunctions(
-            plan,
-            EventHost(self._observed, self._submitted, self._function_failed, host.data_of),
-            topics=True,
-        )
+    def __init__(
+        self, plan: Plan, robot: str, namespace: str, witness: bool, host: EventListener
+    ) -> None:
+        self._functions = FunctionSources(plan, robot, witness, host, topics=True)
         self._takers: Dict[str, Tuple[type, List[Callable[[Any], None]]]] = {}
         self._subscribers: List[rospy.Subscriber] = []
         for transition, source in watched_topics(plan).items():
@@ -370,49 +333,19 @@ class EventSources:
 
     def start(self) -> None:
         """Start the functions."""
-        if not self._witness:
-            self._functions.watch(self._robot)
-            self._functions.watch_tasks()
+        self._functions.start()
 
     def visit_began(self) -> None:
-        """Ask the functions anew: what they said of the last visit, or of the data then, is out of
-        date."""
-        self._functions.ask_again(self._robot)
+        """See :class:`EventSide`."""
+        self._functions.visit_began()
 
     def close(self) -> None:
         """Unsubscribe, and end the functions."""
         self._functions.close()
         for subscriber in self._subscribers:
-            subscriber.unregister()
+            with contextlib.suppress(rospy.ROSException):  # rospy may have closed it already
+                subscriber.unregister()
         self._subscribers = []
-
-    # -- what functions report, on their threads ---------------------------------------------------
-
-    def _observed(
-        self, robot: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
-    ) -> None:
-        if holds is not None or self._host.watches(transition):
-            asked = self._functions.round(robot, transition)
-            self._host.enqueue(
-                self._hand_over, asked, robot, EventObserved(transition, holds, cause)
-            )
-
-    def _hand_over(self, asked: int, robot: str, given: EventObserved) -> None:
-        """Give the replica what a function said, unless it was asked anew since."""
-        if asked == self._functions.round(robot, given.transition):
-            self._host.give(given)
-
-    def _submitted(self, task: log_entries.Submit) -> None:
-        if task.id:
-            self._host.enqueue(self._host.give, TaskCame(task))
-        else:
-            self._without_id.tell(
-                "a task has no id: the function runs in the node of every robot, so it has to "
-                "return an id with each task"
-            )
-
-    def _function_failed(self, robot: str, text: str) -> None:
-        self._host.complain(text)
 
 
 def _give_to(takers: List[Callable[[Any], None]]) -> Callable[[genpy.Message], None]:

@@ -3,10 +3,11 @@ services."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import time
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 import genpy
 import rospy
@@ -19,6 +20,7 @@ from gspn_framework_package.execution.agreement.interface import (
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.msg import Agreement
+from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
@@ -74,8 +76,9 @@ class _Neighbours:
 _NEIGHBOURS = _Neighbours()
 
 
-class Link:
-    """The common part of both links: the agreement topic, which all robots publish and read.
+class Link(RosFacts):
+    """The common part of both links, which carry a replica's messages over ROS (see
+    :class:`Carrier`): the agreement topic, which all robots publish and read.
 
     It publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots
     hosted in the same process exchange messages without it.
@@ -102,6 +105,7 @@ class Link:
         serve: Serve,
         quiet: float,
     ) -> None:
+        super().__init__(namespace)
         self.robot, self.run = robot, run
         self._namespace = namespace
         self._received = received
@@ -129,8 +133,7 @@ class Link:
         """End the threads of the calls, and unregister from the topic."""
         _NEIGHBOURS.remove(self)
         self._calls.close()
-        self._subscriber.unregister()
-        self._publisher.unregister()
+        _unregister(self._subscriber, self._publisher)
 
     def _publish(self, publisher: rospy.Publisher, to: str, message: Message) -> None:
         """Pass a message to robots in the same process directly, and publish it for the others.
@@ -252,10 +255,7 @@ class TopicLink(Link):
 
     def close(self) -> None:
         """Unregister from all topics."""
-        self._inbox.unregister()
-        for inbox in list(self._inboxes.values()):
-            if inbox is not None:
-                inbox.unregister()
+        _unregister(self._inbox, *filter(None, list(self._inboxes.values())))
         super().close()
 
     def _connected_inbox(self, robot: str) -> Optional[rospy.Publisher]:
@@ -271,6 +271,12 @@ class TopicLink(Link):
 
     def _open(self, name: str) -> None:
         self._inboxes[name] = eager_publisher(name, Agreement)
+
+
+def _unregister(*topics: Union[rospy.Publisher, rospy.Subscriber]) -> None:
+    for topic in topics:
+        with contextlib.suppress(rospy.ROSException):  # rospy may have closed it already
+            topic.unregister()
 
 
 def _inbox_of(namespace: str) -> str:

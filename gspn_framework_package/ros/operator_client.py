@@ -12,10 +12,10 @@ import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.ros.messages import read_status
-from gspn_framework_package.ros.node_services import ORDER_TIME
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
+from gspn_framework_package.team.commands import ORDER_TIME
 
 PATIENCE = 2.0
 """Seconds within which a node must answer a plain question."""

@@ -23,7 +23,6 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.msg import FiredTransition, GSPNFiringData
 from gspn_framework_package.ros.messages import FIRED_TOPIC
-from gspn_framework_package.ros.node_services import ORDER_TIME
 from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.node_process import run_node
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
@@ -38,6 +37,7 @@ from gspn_framework_package.srv import (
     SetPlace,
     SetPlaceRequest,
 )
+from gspn_framework_package.team.commands import ORDER_TIME
 
 TOPIC = "/TRANSITIONS_FIRED"
 

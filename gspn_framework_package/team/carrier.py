@@ -45,7 +45,8 @@ class Handlers(NamedTuple):
     """Takes each protocol message for this robot; returns at once."""
     command: Callable[[OperatorRequest, str], OperatorAnswer]
     """Answers an operator, whose name is the second argument ("" if the carrier does not know it).
-    It may take some seconds, because an order waits until it is in the log."""
+    It may take some seconds, because an order waits until it is in the log. It raises
+    ExecutionError if the robot is too busy to answer."""
 
 
 class Carrier(Protocol):
@@ -64,6 +65,10 @@ class Carrier(Protocol):
 
         :param fields: see :func:`firing_fields`.
         """
+
+    def is_watched(self) -> bool:
+        """Whether somebody may watch the activity now. While nobody does, it is published less
+        often."""
 
     def tell_activity(self, activity: Dict[str, Any]) -> None:
         """Publish what the robot does; whoever begins to watch later sees the last one.

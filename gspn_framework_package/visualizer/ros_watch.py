@@ -37,13 +37,13 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC, read_status
-from gspn_framework_package.ros.narrator import diagnostic_array
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     master_proxy,
     published_topics,
 )
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
+from gspn_framework_package.ros.voice import diagnostic_array
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.visualizer.activity import (
     Activity,

@@ -30,12 +30,12 @@ from gspn_framework_package.ros import message_fields
 from gspn_framework_package.ros.event_sources import (
     ConditionSource,
     EventSources,
-    Host,
     MomentSource,
     TaskSource,
     cause_of,
     task_of,
 )
+from gspn_framework_package.team.sides import EventListener
 
 
 class Node:
@@ -44,7 +44,7 @@ class Node:
     def __init__(self, watched=True):
         self.calls, self.given, self.complaints = [], [], []
         self.watched = watched
-        self.host = Host(
+        self.host = EventListener(
             lambda *call: self.calls.append(call),
             self.given.append,
             lambda transition: self.watched,
@@ -271,7 +271,7 @@ def test_functions_watch_events_and_let_tasks_in_if_they_give_them_ids(tmp_path)
         folder=str(tmp_path),
     ).validate()
     calls, complaints = queue.Queue(), queue.Queue()
-    host = Host(
+    host = EventListener(
         lambda function, *arguments: function(*arguments),
         calls.put,
         lambda transition: True,

@@ -4,53 +4,48 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("rospy")
-pytest.importorskip("gspn_framework_package.msg")
-
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
-from gspn_framework_package.ros.execution_node import ExecutionNode
-from gspn_framework_package.ros.narrator import level_of
+from gspn_framework_package.team.narrator import level_of
+from gspn_framework_package.team.self_report import SelfReport
 
 
-def node(phase, halted=None, ended=None, why="", stuck=False):
-    """A node whose robot is in that phase, in a place named Ask_operator."""
+def report(phase, halted=None, ended=None, why="", stuck=False):
+    """What a host says whose robot is in that phase, in a place named Ask_operator."""
     state = TeamState(
         (1,), {"robot_1": RobotState("robot_1", 0, phase=phase, why=why)}, ended=ended
     )
-    made = ExecutionNode.__new__(ExecutionNode)
-    made.robot = "robot_1"
     game = SimpleNamespace(why_waiting=lambda *_: "wants T_operator: needs a robot in Ask_operator")
-    made._replica = SimpleNamespace(
+    replica = SimpleNamespace(
         ledger=SimpleNamespace(state=state, game=game),
         halted=halted,
         waits_for=lambda: "waits for operator_2 to start",
         is_stuck=lambda: stuck,
     )
-    made._caller = SimpleNamespace(doing=lambda: "waits for the action server /operator/alarm")
-    return made
+    actions = SimpleNamespace(doing=lambda: "waits for the action server /operator/alarm")
+    return SelfReport("robot_1", "run", replica, actions)
 
 
 @pytest.mark.parametrize("phase", [Phase.DOING, Phase.DONE, Phase.INACTIVE, Phase.LEFT])
 def test_a_name_with_the_word_in_it_needs_nobody(phase):
-    waiting = node(phase)
-    assert "Ask_operator" in waiting._waits_for()
-    assert not waiting._needs_operator()
-    assert level_of(waiting._needs_operator(), bool(waiting._waits_for())) == 1
+    waiting = report(phase)
+    assert "Ask_operator" in waiting.waits_for()
+    assert not waiting.needs_operator()
+    assert level_of(waiting.needs_operator(), bool(waiting.waits_for())) == 1
 
 
 @pytest.mark.parametrize(
     "phase, halted", [(Phase.FAILED, None), (Phase.LOST, None), (Phase.DOING, "a lost log")]
 )
 def test_a_robot_that_does_not_go_on_by_itself_needs_the_operator(phase, halted):
-    assert node(phase, halted)._needs_operator()
+    assert report(phase, halted).needs_operator()
     assert level_of(True, False) == 2
 
 
 def test_a_team_that_lost_too_many_logs_needs_the_operator():
-    assert node(Phase.DONE, stuck=True)._needs_operator()
+    assert report(Phase.DONE, stuck=True).needs_operator()
 
 
 def test_after_the_end_nobody_is_needed():
-    assert not node(Phase.FAILED, ended="stopped")._needs_operator()
+    assert not report(Phase.FAILED, ended="stopped").needs_operator()
     assert level_of(False, False) == 0

@@ -4,14 +4,13 @@ import json
 
 import pytest
 
-pytest.importorskip("rospy")
 pytest.importorskip("gspn_framework_package.srv")
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.submit import read_data
 from gspn_framework_package.execution.log_entries import Submit
 from gspn_framework_package.model.errors import DataError, GspnError
-from gspn_framework_package.ros.node_services import order_entry
+from gspn_framework_package.team.commands import order_entry
 
 
 def test_the_command_takes_a_task():

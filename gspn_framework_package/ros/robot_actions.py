@@ -1,0 +1,176 @@
+"""The actions of one robot on ROS: goals for action servers, jobs of all other kinds, and the place
+servers of this process."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple, Union
+
+from gspn_framework_package.execution.agreement.interface import ActionDone, AttemptFailed
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.local_kinds import refuse_commands
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
+from gspn_framework_package.ros.action_kinds import Job, jobs, live_types
+from gspn_framework_package.ros.action_targets import action_targets
+from gspn_framework_package.ros.goal_id import GoalIdentity
+from gspn_framework_package.ros.job_runner import ActionRunner, JobRunner
+from gspn_framework_package.ros.options import NodeOptions
+from gspn_framework_package.ros.place_servers import PlaceServer, PlaceServers
+
+ALLOW = "~allow_commands, allow_commands:=true"
+
+
+class RobotActions:
+    """The action side of a robot's host (see :class:`ActionSide`).
+
+    :param plan: the plan with which the robot begins.
+    :param robot: name of the robot.
+    :param namespace: absolute namespace of the robot.
+    :param options: see :class:`NodeOptions`.
+    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
+    :param ended: receives the end of each attempt, once.
+    :param progress: receives the feedback of the running action: its ``time_passed``.
+    :param warn: prints a warning.
+    :raises GspnError: the actions cannot be used.
+
+    :ivar jobs: the robot's actions that are no action servers, by place.
+    :ivar foreign_servers: absolute names of the action servers that the robot needs and this
+        process does not serve.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        robot: str,
+        namespace: str,
+        options: NodeOptions,
+        enqueue: Callable[..., None],
+        ended: Callable[[Union[ActionDone, AttemptFailed]], None],
+        progress: Callable[[List[int]], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._robot, self._namespace, self._options = robot, namespace, options
+        self._told_end, self._progress = ended, progress
+        self._witness = robot in plan.witness  # votes, but has no token and runs no actions
+        targets = {} if self._witness else action_targets(plan, robot, namespace)
+        serves = options.place_servers and not self._witness
+        self._servers = PlaceServers(plan, robot, namespace) if serves else None
+        served = set(self._servers.names) if self._servers else set()
+        self.foreign_servers = sorted({t.server for t in targets.values()} - served)
+        self.jobs = {} if self._witness else jobs_of(plan, robot, namespace, options)
+        caller = ActionCaller(
+            robot,
+            targets,
+            plan.timeout,
+            enqueue,
+            self._ended,
+            self._feedback,
+            options.patience,
+            options.max_connections,
+            self._own_servers(),
+            plan.cancel_grace,
+            warn,
+        )
+        runner = JobRunner(
+            robot,
+            self.jobs,
+            plan.timeout,
+            enqueue,
+            self._ended,
+            options.patience,
+            plan.cancel_grace,
+            warn,
+        )
+        self._runner = ActionRunner(caller, runner, self.jobs)
+
+    def _own_servers(self) -> Optional[Mapping[str, PlaceServer]]:
+        """The servers in this process that receive goals directly."""
+        if self._servers is None or not self._options.direct_actions:
+            return None
+        return self._servers.servers
+
+    def serve(self) -> None:
+        """Start the place servers, if this process has them."""
+        if self._servers is not None:
+            self._servers.start()
+
+    def stop_serving(self) -> None:
+        """Stop the place servers."""
+        if self._servers is not None:
+            self._servers.stop()
+
+    def start(self, command: StartAction, now: float) -> None:
+        """See :class:`ActionSide`."""
+        self._runner.start(command, now)
+
+    def cancel(self) -> None:
+        """See :class:`ActionSide`."""
+        self._runner.cancel()
+
+    def doing(self) -> str:
+        """See :class:`ActionSide`."""
+        return self._runner.doing()
+
+    def poll(self, now: float) -> Optional[float]:
+        """See :class:`ActionSide`."""
+        return self._runner.poll(now)
+
+    def close(self) -> None:
+        """See :class:`ActionSide`."""
+        self._runner.close()
+
+    def why_not(self, plan: Plan, present: Plan) -> str:
+        """See :class:`ActionSide`. Servers for functions of the plan are started."""
+        action_targets(plan, self._robot, self._namespace)
+        jobs_of(plan, self._robot, self._namespace, self._options)
+        if self._servers is not None:
+            self._servers.prepare(plan)
+            return ""
+        new = sorted(_functions(plan, self._robot) - _functions(present, self._robot))
+        if not new:
+            return ""
+        return "'%s' runs in place servers of another process, which keep to their plan" % new[0][1]
+
+    def follow(self, plan: Plan) -> None:
+        """See :class:`ActionSide`."""
+        if self._witness:
+            return
+        if self._servers is not None:
+            self._servers.follow(plan)
+        self.jobs = jobs_of(plan, self._robot, self._namespace, self._options)
+        targets = action_targets(plan, self._robot, self._namespace)
+        self._runner.follow(plan, targets, self.jobs, self._own_servers())
+
+    def _ended(self, ended: ActionEnded) -> None:
+        attempt = ended.identity.age
+        if ended.reason:
+            self._told_end(AttemptFailed(*attempt, ended.reason, ended.detail))
+        else:
+            self._told_end(ActionDone(*attempt, ended.result, ended.data))
+
+    def _feedback(self, identity: GoalIdentity, feedback: Any) -> None:
+        self._progress(list(getattr(feedback, "time_passed", ())))
+
+
+def jobs_of(plan: Plan, robot: str, namespace: str, options: NodeOptions) -> Dict[str, Job]:
+    """The actions of a robot that are no action servers, by place.
+
+    :raises GspnError: one does not fit its type, or the ROS graph, or is not allowed.
+    """
+    if not options.allow_commands:
+        refuse_commands(plan, ALLOW)
+    found = jobs(plan, robot, namespace)
+    types = live_types() if found and options.check else {}
+    for place, job in found.items():
+        clash = job.clash(types) if options.check else None
+        if clash:
+            raise ExecutionError(clash, file=plan.file, element="action of '%s'" % place)
+    return found
+
+
+def _functions(plan: Plan, robot: str) -> Set[Tuple[str, str]]:
+    """(place, function) of every Python action of a robot."""
+    bound = ((place, plan.action(robot, place)) for place in plan.action_places)
+    return {(place, a.function) for place, a in bound if isinstance(a, FunctionAction)}

@@ -1,0 +1,548 @@
+"""The host of a replica: connects one robot's replica of the team's log to a carrier, to the
+robot's actions and to its events (thesis 4.3, Algorithm 1). It does not know ROS."""
+
+from __future__ import annotations
+
+import itertools
+import queue
+import threading
+import time
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Union
+
+from gspn_framework_package.analysis.preflight.while_running import why_refused
+from gspn_framework_package.execution import log_entries, plan_change
+from gspn_framework_package.execution.actions import TEXT_LIMIT
+from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.breakpoints import (
+    BreakpointFile,
+    Breakpoints,
+    read_names,
+)
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.carrier import Carrier, Handlers, firing_fields
+from gspn_framework_package.team.commands import Commands
+from gspn_framework_package.team.log_file import OpenLog, open_log
+from gspn_framework_package.team.narrator import Narrator
+from gspn_framework_package.team.plan_examination import why_not_followed, with_folder
+from gspn_framework_package.team.self_report import SelfReport
+from gspn_framework_package.team.sides import (
+    LOOK_AGAIN,
+    ActionSide,
+    EventListener,
+    EventSide,
+    Voice,
+)
+from gspn_framework_package.team.worker import Answer, View, Worker
+
+FAREWELL = 2.0
+"""Seconds that a host keeps running after the end of the run, so that the others hear of it."""
+
+BREAKPOINTS_PERIOD = 0.5
+"""Seconds between two looks at the file with the breakpoints."""
+
+
+class HostOptions(NamedTuple):
+    """What a host is told besides its plan and robot."""
+
+    run: str
+    """Name of the run."""
+    log_file: str
+    """Path of the robot's log."""
+    place: str = ""
+    """The place in which a robot that is not in the plan joins the running team."""
+    stay: bool = False
+    """Whether the host keeps running, and answers, when the run is over."""
+
+
+class ReplicaHost(Worker):
+    """Executes a plan for one robot, until the run is over.
+
+    One thread, the *worker*, owns all state: callbacks of the carrier and of the robot's parts only
+    put calls into its queue, and the worker executes them one by one.
+
+    Make it, :meth:`connect` it to its parts, then :meth:`start` it.
+
+    :param plan: the checked plan, with the team that begins the run.
+    :param robot: name of the robot.
+    :param options: see :class:`HostOptions`.
+    :param voice: prints for people.
+    :param sources: makes the sources of the events of a plan; they report to the listener.
+    :raises GspnError: the log or the sources cannot be used.
+
+    :ivar plan: the plan that the robot follows now.
+    :ivar exit_code: None while the run goes on; then 0 if the run completed, 1 if it was stopped or
+        failed, or this host or its replica failed.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        robot: str,
+        options: HostOptions,
+        voice: Voice,
+        sources: Callable[[Plan, EventListener], EventSide],
+    ) -> None:
+        self.plan, self.robot, self.run = plan, robot, options.run
+        self.exit_code: Optional[int] = None
+        self.reason = ""
+        self._stay = options.stay
+        self._witness = robot in plan.witness  # votes, but has no token and runs no actions
+        self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._numbers = itertools.count(1)
+        self._answers: Dict[str, Callable[[Any], None]] = {}
+        self._wake_at = 0.0
+        self._visit = (0, 0)
+        self._leave_at: Optional[float] = None
+        self._breakpoints = BreakpointFile(plan)
+        self._look_at = 0.0
+        self._running = True
+        self._progress: List[int] = []
+        self._attempt = 0
+        self._told_visit = 0
+        self._gone: Dict[str, Phase] = {}
+        self._told_length = -1
+        self._began_with = plan
+        self._narrator = Narrator(voice)
+        self._make_sources: Callable[[Plan], EventSide] = lambda plan: sources(
+            plan, self._listener()
+        )
+        self._events = self._make_sources(plan)  # first: a plan that they refuse leaves no log
+        self._log: OpenLog = open_log(options.log_file, plan, options.run, robot)
+        self._replica = Replica(
+            plan,
+            robot,
+            options.run,
+            self._log.log_id,
+            self._log.records,
+            place=options.place,
+            trusted=self._log.whole,
+        )
+        self._carrier: Carrier
+        self._actions: ActionSide
+        self._report: SelfReport
+        self._others: Sequence[Callable[[], None]] = ()
+        self._told_end: Callable[[str], None] = lambda robot: None
+        self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
+
+    def connect(
+        self,
+        carrier: Carrier,
+        actions: ActionSide,
+        others: Sequence[Callable[[], None]] = (),
+    ) -> None:
+        """Give the host its parts; once, before :meth:`start`.
+
+        :param carrier: carries the replica's messages.
+        :param actions: carries out the robot's actions.
+        :param others: what else to call at the end.
+        """
+        self._carrier, self._actions, self._others = carrier, actions, others
+        self._report = SelfReport(self.robot, self.run, self._replica, actions)
+        self._events.subscribe()
+
+    @property
+    def heartbeat(self) -> float:
+        """Seconds between two greetings of a robot, in a small team."""
+        return self._replica.pace.heartbeat
+
+    @property
+    def handlers(self) -> Handlers:
+        """What a carrier calls."""
+        return Handlers(self.receive, Commands(self).answer)
+
+    def _listener(self) -> EventListener:
+        """This host, as the sources of events use it."""
+        return EventListener(
+            self.enqueue,
+            self._step,
+            lambda transition: self._replica.watches(transition),
+            self.warn,
+            self._data_of,
+        )
+
+    def _data_of(self, robot: str) -> Mapping[str, Any]:
+        """The data that a robot, or "" the team, may read now; called on any thread."""
+        team = self._replica.ledger.state
+        if not robot:
+            return team.team_data()
+        known = team.robots.get(robot)
+        return team.data_of(known) if known is not None else {}
+
+    # -- from any thread ---------------------------------------------------------------------------
+
+    def start(self, ended: Callable[[str], None]) -> None:
+        """Start the worker.
+
+        :param ended: receives the name of the robot when the host has ended.
+        """
+        self._told_end = ended
+        self._thread.start()
+        self._events.start()
+
+    def stop(self) -> None:
+        """End soon, without leaving the team; the running action is cancelled."""
+        self.enqueue(self._end)
+
+    def join(self, timeout: Optional[float] = None) -> None:
+        """Wait until the host has ended, at most ``timeout`` seconds; returns at once if it was
+        never started."""
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+
+    def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """See :class:`Worker`."""
+        self._tasks.put((function, arguments))
+
+    def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
+        """See :class:`Worker`."""
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        self.enqueue(lambda: answers.put(question()))
+        return answers.get(timeout=timeout)
+
+    def receive(self, message: interface.Message) -> None:
+        """Take a protocol message."""
+        self.enqueue(self._step, interface.Received(message))
+
+    def serve(
+        self, message: interface.Message, answer: Callable[[interface.Message], None]
+    ) -> None:
+        """Take a protocol message that is a call, whose reply ``answer`` receives."""
+        self.enqueue(self.request, message, answer)
+
+    def warn(self, text: str) -> None:
+        """Print a warning."""
+        self.enqueue(self._narrator.warn, text)
+
+    # -- the worker --------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        try:
+            self._carry_out(self._replica.start(time.monotonic()))
+            self._note_team()
+            if self._replica.ledger.state.ended is not None:
+                self._is_over("was over before this node started")
+            while self._running:
+                self._turn()
+        except Exception as error:
+            self.exit_code, self.reason = 1, "%s: %s" % (type(error).__name__, error)
+            if isinstance(error, GspnError):
+                self._narrator.error(str(error))
+            else:
+                self._narrator.error("the node fails", traceback=True)
+        finally:
+            try:
+                self._close()
+            finally:
+                self._told_end(self.robot)
+
+    def _turn(self) -> None:
+        now = time.monotonic()
+        if now >= self._wake_at:
+            self._wake_at = now + 1.0
+            self._step(interface.Tick())
+            self._narrator.note_change()
+        if now >= self._look_at:
+            self._look_at = now + BREAKPOINTS_PERIOD
+            self._look_at_breakpoints()
+        if self._leave_at is not None and now >= self._leave_at:
+            self._end()
+            return
+        action_due = self._actions.poll(now)
+        if action_due is not None and action_due <= now + LOOK_AGAIN:
+            self._narrator.note_change()  # the action side waits for something
+        told = self._narrator.poll(now, self._carrier, self._activity, self._report.diagnosis)
+        due = min(self._wake_at, told)
+        if action_due is not None:
+            due = min(due, action_due)
+        try:
+            function, arguments = self._tasks.get(timeout=max(0.0, due - time.monotonic()))
+        except queue.Empty:
+            return
+        function(*arguments)
+        self._narrator.note_change()
+
+    def _look_at_breakpoints(self) -> None:
+        """Halt at other places and transitions if the file with the breakpoints has changed."""
+        try:
+            if self._breakpoints.changed():
+                self._replica.halt_at(self._breakpoints.breakpoints)
+                self._narrator.warn("halts at: %s" % self._breakpoints.breakpoints.told)
+        except GspnError as error:
+            self._narrator.warn("the breakpoints stay as they were: %s" % error)
+
+    def _end(self) -> None:
+        self._running = False
+
+    def _close(self) -> None:
+        self._events.close()
+        self._actions.close()
+        self._carrier.close()
+        for close in self._others:
+            close()
+        self._log.writer.close()
+        self._log.lock.close()
+
+    def _step(self, given: interface.Input) -> None:
+        self._carry_out(self._replica.step(given, time.monotonic()))
+        if self._replica.visit != self._visit:
+            self._visit = self._replica.visit
+            self._events.visit_began()
+        self._note_team()
+
+    def _note_team(self) -> None:
+        """Report robots that were lost, have left or are back, and detect the end of the run if it
+        came with a snapshot."""
+        ledger = self._replica.ledger
+        if ledger.length == self._told_length:
+            return
+        first, self._told_length = self._told_length < 0, ledger.length
+        gone = {
+            robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase.gone
+        }
+        if gone != self._gone:
+            for name in sorted(set(gone) | set(self._gone)):
+                if name != self.robot and gone.get(name) != self._gone.get(name):
+                    self._tell_gone(name, gone.get(name), first)
+            self._gone = gone
+        if ledger.state.ended is not None and not first:
+            self._is_over("is over")
+
+    def _tell_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
+        if phase is None:
+            self._narrator.tell("%s is in the team again" % name)
+        elif phase is Phase.LEFT:
+            self._narrator.tell("%s has left the team" % name)
+        else:
+            ledger = self._replica.ledger
+            place = ledger.game.net.places[ledger.state.robots[name].place].name
+            text = "%s is lost: the team goes on without it; its token was in %s" % (name, place)
+            (self._narrator.tell if long_ago else self._narrator.warn)(text)
+
+    # -- effects of the replica --------------------------------------------------------------------
+
+    def _carry_out(self, effects: List[interface.Effect]) -> None:
+        """Carry out effects in order; records are written before any later effect leaves the
+        process."""
+        records: List[Record] = []
+        durable = False
+        sends: List[interface.Send] = []
+        for effect in effects:
+            if isinstance(effect, interface.Persist):
+                if sends:
+                    self._carrier.send(sends)
+                    sends = []
+                records.append(effect.record)
+                durable = durable or effect.durable
+                continue
+            if records:
+                self._log.writer.append(*records, durable=durable)
+                records, durable = [], False
+            if isinstance(effect, interface.Send):
+                sends.append(effect)
+            else:
+                self._effects[type(effect)](self, effect)
+        if records:
+            self._log.writer.append(*records, durable=durable)
+        if sends:
+            self._carrier.send(sends)
+
+    def _reply(self, effect: interface.Reply) -> None:
+        answer = self._answers.pop(effect.request_id, None)
+        if answer is not None:
+            answer(effect.message)
+
+    def _order_result(self, effect: interface.OrderResult) -> None:
+        answer = self._answers.pop(effect.order_id, None)
+        if answer is not None:
+            answer(effect)
+
+    def _on_fired(self, effect: interface.Fired) -> None:
+        if effect.publish or effect.private:
+            self._carrier.tell_firing(firing_fields(effect, self.run))
+        for move in effect.firing.moves:
+            # a local transition is reported a second time when it is in the agreed log
+            if move.robot == self.robot and move.visit > self._told_visit:
+                self._told_visit = move.visit
+                self._narrator.say(
+                    "%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target)
+                )
+
+    def _start_action(self, command: StartAction) -> None:
+        again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""
+        self._narrator.say("does %s%s (visit %d)" % (command.place, again, command.visit))
+        self._progress, self._attempt = [], command.attempt
+        self._actions.start(command, time.monotonic())
+
+    def _cancel_action(self, command: CancelAction) -> None:
+        self._actions.cancel()
+
+    def _fault(self, fault: Fault) -> None:
+        if fault.robot in ("", self.robot):
+            self._narrator.warn(fault.message)
+
+    # -- another plan ------------------------------------------------------------------------------
+
+    def _examine(self, effect: interface.Examine) -> None:
+        """Find out whether the robot can follow a staged plan. This may take a while, in which the
+        host has to be heard."""
+        plan = with_folder(effect.plan, effect.folder, self._began_with)
+        self._narrator.tell("looks at the staged plan '%s'" % plan.name)
+
+        def look() -> None:
+            why = why_not_followed(plan, self.plan, self._actions, self._make_sources)
+            self.enqueue(self._step, interface.Examined(effect.stage, why))
+
+        threading.Thread(target=look, name="examine", daemon=True).start()
+
+    def _plan_changed(self, effect: interface.PlanChanged) -> None:
+        """Bind later actions as another plan says; what runs goes on.
+
+        :raises GspnError: the robot cannot follow the plan.
+        """
+        before = self.plan
+        plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
+        self._narrator.tell("follows the plan '%s'" % plan.name)
+        if not self._witness:
+            self._actions.follow(plan)
+        if plan.events != before.events or plan.submissions != before.submissions:
+            sources = self._make_sources(plan)
+            self._events.close()
+            self._events = sources
+            sources.subscribe()
+            sources.start()
+
+    def _status_changed(self, effect: interface.StatusChanged) -> None:
+        """Do nothing: the narrator reports what the robot waits for, if it lasts."""
+
+    def _ended(self, effect: Ended) -> None:
+        self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
+
+    def _is_over(self, how: str) -> None:
+        """End the host if the run is over according to the log, although no effect reported it
+        because this host started late or was behind."""
+        state = self._replica.ledger.state
+        if self.exit_code is None and state.ended is not None:
+            text = "the run '%s' %s: %s" % (self.run, how, state.ended)
+            self._end_with(text, state.ended, state.finished)
+
+    def _end_with(self, text: str, reason: str, finished: bool) -> None:
+        self.exit_code, self.reason = (0 if finished else 1), reason
+        self._actions.cancel()
+        (self._narrator.tell if finished else self._narrator.warn)(text)
+        if not self._stay:
+            self._leave_at = time.monotonic() + FAREWELL
+
+    def _halted(self, effect: interface.Halted) -> None:
+        self.exit_code, self.reason = 1, effect.reason
+        self._narrator.error("halted: %s" % effect.reason)
+        self._actions.cancel()
+        self._end()
+
+    def _wake(self, effect: interface.WakeAt) -> None:
+        self._wake_at = effect.time
+
+    _effects: Dict[type, Callable[[ReplicaHost, Any], None]] = {
+        interface.Reply: _reply,
+        interface.OrderResult: _order_result,
+        interface.Fired: _on_fired,
+        interface.StatusChanged: _status_changed,
+        interface.Examine: _examine,
+        interface.PlanChanged: _plan_changed,
+        interface.Halted: _halted,
+        interface.WakeAt: _wake,
+        StartAction: _start_action,
+        CancelAction: _cancel_action,
+        Fault: _fault,
+        Ended: _ended,
+    }
+
+    # -- reports of the action side, on the worker thread ------------------------------------------
+
+    def attempt_ended(self, ended: Union[interface.ActionDone, interface.AttemptFailed]) -> None:
+        """Pass the end of an attempt to the replica. The action's text goes into the log, to all
+        robots and onto screens, so it is shortened to one line."""
+        if isinstance(ended, interface.AttemptFailed):
+            ended = ended._replace(detail=shorten(ended.detail, TEXT_LIMIT))
+        elif ended.result and ended.result not in self.plan.net.transition_index:
+            result = shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])
+            ended = ended._replace(result=result)
+        self._step(ended)
+
+    def attempt_progress(self, progress: List[int]) -> None:
+        """Take note of the feedback of the running action."""
+        self._progress = progress
+
+    # -- questions (see Worker) --------------------------------------------------------------------
+
+    def view(self) -> View:
+        """See :class:`Worker`."""
+        return self._report.view()
+
+    def status(self, data: str = "") -> Dict[str, Any]:
+        """See :class:`Worker`."""
+        return dict(
+            self._report.status(data),
+            log_file=self._log.writer.path,
+            messages_sent=self._carrier.sent,
+            plan=self.plan.hash(),
+            breakpoints=self._breakpoints.breakpoints.to_json(),
+        )
+
+    def _activity(self) -> Dict[str, Any]:
+        return self._report.activity(self.plan.hash(), self._attempt, self._progress)
+
+    def breakpoints(self, argument: str) -> str:
+        """See :class:`Worker`."""
+        if argument:
+            found = Breakpoints.of_names(read_names(argument), self.plan)
+            self._replica.halt_at(found)
+            self._breakpoints.write(found)
+        return "halts at: %s" % self._breakpoints.breakpoints.told
+
+    def request(
+        self, message: interface.Message, answer: Callable[[interface.Message], None]
+    ) -> None:
+        """See :class:`Worker`."""
+        number = "request %d" % next(self._numbers)
+        self._answers[number] = answer
+        self._step(interface.Received(message, number))
+
+    def order(
+        self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
+    ) -> None:
+        """See :class:`Worker`."""
+        number = "order %d" % next(self._numbers)
+        self._answers[number] = answer
+        if entry is None:
+            self._step(interface.ForceEvict(number, force_evict))
+        elif isinstance(entry, log_entries.Adopt):
+            self._order_adopt(number, entry)
+        else:
+            self._step(interface.Order(number, entry))
+
+    def _order_adopt(self, number: str, entry: log_entries.Adopt) -> None:
+        """Have the staged plan adopted, unless the check, from where the team is, refuses it."""
+        game, team = self._replica.ledger.game, self._replica.ledger.state
+        stage = entry.stage if entry.stage >= 0 or team.staged is None else team.staged.number
+        order = interface.Order(number, entry._replace(stage=stage))
+        why, new = plan_change.why_not_adopted(team, game.plan, stage)
+        if why or new is None or team.staged is None:
+            self._step(order)  # which says why not
+            return
+        here = plan_change.begun_here(team, game.plan, new, team.staged.mapping)
+
+        def look() -> None:
+            refused = why_refused(here)
+            if refused:
+                text = "the check refuses the plan from where the team is: %s" % refused
+                self.enqueue(self._order_result, interface.OrderResult(number, False, text))
+            else:
+                self.enqueue(self._step, order)
+
+        threading.Thread(target=look, name="check", daemon=True).start()

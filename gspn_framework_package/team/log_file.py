@@ -1,0 +1,89 @@
+"""The log file of one robot: locked, read back, and open for more."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+import uuid
+from typing import BinaryIO, List, NamedTuple
+
+from gspn_framework_package.execution.event_log import (
+    EventLogWriter,
+    Record,
+    end_is_there,
+    header,
+    read_log,
+)
+from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.plan import Plan
+
+LOCK_TIME = 8.0
+"""Seconds to wait for a log that is still locked by a node that is about to end."""
+
+
+def lock_log(path: str) -> BinaryIO:
+    """Lock a log, since two nodes that write to one file would make it unreadable.
+
+    :returns: the file; closing it releases the lock.
+    :raises LogError: another process holds the lock, or the file cannot be written.
+    """
+    deadline = time.monotonic() + LOCK_TIME
+    try:
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        file = open(path, "ab")  # noqa: SIM115
+    except OSError as error:
+        raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return file
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                file.close()
+                raise LogError(
+                    "another node is writing this log",
+                    file=path,
+                    hint="a robot has one node in a run: end that one, or give another run",
+                ) from None
+            time.sleep(0.1)
+        except OSError:  # a file system without locks
+            return file
+
+
+class OpenLog(NamedTuple):
+    """A log that this process writes."""
+
+    lock: BinaryIO
+    """Close it after the writer."""
+    log_id: str
+    records: List[Record]
+    """What it held already."""
+    whole: bool
+    """Whether its end is intact."""
+    writer: EventLogWriter
+
+
+def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
+    """Open the log of a robot, a new one where there is none.
+
+    :param plan: the plan that the run began with.
+    :raises LogError: another process writes it, it belongs to another run, robot or plan, or the
+        file cannot be used.
+    """
+    lock = lock_log(path)
+    log_id, records, whole = uuid.uuid4().hex, [], True
+    if os.path.exists(path) and os.path.getsize(path):
+        try:
+            known = read_log(path)
+            log_id, records, whole = (
+                str(known.header["log"]),
+                known.records,
+                end_is_there(known),
+            )
+        except LogError:
+            with open(path, "rb") as file:
+                if b"\n" in file.readline():  # else it was killed while writing the first line
+                    raise
+    first = header(plan, run, robot, log_id)
+    return OpenLog(lock, log_id, records, whole, EventLogWriter(path, first, fsync=plan.fsync))

@@ -1,0 +1,121 @@
+"""Reports to people what a robot does: lines on the screen, its activity, and how it is."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Callable, Dict, Mapping, Tuple
+
+from gspn_framework_package.team.carrier import Carrier
+from gspn_framework_package.team.sides import Voice
+
+LINES_PER_SECOND = 4
+"""Maximum number of lines on the screen per second; further lines are only counted."""
+
+ACTIVITY_PERIOD = 0.1
+"""Minimum number of seconds between two publications of the activity."""
+
+UNHEARD_PERIOD = 1.0
+"""The same while nobody watches."""
+
+DIAGNOSIS_PERIOD = 1.0
+"""Seconds between two diagnoses."""
+
+Diagnosis = Tuple[int, str, Mapping[str, Any]]
+"""How the robot is: (level, message, values), see :meth:`Voice.diagnose`."""
+
+WAITING_TIME = 1.0
+"""Seconds after which a waiting robot reports what it waits for."""
+
+
+class Narrator:
+    """Reports what one robot does. All methods belong to the host's worker thread.
+
+    :param voice: prints the lines, and hears the diagnoses.
+    """
+
+    def __init__(self, voice: Voice) -> None:
+        self._voice = voice
+        self._told: Dict[str, Any] = {}
+        self._changed = True
+        self._activity_at = 0.0
+        self._diagnosis_at = 0.0
+        self._reason = ""
+        self._reason_since = 0.0
+        self._reason_told = ""
+        self._second = 0
+        self._lines = 0
+
+    def say(self, text: str) -> None:
+        """Print a line about what happens, unless there were too many in this second."""
+        second = int(time.monotonic())
+        if second != self._second:
+            if self._lines > LINES_PER_SECOND:
+                self.tell("and %d lines more" % (self._lines - LINES_PER_SECOND))
+            self._second, self._lines = second, 0
+        self._lines += 1
+        if self._lines <= LINES_PER_SECOND:
+            self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Print a line regardless of how many there are."""
+        self._voice.say(text)
+
+    def warn(self, text: str) -> None:
+        """Print a warning."""
+        self._voice.warn(text)
+
+    def error(self, text: str, traceback: bool = False) -> None:
+        """Print an error; see :meth:`Voice.error`."""
+        self._voice.error(text, traceback)
+
+    def note_change(self) -> None:
+        """Note that what the robot does may have changed."""
+        self._changed = True
+
+    def poll(
+        self,
+        now: float,
+        carrier: Carrier,
+        activity: Callable[[], Dict[str, Any]],
+        diagnosis: Callable[[], Diagnosis],
+    ) -> float:
+        """Publish what is due; returns when to call this next, unless something changes before.
+
+        :param now: the time (monotonic seconds).
+        :param carrier: publishes the activity.
+        :param activity: returns what the robot does, a JSON object.
+        :param diagnosis: returns how the robot is.
+        """
+        period = ACTIVITY_PERIOD if carrier.is_watched() else UNHEARD_PERIOD
+        self._activity_at = min(self._activity_at, now + period)
+        if self._changed and now >= self._activity_at:
+            self._changed = False
+            self._activity_at = now + period
+            told = activity()
+            if told != self._told:
+                self._told = told
+                carrier.tell_activity(told)
+            self._note_reason(told["waits_for"], now)
+        self._tell_reason(now)
+        if now >= self._diagnosis_at:
+            self._diagnosis_at = now + DIAGNOSIS_PERIOD
+            if self._voice.is_asked():
+                self._voice.diagnose(*diagnosis())
+        return min(self._activity_at, self._diagnosis_at) if self._changed else self._diagnosis_at
+
+    def _note_reason(self, reason: str, now: float) -> None:
+        if reason != self._reason:
+            self._reason, self._reason_since = reason, now
+
+    def _tell_reason(self, now: float) -> None:
+        """Print what the robot waits for, once, after it has waited for a while."""
+        if self._reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
+            self._reason_told = self._reason
+            if self._reason:
+                self.say(self._reason)
+
+
+def level_of(needs_operator: bool, waits: bool) -> int:
+    """The level of a diagnosis: 0 if all is well, 1 if the robot waits or another one is lost,
+    2 if it needs the operator."""
+    return 2 if needs_operator else 1 if waits else 0

@@ -1,0 +1,42 @@
+"""Whether a robot can follow another plan: its functions load, and its actions can be carried
+out."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Callable
+
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.sides import ActionSide, EventSide
+
+
+def with_folder(plan: Plan, folder: str, present: Plan) -> Plan:
+    """A plan from the log, with the folder of its functions.
+
+    :param folder: where they are; "": where those of ``present`` are.
+    """
+    return replace(plan, folder=folder or present.folder, file=present.file)
+
+
+def why_not_followed(
+    plan: Plan, present: Plan, actions: ActionSide, sources: Callable[[Plan], EventSide]
+) -> str:
+    """Why a robot cannot follow ``plan``; "" if it can. It may take some seconds: do not call this
+    on the worker thread.
+
+    :param plan: the staged plan, with its folder.
+    :param present: the plan that the robot follows now.
+    :param actions: the robot's action side.
+    :param sources: makes the sources of the events of a plan.
+    """
+    if plan.folder and plan.folder != present.folder and not os.path.isdir(plan.folder):
+        return "there is no folder %s" % plan.folder
+    try:
+        sources(plan).close()
+        return actions.why_not(plan, present)
+    except GspnError as error:
+        return str(error)
+    except Exception as error:  # whatever it is, the robot cannot follow the plan
+        return "%s: %s" % (type(error).__name__, error)

@@ -1,0 +1,154 @@
+"""What a host says of its robot: to services, to people, and to whoever watches."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Sequence
+
+from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import told_phase
+from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.team.narrator import Diagnosis, level_of
+from gspn_framework_package.team.sides import ActionSide
+from gspn_framework_package.team.worker import View
+
+
+class SelfReport:
+    """Reads what it says from the replica and the action side; belongs to the worker thread.
+
+    :param robot: name of the robot.
+    :param run: name of the run.
+    :param replica: its replica.
+    :param actions: its action side.
+    """
+
+    def __init__(self, robot: str, run: str, replica: Replica, actions: ActionSide) -> None:
+        self._robot, self._run = robot, run
+        self._replica, self._actions = replica, actions
+
+    @property
+    def _net(self) -> Net:
+        """The net of the plan that the team follows, as far as our log goes."""
+        return self._replica.ledger.game.net
+
+    def view(self) -> View:
+        """See :class:`Worker`."""
+        ledger, own = self._replica.ledger, self._replica.state
+        robot = ledger.state.robots.get(self._robot)
+        place, visit, phase = "", 0, told_phase(ledger.state, robot)
+        if robot is not None and own.position is not None:
+            place, visit = self._net.places[own.position.place].name, own.position.visit
+            # there are local transitions that the log does not have yet
+            if visit != robot.visit and ledger.state.ended is None:
+                phase = Phase.DOING
+            if phase is Phase.DOING and own.reported == own.position.goal:
+                phase = Phase.DONE  # although this is not in the log yet
+        elif robot is not None and not robot.phase.gone:
+            place, visit = self._net.places[robot.place].name, robot.visit
+        return View(
+            place,
+            phase.told.state,
+            self._replica.incarnation,
+            visit,
+            self._replica.marking(),
+            self._net,
+            ledger.length,
+            ledger.hash,
+        )
+
+    def status(self, data: str = "") -> Dict[str, Any]:
+        """What :meth:`Worker.status` returns, but for what the replica does not know."""
+        status = self._replica.status()
+        state = self._replica.ledger.state
+        status.update(
+            finished=state.finished,
+            fault=self._is_faulty(),
+            waits_for=self.waits_for(),
+            needs_operator=self.needs_operator(),
+        )
+        if data:
+            brief = data == "brief"
+            status["data"] = told_of_team(state, self._net, brief)
+            for robot in status["robots"]:
+                robot.update(told_of_robot(state.robots[robot["robot"]], self._net, brief))
+        return status
+
+    def waits_for(self) -> str:
+        """What this robot waits for: its action, the team, or its transition; "" if nothing."""
+        replica = self._replica
+        if replica.ledger.state.ended is not None:
+            return ""
+        robot = replica.ledger.state.robots.get(self._robot)
+        reasons = [self._actions.doing(), replica.waits_for()]
+        if robot is not None:
+            reasons.append(replica.ledger.game.why_waiting(replica.ledger.state, robot))
+        return "; ".join(filter(None, reasons))
+
+    def needs_operator(self) -> bool:
+        """Whether this robot cannot go on without the operator: it was evicted, it has halted, its
+        action failed, or too many logs of the team are lost."""
+        state = self._replica.ledger.state
+        robot = state.robots.get(self._robot)
+        if self._replica.halted is not None or self._replica.is_stuck():
+            return True
+        return robot is not None and state.ended is None and robot.phase.told.needs_operator
+
+    def _is_faulty(self) -> bool:
+        return self._replica.ledger.state.fault or self._replica.halted is not None
+
+    def activity(self, plan: str, attempt: int, progress: Sequence[int]) -> Dict[str, Any]:
+        """What the robot does, a JSON object.
+
+        :param plan: the hash of the plan that it follows.
+        :param attempt: which attempt at its action this is.
+        :param progress: the last feedback of the action.
+        """
+        view, state = self.view(), self._replica.ledger.state
+        return {
+            "robot": self._robot,
+            "run": self._run,
+            "plan": plan,
+            "place": view.place,
+            "state": view.robot_state,
+            "visit": view.visit,
+            "attempt": attempt,
+            "waits_for": self.waits_for(),
+            "needs_operator": self.needs_operator(),
+            "feedback": progress,
+            "ended": state.ended,
+            "finished": state.finished,
+            "fault": self._is_faulty(),
+        }
+
+    def diagnosis(self) -> Diagnosis:
+        """How the robot is."""
+        view, waits_for = self.view(), self.waits_for()
+        message = "%s in %s" % (view.robot_state, view.place or "no place")
+        if waits_for:
+            message += ", " + waits_for
+        status = self._replica.status()
+        if status["ended"] is not None:
+            message += ", the run is over: " + status["ended"]
+        lost = sorted(
+            robot.name
+            for robot in self._replica.ledger.state.robots.values()
+            if robot.phase is Phase.LOST and robot.name != self._robot
+        )
+        if lost:
+            message += "; lost: " + ", ".join(lost)
+        values = {
+            "robot": self._robot,
+            "run": self._run,
+            "place": view.place,
+            "state": view.robot_state,
+            "visit": view.visit,
+            "log length": view.slot,
+            "waits for": waits_for,
+            "quorum": status["quorum"],
+            "lost robots": ", ".join(lost),
+        }
+        for robot in status["robots"]:
+            if robot["robot"] != self._robot:
+                values["last contact with " + robot["robot"]] = robot["last_contact"]
+        return level_of(self.needs_operator(), bool(waits_for or lost)), message, values

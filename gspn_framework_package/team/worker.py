@@ -1,0 +1,85 @@
+"""What those who ask the host of a replica see of it."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, NamedTuple, Optional, TypeVar
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.model.net import Marking, Net
+
+
+class View(NamedTuple):
+    """What a host knows about its robot and the team, including its own local transitions."""
+
+    place: str
+    """Name of the robot's place; "" while it has none."""
+    robot_state: str
+    incarnation: int
+    visit: int
+    marking: Marking
+    net: Net
+    slot: int
+    hash: str
+
+
+Answer = TypeVar("Answer")
+
+
+class Worker:
+    """The interface of a host that services use. ``enqueue`` and ``ask`` may be called from
+    any thread, the other methods only on the worker thread."""
+
+    robot: str
+    run: str
+
+    def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Make the worker thread call ``function(*arguments)`` soon."""
+        raise NotImplementedError
+
+    def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
+        """Call ``question()`` on the worker thread and return its result.
+
+        :param timeout: seconds to wait for it.
+        :raises queue.Empty: it did not return in time.
+        """
+        raise NotImplementedError
+
+    def view(self) -> View:
+        """The robot and the team as this host knows them; call it on the worker thread."""
+        raise NotImplementedError
+
+    def status(self, data: str = "") -> Dict[str, Any]:
+        """The host's status, for people and programs, as a JSON object; call it on the worker
+        thread.
+
+        :param data: ``data``: with the data, tasks and held events of the team; ``brief``: with
+            these as short texts; "": without.
+        """
+        raise NotImplementedError
+
+    def breakpoints(self, argument: str) -> str:
+        """The breakpoints of the host's robot, for people; call it on the worker thread.
+
+        :param argument: a JSON list of names to set, "" for none.
+        :raises GspnError: it is not a list of names of the plan, or cannot be kept in the file.
+        """
+        raise NotImplementedError
+
+    def request(self, message: Message, answer: Callable[[Message], None]) -> None:
+        """Pass a peer's protocol message to the replica; call it on the worker thread.
+
+        :param answer: receives the reply, once.
+        """
+        raise NotImplementedError
+
+    def order(
+        self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
+    ) -> None:
+        """Give an operator's order to the replica; call it on the worker thread.
+
+        :param entry: the order; None for an eviction by force.
+        :param force_evict: the robot to evict by force, if ``entry`` is None.
+        :param answer: receives the ``OrderResult``.
+        """
+        raise NotImplementedError
