@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import List, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
@@ -47,20 +48,17 @@ def reachable_from(
 ) -> Booleans:
     """Boolean array: the nodes that can be reached from ``start`` (numbers, or a boolean array),
     including ``start``."""
-    seen = np.zeros(nodes, dtype=bool)
-    seen[start] = True
-    frontier = np.flatnonzero(seen)
-    if not len(frontier):
-        return seen
-    matrix = sparse.csr_matrix(
-        (np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes)
+    seen = np.zeros(nodes + 1, dtype=bool)
+    seen[:nodes][start] = True
+    begins = np.flatnonzero(seen)
+    # one node more, with an arc to each of them: compiled code goes through levels of any number
+    matrix = adjacency(
+        nodes + 1,
+        np.concatenate([sources, np.full(len(begins), nodes, dtype=np.int64)]),
+        np.concatenate([targets, begins]),
     )
-    while len(frontier):
-        reached = matrix.indices[flat_ranges(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
-        reached = np.unique(reached[~seen[reached]])
-        seen[reached] = True
-        frontier = reached
-    return seen
+    seen[csgraph.breadth_first_order(matrix, nodes, return_predecessors=False)] = True
+    return seen[:nodes]
 
 
 def can_reach(
@@ -78,20 +76,14 @@ class ShortestWays:
         self, nodes: int, sources: Indices, targets: Indices, allowed: Optional[Booleans] = None
     ) -> None:
         arcs = np.arange(len(targets)) if allowed is None else np.flatnonzero(allowed)
-        self._sources, self._targets = sources, targets
-        self._parent = np.full(nodes, -1, dtype=np.int64)
-        self.reached = np.zeros(nodes, dtype=bool)
+        self._sources = sources
+        before, after = sources[arcs], targets[arcs]
+        depth = _depths(adjacency(nodes, before, after))
+        self.reached = depth >= 0
         """Boolean array: the nodes that have a path from node 0."""
-        self.reached[0] = True
-        offsets = np.searchsorted(sources[arcs], np.arange(nodes + 1))
-        frontier = np.zeros(1, dtype=np.int64)
-        while len(frontier):
-            leaving = arcs[flat_ranges(offsets[frontier], offsets[frontier + 1])]
-            leaving = leaving[~self.reached[targets[leaving]]]
-            reached, first = np.unique(targets[leaving], return_index=True)
-            self._parent[reached] = leaving[first]
-            self.reached[reached] = True
-            frontier = reached
+        self._parent = np.full(nodes, -1, dtype=np.int64)
+        nearer = np.flatnonzero(self.reached[before] & (depth[after] == depth[before] + 1))[::-1]
+        self._parent[after[nearer]] = arcs[nearer]  # the first arc of several: it is written last
 
     def way_to(self, node: int) -> List[int]:
         """The arcs of a shortest path to ``node``, which must be reachable."""
@@ -101,6 +93,22 @@ class ShortestWays:
             arcs.append(arc)
             node = int(self._sources[arc])
         return arcs[::-1]
+
+
+def _depths(matrix: Matrix) -> Indices:
+    """The number of arcs on a shortest path from node 0 to each node; -1 where there is none."""
+    order, parents = csgraph.breadth_first_order(matrix, 0)
+    place = np.empty(matrix.shape[0], dtype=np.int64)
+    place[order] = np.arange(len(order))
+    # Nodes in the order of their discovery have parents in the same order: a level ends where the
+    # parents are no longer in the level before.
+    parent_places = place[parents[order[1:]]].tolist()
+    ends = [0, 1]
+    while ends[-1] < len(order):
+        ends.append(1 + bisect_left(parent_places, ends[-1], lo=ends[-1] - 1))
+    depth = np.full(matrix.shape[0], -1, dtype=np.int64)
+    depth[order] = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
+    return depth
 
 
 def flat_ranges(begins: Indices, ends: Indices) -> Indices:
