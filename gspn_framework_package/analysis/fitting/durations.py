@@ -20,8 +20,9 @@ import math
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import UsageError
 
@@ -140,8 +141,8 @@ def fit_exponential(sample: Sample) -> DurationFit:
     n, total = sample.size, sample.total
     mean = total / n
     tail = (1 - CONFIDENCE) / 2
-    low = 2 * total / float(stats.chi2.ppf(1 - tail, 2 * n + 2))
-    high = 2 * total / float(stats.chi2.ppf(tail, 2 * n))
+    low = 2 * total / quantiles.chi_squared(tail, 2 * n + 2)
+    high = 2 * total / quantiles.chi_squared(1 - tail, 2 * n)
     duration = Duration.exponential(mean)
     return DurationFit(duration, (low, high), likelihood(duration, sample), 1)
 
@@ -172,7 +173,7 @@ def fit_erlang(sample: Sample, gamma: DurationFit) -> Optional[DurationFit]:
         found.append(DurationFit(duration, gamma.interval, likelihood(duration, sample), 2))
     best = max(found, key=lambda fit: fit.likelihood or 0.0)
     assert best.likelihood is not None and gamma.likelihood is not None
-    allowed = float(stats.chi2.ppf(CONFIDENCE, 1)) / 2
+    allowed = quantiles.chi_squared(1 - CONFIDENCE, 1) / 2
     return best if gamma.likelihood - best.likelihood <= allowed else None
 
 
@@ -251,7 +252,7 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
     gamma = _fit_two(sample, _Gamma(sample))
     lognormal = _fit_two(sample, _Lognormal(sample))
     found: List[DurationFit] = [fit_exponential(sample), gamma, lognormal]
-    allowed = float(stats.chi2.ppf(CONFIDENCE, 1)) / 2
+    allowed = quantiles.chi_squared(1 - CONFIDENCE, 1) / 2
     clearly = (gamma.likelihood or 0.0) - (found[0].likelihood or 0.0) > allowed
     if gamma.duration.variation > 1 and clearly:
         mixed = fit_hyper_erlang(sample)
@@ -419,7 +420,7 @@ def _profile_interval(sample: Sample, family: Any, behind: float = 0.0) -> Tuple
 
     n = sample.size
     # the exact threshold if the times were normal, which chi-squared only is for large samples
-    t = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1))
+    t = quantiles.student((1 + CONFIDENCE) / 2, n - 1)
     allowed = n * math.log1p(t**2 / (n - 1)) / 2 - behind
     if allowed <= 0:
         return math.inf, -math.inf
@@ -602,7 +603,7 @@ def _expectation_maximisation(
     duration = Duration.hyper_erlang(
         [(float(p), int(shape), float(m)) for p, shape, m in zip(chances / chances.sum(), k, means)]
     )
-    half = float(stats.norm.ppf((1 + CONFIDENCE) / 2)) * duration.variation / math.sqrt(sample.size)
+    half = quantiles.normal((1 + CONFIDENCE) / 2) * duration.variation / math.sqrt(sample.size)
     interval = duration.mean * math.exp(-half), duration.mean * math.exp(half)
     return DurationFit(duration, interval, likelihood(duration, sample), 2 * len(k) - 1)
 
@@ -626,6 +627,6 @@ def _of_mean(times: Any, mean: Optional[float] = None) -> Tuple[float, float]:
     """The interval of a mean by Student's t distribution."""
     n = len(times)
     middle = float(times.mean()) if mean is None else mean
-    t = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1))
+    t = quantiles.student((1 + CONFIDENCE) / 2, n - 1)
     half = t * _spread(times) / math.sqrt(n)
     return max(middle - half, 0.0), middle + half

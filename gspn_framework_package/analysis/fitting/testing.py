@@ -15,8 +15,8 @@ import math
 from typing import Any, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy import stats
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.fitting.durations import (
     CONFIDENCE,
     DurationFit,
@@ -135,7 +135,7 @@ def groups_differ(samples: Sequence[Sample], like: Duration) -> float:
     alike = likelihood(most_likely(together, family), together)
     apart = sum(likelihood(most_likely(sample, family), sample) for sample in samples)
     freedom = (len(samples) - 1) * (1 if family.kind is Kind.EXPONENTIAL else 2)
-    return float(stats.chi2.sf(2 * max(apart - alike, 0.0), freedom))
+    return quantiles.chi_squared_above(2 * max(apart - alike, 0.0), freedom)
 
 
 def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
@@ -147,6 +147,8 @@ def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
     everything = np.concatenate([np.asarray(times, dtype=np.float64) for times in durations])
     if len(durations) < 2 or (everything == everything[0]).all():
         return 1.0
+    from scipy import stats  # takes long to import
+
     return float(stats.kruskal(*durations).pvalue)
 
 
@@ -155,7 +157,7 @@ def wilson(count: int, total: int, confidence: float = CONFIDENCE) -> Tuple[floa
     success."""
     if total <= 0:
         return 0.0, 1.0
-    z = float(stats.norm.ppf((1 + confidence) / 2))
+    z = quantiles.normal((1 + confidence) / 2)
     share = count / total
     middle = (share + z**2 / (2 * total)) / (1 + z**2 / total)
     half = z / (1 + z**2 / total) * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))
@@ -168,5 +170,5 @@ def rate_interval(count: int, exposure: float) -> Tuple[float, float]:
     """The interval of the rate of events that happened ``count`` times in the time ``exposure``
     (s), from the chi-squared distribution."""
     tail = (1 - CONFIDENCE) / 2
-    low = float(stats.chi2.ppf(tail, 2 * count)) / (2 * exposure) if count else 0.0
-    return low, float(stats.chi2.ppf(1 - tail, 2 * count + 2)) / (2 * exposure)
+    low = quantiles.chi_squared(1 - tail, 2 * count) / (2 * exposure) if count else 0.0
+    return low, quantiles.chi_squared(tail, 2 * count + 2) / (2 * exposure)

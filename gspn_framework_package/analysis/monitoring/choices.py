@@ -6,6 +6,8 @@ from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis import quantiles
+
 BLOCK = 200
 """Choices that are judged together."""
 
@@ -48,7 +50,7 @@ class ChoiceTest:
             return False
         statistic, freedom = self._judge()
         level = min(0.05, self._alarms * max(now - self.since, 1e-9))
-        self.on = freedom > 0 and statistic > _critical(level, freedom)
+        self.on = freedom > 0 and statistic > quantiles.chi_squared(level, freedom)
         if self.on:
             self.largest = self._deviation()
         self._begin()
@@ -62,7 +64,9 @@ class ChoiceTest:
     @property
     def critical(self) -> float:
         """About the value that raises the alarm."""
-        return _critical(max(min(0.05, self._alarms), 1e-12), max(len(self._number) - 1, 1))
+        return quantiles.chi_squared(
+            max(min(0.05, self._alarms), 1e-12), max(len(self._number) - 1, 1)
+        )
 
     def _index(self, name: str) -> int:
         return self._number.setdefault(name, len(self._number))
@@ -96,9 +100,3 @@ class ChoiceTest:
         worst = int(np.argmax(np.abs(observed - expected) / scale))
         name = next(n for n, i in self._number.items() if i == worst)
         return name, observed[worst] / len(self._rows), expected[worst] / len(self._rows)
-
-
-def _critical(level: float, freedom: int) -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.isf(level, freedom))

@@ -7,6 +7,7 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tup
 
 import numpy as np
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.monitoring.prediction import RunSample
 from gspn_framework_package.analysis.plan.subnets import subnet_counts
@@ -249,12 +250,10 @@ def interval(values: Floats, level: float = LEVEL) -> Tuple[float, float]:
     if len(values) >= ENOUGH:
         low, high = np.percentile(values, [50 * (1 - level), 50 * (1 + level)])
         return float(low), float(high)
-    from scipy.stats import t as student
-
     if len(values) < 2:
         return 0.0, math.inf
     mean, spread = float(values.mean()), float(values.std(ddof=1))
-    half = float(student.ppf(0.5 + level / 2, len(values) - 1)) * spread
+    half = quantiles.student(0.5 + level / 2, len(values) - 1) * spread
     half *= math.sqrt(1 + 1 / len(values))
     return max(mean - half, 0.0), mean + half
 

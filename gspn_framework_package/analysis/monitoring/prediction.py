@@ -17,6 +17,7 @@ from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.simulation import machine, simulate
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -249,10 +250,8 @@ class Growth(NamedTuple):
 
     def band(self, seconds: float, level: float = 0.95) -> Tuple[float, float]:
         """The interval that holds the count after ``seconds`` with probability ``level``."""
-        from scipy.stats import norm
-
         middle = self.rate * seconds
-        half = float(norm.ppf(0.5 + level / 2)) * math.sqrt(
+        half = quantiles.normal(0.5 + level / 2) * math.sqrt(
             self.chance * seconds + self.doubt * seconds**2
         )
         return max(middle - half, 0.0), middle + half

@@ -32,8 +32,8 @@ from dataclasses import dataclass, field
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy import stats
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.fitting.testing import wilson
@@ -635,7 +635,7 @@ def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
     count = len(old)
     gained, lost = int((new & ~old).sum()), int((old & ~new).sum())
     up, down = (gained + 1) / (count + 2), (lost + 1) / (count + 2)
-    z = float(stats.norm.ppf(0.5 + confidence / 2))
+    z = quantiles.normal(0.5 + confidence / 2)
     half = z * math.sqrt((up + down - (up - down) ** 2) / (count + 2))
     low, high = max(up - down - half, -1.0), min(up - down + half, 1.0)
     return Measured((gained - lost) / count, low, high)
@@ -644,7 +644,7 @@ def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
 def pairs_needed(spread: float, size: float, confidence: float) -> int:
     """How many pairs it takes to notice a mean difference of ``size``, if differences have the
     standard deviation ``spread``, with the probability :data:`POWER`."""
-    z = float(stats.norm.ppf(0.5 + confidence / 2) + stats.norm.ppf(POWER))
+    z = quantiles.normal(0.5 + confidence / 2) + quantiles.normal(POWER)
     return max(2, math.ceil((z * spread / size) ** 2))
 
 

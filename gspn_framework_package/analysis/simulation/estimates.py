@@ -6,8 +6,8 @@ import math
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
-from scipy import stats
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.plan.subnets import subnet_counts
 from gspn_framework_package.model.net import Net
@@ -125,7 +125,7 @@ def mean(samples: Floats, confidence: float) -> Estimate:
     value = float(samples.mean())
     if count < 2:
         return Estimate(value, math.inf)
-    quantile = float(stats.t.ppf(0.5 + confidence / 2, count - 1))
+    quantile = quantiles.student(0.5 + confidence / 2, count - 1)
     return Estimate(value, quantile * float(samples.std(ddof=1)) / math.sqrt(count))
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy import optimize
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim
@@ -353,6 +352,8 @@ def _linear(
     limits: List[Tuple[Optional[float], Optional[float]]],
 ) -> Any:
     """The solution of a small linear program; ``equal`` times the unknowns is 1."""
+    from scipy import optimize  # takes long to import
+
     arguments = {
         "A_ub": upper if len(upper) else None,
         "b_ub": bound if len(upper) else None,

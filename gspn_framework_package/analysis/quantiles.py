@@ -1,0 +1,27 @@
+"""Quantiles of the usual distributions. ``scipy.stats`` has them too, but takes longer to import
+than most commands take to run."""
+
+from __future__ import annotations
+
+from scipy import special
+
+
+def normal(probability: float) -> float:
+    """The value that a standard normal number stays below with this probability."""
+    return float(special.ndtri(probability))
+
+
+def student(probability: float, freedom: float) -> float:
+    """The same for Student's t with so many degrees of freedom."""
+    return float(special.stdtrit(freedom, probability))
+
+
+def chi_squared(above: float, freedom: float) -> float:
+    """The value that chi-squared with so many degrees of freedom exceeds with the probability
+    ``above``."""
+    return float(special.chdtri(freedom, above))
+
+
+def chi_squared_above(value: float, freedom: float) -> float:
+    """The probability that chi-squared with so many degrees of freedom exceeds ``value``."""
+    return float(special.chdtrc(freedom, value))
