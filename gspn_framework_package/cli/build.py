@@ -21,13 +21,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robots", type=numbers.robots, default=1, metavar="N", help="(default %(default)s)"
     )
+    parser.add_argument(
+        "--all-edges", action="store_true", help="keep the edges that the policy does not use"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="the folder to make")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Make the plan."""
-    made = build(args.map, args.tasks, args.robots)
+    made = build(args.map, args.tasks, args.robots, args.all_edges)
     files = made.write(args.output)
     if args.json:
         done = {

@@ -26,7 +26,18 @@ MOST_LEVELS = 100
 """Most mappings and lists inside one another."""
 
 _MERGE = "tag:yaml.org,2002:merge"  # the tag of the key <<
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_SafeLoader):
+    """Reads 1e-05 as the number that it is in JSON, too."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
 
 
 class YamlDocument:

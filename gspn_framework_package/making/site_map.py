@@ -10,7 +10,8 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.yaml_file import Step, YamlDocument
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.making.restrictions import Restriction
+from gspn_framework_package.model.errors import ExpressionError, InputError
 
 MOST_NODES = 2000
 """Maximum number of nodes of a map."""
@@ -18,15 +19,23 @@ MOST_NODES = 2000
 MOST_ELEMENTS = 1_000_000
 """Maximum number of elements of its file: a node has some hundred."""
 
+_OLD_RESTRICTIONS = (("robot", "robot_type"), ("task", "task_name"))
+
 
 class MapNode(NamedTuple):
-    """A node: its position (m), the pose for goals, and the frame of the pose."""
+    """A node: its position (m), the pose for goals, and the frame of the pose.
+
+    :ivar tags: what the map calls such nodes.
+    :ivar restriction: who may be there; None: every robot.
+    """
 
     name: str
     x: float
     y: float
     pose: Mapping[str, Any]
     frame: str = "map"
+    tags: Sequence[str] = ()
+    restriction: Optional[Restriction] = None
 
 
 class MapEdge(NamedTuple):
@@ -40,6 +49,7 @@ class MapEdge(NamedTuple):
     :ivar action_type: the type of its goals, as the map has it.
     :ivar goal: its goal, in which ``$node.pose`` and ``$node.parent_frame`` stand for what the node
         has.
+    :ivar restriction: who may drive there; None: every robot.
     """
 
     source: str
@@ -51,6 +61,7 @@ class MapEdge(NamedTuple):
     action: str = "move_base"
     action_type: str = "move_base_msgs/MoveBaseGoal"
     goal: Optional[Mapping[str, Any]] = None
+    restriction: Optional[Restriction] = None
 
 
 class SiteMap(NamedTuple):
@@ -81,6 +92,7 @@ def read_map(path: str) -> SiteMap:
         name = str(data.get("name") or name)
         listed = data["nodes"]
         if isinstance(listed, list) and any(isinstance(e, dict) and "node" in e for e in listed):
+            reader.define(data)
             reader.read_topological(listed, ["nodes"])
         else:
             reader.read_graph(data)
@@ -155,12 +167,17 @@ class _Reader:
         self._nodes: Dict[str, MapNode] = {}
         self._edges: List[Tuple[MapEdge, List[Step]]] = []
         self._closed: List[str] = []
-        self._restricted: Dict[str, int] = {}
+        self._while_driving: Dict[str, int] = {}
+        self._pointsets: Dict[str, None] = {}
+        self._definitions = _Definitions({})
         self._untyped: Dict[str, int] = {}
         self._itself = 0
         self._notes: List[str] = []
 
     # -- topological_navigation
+
+    def define(self, data: Mapping[str, Any]) -> None:
+        self._definitions = _Definitions(data)
 
     def read_topological(self, entries: List[Any], at: List[Step]) -> None:
         listed: List[Tuple[str, List[Any], List[Step]]] = []
@@ -173,8 +190,11 @@ class _Reader:
             if not isinstance(node, dict):
                 raise self._document.error("it is not a node", where)
             meta = entry.get("meta")
-            name = node.get("name", meta.get("node") if isinstance(meta, dict) else None)
-            name = self._name(name, where)
+            meta = meta if isinstance(meta, dict) else {}
+            name = self._name(node.get("name", meta.get("node")), where)
+            for pointset in (meta.get("pointset"), node.get("pointset")):
+                if isinstance(pointset, str):
+                    self._pointsets[pointset] = None
             pose = node.get("pose")
             if not isinstance(pose, dict) or not isinstance(pose.get("position"), dict):
                 raise self._document.error(
@@ -182,11 +202,21 @@ class _Reader:
                 )
             position = pose["position"]
             x, y = (self._number(position.get(a), [*where, "pose", "position", a]) for a in "xy")
+            open_, restriction = self._restriction(node, "the node %s" % name, where)
+            frame = node.get("parent_frame") or node.get("nav_frame") or self._definitions.frame
             self._add(
-                MapNode(name, x, y, _whole_pose(pose), str(node.get("parent_frame") or "map")),
+                MapNode(
+                    name,
+                    x,
+                    y,
+                    self._whole_pose(pose, [*where, "pose"]),
+                    str(self._definitions.filled(frame)),
+                    self._tags(meta.get("tag"), [*at, number, "meta", "tag"]),
+                    restriction,
+                ),
                 where,
             )
-            if self._shut(node, "the node %s" % name):
+            if not open_:
                 self._closed.append(name)
             edges = node.get("edges") or []
             if not isinstance(edges, list):
@@ -200,37 +230,89 @@ class _Reader:
         if not isinstance(edge, dict) or "node" not in edge:
             raise self._document.error("the edge does not say to which 'node' it leads", where)
         target = self._name(edge["node"], [*where, "node"])
-        if self._shut(edge, "the edge from %s to %s" % (source, target)):
+        open_, restriction = self._restriction(
+            edge, "the edge from %s to %s" % (source, target), where
+        )
+        if not open_:
             return
-        speed = edge.get("top_vel")
+        name, kind = edge.get("action") or "move_base", edge.get("action_type")
+        for value, key in ((name, "action"), (kind or "", "action_type")):
+            if not isinstance(value, str):
+                raise self._document.error("it is not the name of an action", [*where, key])
         goal = edge.get("goal")
-        action = str(edge.get("action") or "move_base")
-        if not edge.get("action_type") and action != "move_base":
-            self._untyped[action] = self._untyped.get(action, 0) + 1
+        server, given, template = self._definitions.action(name)
+        kind, goal = kind or given, goal if isinstance(goal, dict) and goal else template
+        if name != "move_base" and (not kind or kind.startswith("geometry_msgs/")):
+            self._untyped[name] = self._untyped.get(name, 0) + 1
+            kind = None
         self._connect(
             MapEdge(
                 source,
                 target,
                 0.0,
-                speed=self._number(speed, [*where, "top_vel"], above=0.0) if speed else None,
-                action=action,
-                action_type=str(edge.get("action_type") or "move_base_msgs/MoveBaseGoal"),
-                goal=goal if isinstance(goal, dict) and goal else None,
+                speed=self._speed(edge, where),
+                action=server,
+                action_type=kind or MapEdge._field_defaults["action_type"],
+                goal=goal,
+                restriction=restriction,
             ),
             where,
         )
 
-    def _shut(self, element: Mapping[str, Any], what: str) -> bool:
-        """Whether nobody may use a node or an edge; restrictions that depend on the robot are
-        counted."""
+    def _speed(self, edge: Mapping[str, Any], where: List[Step]) -> Optional[float]:
+        """The speed that a map of any age gives an edge."""
+        for path in (["top_vel"], ["config", "top_vel"], ["properties", "max_speed"]):
+            found: Any = edge
+            for step in path:
+                found = found.get(step) if isinstance(found, dict) else None
+            if found:
+                return self._number(found, [*where, *path], above=0.0)
+        return None
+
+    def _restriction(
+        self, element: Mapping[str, Any], what: str, where: List[Step]
+    ) -> Tuple[bool, Optional[Restriction]]:
+        """Whether anybody may use a node or an edge, and who."""
+        found = {}
         for key in ("restrictions_planning", "restrictions_runtime"):
-            text = str(element.get(key, "True")).strip()
-            if text.lower() == "false":
+            value = element.get(key)
+            try:
+                found[key] = Restriction("True" if value is None else str(value))
+            except ExpressionError as error:
+                raise self._document.error(error.message, [*where, key], error.hint or "") from None
+            if found[key].holds() is False:
                 self._notes.append("%s is left out: %s is False" % (what, key))
-                return True
-            if key == "restrictions_planning" and text.lower() not in ("true", "", "none"):
-                self._restricted[text] = self._restricted.get(text, 0) + 1
-        return False
+                return False, None
+        planning, driving = found["restrictions_planning"], found["restrictions_runtime"]
+        if driving.holds() is None:
+            self._while_driving[driving.text] = self._while_driving.get(driving.text, 0) + 1
+        old = element.get("restrictions")
+        if isinstance(old, dict):  # of the first maps of this form
+            given = [(prefix, old.get(key)) for prefix, key in _OLD_RESTRICTIONS]
+            words = ["%s_%s" % pair for pair in given if pair[1] and isinstance(pair[1], str)]
+            planning = Restriction(" & ".join([*words, planning.text or "True"]))
+        return True, None if planning.holds() else planning
+
+    def _whole_pose(self, pose: Mapping[str, Any], where: List[Step]) -> Dict[str, Any]:
+        """The pose with all fields. A quaternion of zeros, as some maps have it, is no rotation."""
+        turned = pose.get("orientation")
+        parts = (
+            ("position", pose["position"], "xyz"),
+            ("orientation", turned if isinstance(turned, dict) else {}, "xyzw"),
+        )
+        found = {
+            part: {a: self._number(values.get(a) or 0.0, [*where, part, a]) for a in axes}
+            for part, values, axes in parts
+        }
+        if not any(found["orientation"].values()):
+            found["orientation"]["w"] = 1.0
+        return found
+
+    def _tags(self, value: Any, where: List[Step]) -> List[str]:
+        given = [value] if isinstance(value, (str, int)) else value or []
+        if not isinstance(given, list) or not all(isinstance(tag, (str, int)) for tag in given):
+            raise self._document.error("it is not a list of tags", where)
+        return [str(tag) for tag in given]
 
     # -- plain graphs
 
@@ -250,13 +332,15 @@ class _Reader:
             raise self._document.error("nodes are a list, or map names to positions", ["nodes"])
         for name, value, where in pairs:
             self._read_position(self._name(name, where), value, where)
-        if not isinstance(edges, list):
+        if not isinstance(edges, (list, dict)):
             raise self._document.error("the graph has no list of 'edges'", ["edges"])
-        for number, edge in enumerate(edges):
-            self._read_graph_edge(edge, ["edges", number])
+        for step, edge in edges.items() if isinstance(edges, dict) else enumerate(edges):
+            self._read_graph_edge(edge, ["edges", step])
 
     def _read_position(self, name: str, value: Any, where: List[Step]) -> None:
+        tags: List[str] = []
         if isinstance(value, dict):
+            tags = self._tags(value.get("tags"), [*where, "tags"])
             axes = [value.get(axis) for axis in "xy"]
             yaw = self._number(value.get("yaw", 0.0), [*where, "yaw"])
         elif isinstance(value, list) and len(value) in (2, 3):
@@ -269,7 +353,7 @@ class _Reader:
         x, y = (self._number(axis, where) for axis in axes)
         turned = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turned}
-        self._add(MapNode(name, x, y, pose), where)
+        self._add(MapNode(name, x, y, pose, tags=tags), where)
 
     def _read_graph_edge(self, edge: Any, where: List[Step]) -> None:
         if isinstance(edge, list) and len(edge) == 2:
@@ -323,7 +407,13 @@ class _Reader:
 
     def _add(self, node: MapNode, where: List[Step]) -> None:
         if node.name in self._nodes:
-            raise self._document.error("the node '%s' is there twice" % node.name, where)
+            raise self._document.error(
+                "the node '%s' is there twice" % node.name,
+                where,
+                "of several pointsets, give each a map of its own"
+                if len(self._pointsets) > 1
+                else "",
+            )
         if len(self._nodes) >= MOST_NODES:
             raise self._document.error("a map may have %d nodes" % MOST_NODES, where)
         self._nodes[node.name] = node
@@ -343,7 +433,12 @@ class _Reader:
         for edge, where in self._edges:
             for end in (edge.source, edge.target):
                 if end not in self._nodes:
-                    raise self._document.error("there is no node '%s'" % end, where)
+                    raise self._document.error(
+                        "there is no node '%s'" % end,
+                        where,
+                        "remove the edge from '%s' to '%s', or add the node"
+                        % (edge.source, edge.target),
+                    )
             if edge.source in self._closed or edge.target in self._closed:
                 continue
             if (edge.source, edge.target) in found:
@@ -364,24 +459,59 @@ class _Reader:
                 "the map gives no type for the action '%s' (%d times): on ROS it gets a goal "
                 "of move_base" % (action, times)
             )
-        for text, times in self._restricted.items():
+        for text, times in self._while_driving.items():
             self._notes.append(
-                "the restriction '%s' (%d times) depends on the robot, so it is not applied"
-                % (text, times)
+                "the restriction '%s' (%d times) is one for the run: the plan leaves it to those "
+                "who drive" % (text, times)
+            )
+        if len(self._pointsets) > 1:
+            self._notes.append(
+                "several pointsets are read as one map: %s" % ", ".join(self._pointsets)
             )
         nodes = {key: node for key, node in self._nodes.items() if key not in self._closed}
         return SiteMap(name, nodes, list(found.values()), self._notes)
 
 
-def _whole_pose(pose: Mapping[str, Any]) -> Dict[str, Any]:
-    """The pose with all fields. A quaternion of zeros, as some maps have it, is no rotation."""
-    position = {a: float(pose["position"].get(a) or 0.0) for a in "xyz"}
-    given = pose.get("orientation")
-    turned = dict.fromkeys("xyzw", 0.0)
-    if isinstance(given, dict):
-        for axis in turned:
-            value = given.get(axis)
-            turned[axis] = float(value) if isinstance(value, (int, float)) else 0.0
-    if not any(turned.values()):
-        turned["w"] = 1.0
-    return {"position": position, "orientation": turned}
+class _Definitions:
+    """What a map of topological_navigation for ROS 2 says once for all of its edges: actions, and
+    what ``${...}`` stands for."""
+
+    _WORD = re.compile(r"\$\{([\w.]+)\}")
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        self._data = data
+        frame = self._find("transformation.topo_frame_id")
+        self.frame = frame if isinstance(frame, str) else "map"
+
+    def _find(self, path: str) -> Any:
+        found: Any = self._data
+        for step in path.split("."):
+            found = found.get(step) if isinstance(found, dict) else None
+        return found
+
+    def filled(self, value: Any) -> Any:
+        """Replace what the map defines; ``${node...}`` becomes ``$node...``, for later."""
+        if isinstance(value, dict):
+            return {str(key): self.filled(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [self.filled(part) for part in value]
+        word = self._WORD.fullmatch(value) if isinstance(value, str) else None
+        if word is None:
+            return value
+        if word.group(1).startswith("node."):
+            return "$" + word.group(1).replace("node.nav_frame", "node.parent_frame")
+        found = self._find(word.group(1))
+        return value if found is None else found
+
+    def action(self, name: str) -> Tuple[str, Optional[str], Optional[Mapping[str, Any]]]:
+        """The server, the type and the goal of an action."""
+        actions = self._data.get("actions")
+        given = actions.get(name) if isinstance(actions, dict) else None
+        if not isinstance(given, dict):
+            return name, None, None
+        goal = self.filled(given.get("action_goal_template"))
+        return (
+            str(given.get("action_server") or name),
+            str(given["action_type"]) if given.get("action_type") else None,
+            goal if isinstance(goal, dict) and goal else None,
+        )

@@ -14,6 +14,9 @@ from gspn_framework_package.making.site_map import SiteMap
 SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
 """The JSON schema of the file."""
 
+TAG = "tag:"
+"""Before the tag of the nodes that are meant, instead of the name of a node."""
+
 
 class SiteTask(NamedTuple):
     """A task: its nodes, mean ``seconds``, mean seconds until it is due ``again_after`` it was
@@ -33,6 +36,8 @@ class SiteTasks(NamedTuple):
     :ivar battery: level, from full to low -> probability that it ends on an edge; empty: robots do
         not need to charge.
     :ivar docks: node -> how many robots can charge there at a time.
+    :ivar types: the types of the robots, in turn, for the restrictions of the map.
+    :ivar conditions: name in restrictions -> whether it holds.
     """
 
     plan: Optional[str] = None
@@ -46,6 +51,8 @@ class SiteTasks(NamedTuple):
     docks: Mapping[str, int] = {}
     charge: float = 60.0
     stranded: float = 600.0
+    types: Sequence[str] = ()
+    conditions: Mapping[str, bool] = {}
 
 
 def read_tasks(path: str, site: SiteMap) -> SiteTasks:
@@ -70,10 +77,10 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
         )
         for name, task in data.get("tasks", {}).items()
     }
-    docks = {
-        reader.node(node, ["docks", str(node)]): places
-        for node, places in data.get("docks", {}).items()
-    }
+    docks: Dict[str, int] = {}
+    for given, places in data.get("docks", {}).items():
+        for node in reader.meant(given, ["docks", str(given)]):
+            docks.setdefault(node, places)
     battery = {str(level): float(share) for level, share in data.get("battery", {}).items()}
     if battery and not docks:
         raise document.error(
@@ -91,6 +98,8 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
         tasks=tasks,
         battery=battery,
         docks=docks,
+        types=data.get("types", []),
+        conditions=data.get("conditions", {}),
         **simple,
     )
 
@@ -111,12 +120,27 @@ class _Names:
             )
         return str(name)
 
-    def nodes(self, names: Sequence[Any], where: List[Step]) -> List[str]:
-        found = [self.node(name, [*where, number]) for number, name in enumerate(names)]
-        for number, name in enumerate(found):
-            if name in found[:number]:
-                raise self._document.error("'%s' is there twice" % name, [*where, number])
+    def meant(self, name: Any, where: List[Step]) -> List[str]:
+        """The node of that name; of ``tag:TAG`` those with the tag."""
+        if not str(name).startswith(TAG) or name in self._site.nodes:
+            return [self.node(name, where)]
+        tag = str(name)[len(TAG) :].strip()
+        found = [node.name for node in self._site.nodes.values() if tag in node.tags]
+        if not found:
+            tags = dict.fromkeys(t for node in self._site.nodes.values() for t in node.tags)
+            raise self._document.error(
+                "no node of the map has the tag '%s'" % tag,
+                where,
+                "its tags are %s" % ", ".join(list(tags)[:8]) if tags else "it has no tags",
+            )
         return found
+
+    def nodes(self, names: Sequence[Any], where: List[Step]) -> List[str]:
+        for number, name in enumerate(names):
+            if str(name) in map(str, names[:number]):
+                raise self._document.error("'%s' is there twice" % name, [*where, number])
+        found = [self.meant(name, [*where, number]) for number, name in enumerate(names)]
+        return list(dict.fromkeys(node for nodes in found for node in nodes))
 
     def edges(self, data: Mapping[Any, Any]) -> Dict[Tuple[str, str], Mapping[str, Any]]:
         pairs = [(edge.source, edge.target) for edge in self._site.edges]

@@ -24,6 +24,7 @@ PLAIN = st.recursive(
     st.none()
     | st.booleans()
     | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
     | st.text(string.printable.replace("\x0b", "").replace("\x0c", "")),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(string.ascii_letters), inner),
     max_leaves=20,

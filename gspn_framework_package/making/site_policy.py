@@ -1,0 +1,146 @@
+"""The policy of a plan for a map: to the nearest task that is due; to the nearest dock if the
+battery is at its lowest level, or if nothing is due."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.making.site_map import MapEdge, SiteMap
+
+
+class Kind(NamedTuple):
+    """Robots for which the net has places of their own: their type, and the level of their battery.
+
+    :ivar suffix: with which their places end.
+    """
+
+    type: str
+    level: str
+    suffix: str
+
+
+class Move(NamedTuple):
+    """What a robot chooses: ``Go`` to a node, ``Start`` a task, or ``Dock`` at a node."""
+
+    what: str
+    to: str
+
+
+class Row(NamedTuple):
+    """A row of the policy: in a node, where the tasks are due (1), not (0), or either ("-")."""
+
+    cells: Sequence[Any]
+    node: str
+    kind: Kind
+    move: Move
+
+
+def ways_to(
+    target: str, site: SiteMap, seconds: Callable[[MapEdge], float]
+) -> Dict[str, Tuple[float, str]]:
+    """Return for each node from where the target can be reached: (seconds, the next node)."""
+    coming: Dict[str, List[MapEdge]] = {}
+    for edge in site.edges:
+        coming.setdefault(edge.target, []).append(edge)
+    found = {target: (0.0, target)}
+    front = deque([target])
+    while front:
+        node = front.popleft()
+        for edge in coming.get(node, ()):
+            time = found[node][0] + seconds(edge)
+            if edge.source not in found or time < found[edge.source][0] - 1e-9:
+                found[edge.source] = (time, node)
+                front.append(edge.source)
+    return found
+
+
+class SitePolicy:
+    """The rows for the robots of one type.
+
+    :param site: the map for that type.
+    :param due: the tasks, and where.
+    :param docks: the nodes where they charge.
+    :param kinds: its kinds, from the full battery to the lowest level.
+    :param seconds: how long an edge takes.
+    """
+
+    def __init__(
+        self,
+        site: SiteMap,
+        due: Sequence[Tuple[str, str]],
+        docks: Sequence[str],
+        kinds: Sequence[Kind],
+        seconds: Callable[[MapEdge], float],
+    ) -> None:
+        self._due, self._kinds = due, kinds
+        here = [at for _, at in due if at in site.nodes]
+        self._ways = {node: ways_to(node, site, seconds) for node in here}
+        self._home = {dock: ways_to(dock, site, seconds) for dock in docks if dock in site.nodes}
+        self._battery = len(kinds) > 1 or bool(kinds[0].level)
+        self.stuck: Set[str] = set()
+        """Nodes from where robots get to no task and no dock."""
+        self.rows = [row for kind in kinds for node in site.nodes for row in self._rows(node, kind)]
+
+    def _rows(self, node: str, kind: Kind) -> List[Row]:
+        found: List[Row] = []
+        near = [dock for dock in self._home if node in self._home[dock]]
+        dock = min(near, key=lambda d: self._home[d][node][0]) if near else None
+        go_home: Optional[Move] = None
+        if dock is not None and dock != node:
+            go_home = Move("Go", self._home[dock][node][1])
+        elif dock == node and self._battery and kind != self._kinds[0]:
+            go_home = Move("Dock", node)
+        cells: List[Any] = ["-"] * len(self._due)
+        can = [k for k, (_, at) in enumerate(self._due) if node in self._ways.get(at, ())]
+        if go_home and (not can or (self._battery and kind == self._kinds[-1])):
+            return [Row([cell, *cells[1:]], node, kind, go_home) for cell in (0, 1)]
+        for k in sorted(can, key=lambda k: self._ways[self._due[k][1]][node][0]):
+            task, at = self._due[k]
+            cells[k] = 1
+            move = Move("Start", task) if at == node else Move("Go", self._ways[at][node][1])
+            found.append(Row(list(cells), node, kind, move))
+            cells[k] = 0
+        if go_home:
+            found.append(Row(list(cells), node, kind, go_home))
+        elif not can:
+            self.stuck.add(node)
+        return found
+
+    def reached(
+        self, start: Sequence[str], drains: Mapping[str, float], stranded: Optional[str]
+    ) -> List[Row]:
+        """Return the rows of those nodes that robots get to if they move by these rows alone.
+
+        :param start: the nodes where robots start, with a full battery.
+        :param drains: level -> probability that it ends on an edge.
+        :param stranded: where a robot with an empty battery is brought.
+        """
+        by_node: Dict[Tuple[str, Kind], List[Row]] = {}
+        for row in self.rows:
+            by_node.setdefault((row.node, row.kind), []).append(row)
+        front = [(node, self._kinds[0]) for node in start]
+        found = set(front)
+        while front:
+            for row in by_node.get(front.pop(), ()):
+                for state in self._after(row, drains, stranded):
+                    if state not in found:
+                        found.add(state)
+                        front.append(state)
+        return [row for row in self.rows if (row.node, row.kind) in found]
+
+    def _after(
+        self, row: Row, drains: Mapping[str, float], stranded: Optional[str]
+    ) -> List[Tuple[str, Kind]]:
+        if row.move.what == "Start":
+            return []
+        if row.move.what == "Dock":
+            return [(row.node, self._kinds[0])]
+        after = [(row.move.to, row.kind)]
+        if drains.get(row.kind.level):
+            lower = dict(zip(self._kinds, self._kinds[1:])).get(row.kind)
+            if lower is not None:
+                after.append((row.move.to, lower))
+            elif stranded is not None:
+                after.append((stranded, self._kinds[0]))
+        return after
