@@ -16,9 +16,9 @@ from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, wri
 from gspn_framework_package.making.site_drawing import Point, SiteDrawing
 from gspn_framework_package.making.site_goals import drive_action
 from gspn_framework_package.making.site_map import MapEdge, read_map
-from gspn_framework_package.making.site_policy import Kind
+from gspn_framework_package.making.site_policy import RobotKind
 from gspn_framework_package.making.site_tasks import SiteTasks, read_tasks
-from gspn_framework_package.making.site_team import SiteTeam, State, named
+from gspn_framework_package.making.site_team import SiteState, SiteTeam, named
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.net import Net
@@ -151,7 +151,7 @@ class _Builder:
             found[pair] = found[back] if back in found else ("Free_%s_%s" % pair, capacity)
         return found
 
-    def _of(self, what: str) -> List[State]:
+    def _of(self, what: str) -> List[SiteState]:
         return [state for state in self._team.states if state.what == what]
 
     def _act(self, place: str, seconds: float, ros: Any, tokens: int, position: Point) -> None:
@@ -201,7 +201,7 @@ class _Builder:
         }
         return SitePlan(self._net.build(), plan, self._ros, policy, self._team.notes)
 
-    def _drive(self, edge: MapEdge, kind: Kind) -> None:
+    def _drive(self, edge: MapEdge, kind: RobotKind) -> None:
         a, b, suffix = edge.source, edge.target, kind.suffix
         seconds = self._team.seconds(edge)
         drained = self._tasks.battery.get(kind.level, 0.0)

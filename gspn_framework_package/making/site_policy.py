@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Seq
 from gspn_framework_package.making.site_map import MapEdge, SiteMap
 
 
-class Kind(NamedTuple):
+class RobotKind(NamedTuple):
     """Robots for which the net has places of their own: their type, and the level of their battery.
 
     :ivar suffix: with which their places end.
@@ -20,20 +20,20 @@ class Kind(NamedTuple):
     suffix: str
 
 
-class Move(NamedTuple):
+class SiteMove(NamedTuple):
     """What a robot chooses: ``Go`` to a node, ``Start`` a task, or ``Dock`` at a node."""
 
     what: str
     to: str
 
 
-class Row(NamedTuple):
+class SiteRow(NamedTuple):
     """A row of the policy: in a node, where the tasks are due (1), not (0), or either ("-")."""
 
     cells: Sequence[Any]
     node: str
-    kind: Kind
-    move: Move
+    kind: RobotKind
+    move: SiteMove
 
 
 def ways_to(
@@ -70,7 +70,7 @@ class SitePolicy:
         site: SiteMap,
         due: Sequence[Tuple[str, str]],
         docks: Sequence[str],
-        kinds: Sequence[Kind],
+        kinds: Sequence[RobotKind],
         seconds: Callable[[MapEdge], float],
     ) -> None:
         self._due, self._kinds = due, kinds
@@ -82,41 +82,43 @@ class SitePolicy:
         """Nodes from where robots get to no task and no dock."""
         self.rows = [row for kind in kinds for node in site.nodes for row in self._rows(node, kind)]
 
-    def _rows(self, node: str, kind: Kind) -> List[Row]:
-        found: List[Row] = []
+    def _rows(self, node: str, kind: RobotKind) -> List[SiteRow]:
+        found: List[SiteRow] = []
         near = [dock for dock in self._home if node in self._home[dock]]
         dock = min(near, key=lambda d: self._home[d][node][0]) if near else None
-        go_home: Optional[Move] = None
+        go_home: Optional[SiteMove] = None
         if dock is not None and dock != node:
-            go_home = Move("Go", self._home[dock][node][1])
+            go_home = SiteMove("Go", self._home[dock][node][1])
         elif dock == node and self._battery and kind != self._kinds[0]:
-            go_home = Move("Dock", node)
+            go_home = SiteMove("Dock", node)
         cells: List[Any] = ["-"] * len(self._due)
         can = [k for k, (_, at) in enumerate(self._due) if node in self._ways.get(at, ())]
         if go_home and (not can or (self._battery and kind == self._kinds[-1])):
-            return [Row([cell, *cells[1:]], node, kind, go_home) for cell in (0, 1)]
+            return [SiteRow([cell, *cells[1:]], node, kind, go_home) for cell in (0, 1)]
         for k in sorted(can, key=lambda k: self._ways[self._due[k][1]][node][0]):
             task, at = self._due[k]
             cells[k] = 1
-            move = Move("Start", task) if at == node else Move("Go", self._ways[at][node][1])
-            found.append(Row(list(cells), node, kind, move))
+            move = (
+                SiteMove("Start", task) if at == node else SiteMove("Go", self._ways[at][node][1])
+            )
+            found.append(SiteRow(list(cells), node, kind, move))
             cells[k] = 0
         if go_home:
-            found.append(Row(list(cells), node, kind, go_home))
+            found.append(SiteRow(list(cells), node, kind, go_home))
         elif not can:
             self.stuck.add(node)
         return found
 
     def reached(
         self, start: Sequence[str], drains: Mapping[str, float], stranded: Optional[str]
-    ) -> List[Row]:
+    ) -> List[SiteRow]:
         """Return the rows of those nodes that robots get to if they move by these rows alone.
 
         :param start: the nodes where robots start, with a full battery.
         :param drains: level -> probability that it ends on an edge.
         :param stranded: where a robot with an empty battery is brought.
         """
-        by_node: Dict[Tuple[str, Kind], List[Row]] = {}
+        by_node: Dict[Tuple[str, RobotKind], List[SiteRow]] = {}
         for row in self.rows:
             by_node.setdefault((row.node, row.kind), []).append(row)
         front = [(node, self._kinds[0]) for node in start]
@@ -130,8 +132,8 @@ class SitePolicy:
         return [row for row in self.rows if (row.node, row.kind) in found]
 
     def _after(
-        self, row: Row, drains: Mapping[str, float], stranded: Optional[str]
-    ) -> List[Tuple[str, Kind]]:
+        self, row: SiteRow, drains: Mapping[str, float], stranded: Optional[str]
+    ) -> List[Tuple[str, RobotKind]]:
         if row.move.what == "Start":
             return []
         if row.move.what == "Dock":

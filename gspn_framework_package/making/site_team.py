@@ -6,19 +6,19 @@ import math
 from typing import Dict, List, NamedTuple, Optional, Sequence, Set, Union
 
 from gspn_framework_package.making.site_map import MapEdge, MapNode, SiteMap
-from gspn_framework_package.making.site_policy import Kind, Row, SitePolicy
+from gspn_framework_package.making.site_policy import RobotKind, SitePolicy, SiteRow
 from gspn_framework_package.making.site_tasks import SiteTasks
 from gspn_framework_package.model.errors import InputError, UsageError
 
 
-class State(NamedTuple):
+class SiteState(NamedTuple):
     """What robots of a kind can do: be ``At`` a node, ``Go`` from a node ``to`` another one,
     ``Start`` the task ``to`` at a node, ``Dock`` at a node."""
 
     what: str
     node: str
     to: str
-    kind: Kind
+    kind: RobotKind
 
 
 class SiteTeam:
@@ -37,7 +37,7 @@ class SiteTeam:
         types = list(tasks.types) or [""]
         self.kinds = {
             robot: [
-                Kind(robot, level, named(robot if len(types) > 1 else "", level))
+                RobotKind(robot, level, named(robot if len(types) > 1 else "", level))
                 for level in tasks.battery or [""]
             ]
             for robot in types
@@ -153,7 +153,7 @@ class SiteTeam:
         # two nodes may be at the same position, for example with other orientations
         return max(round(edge.length / (edge.speed or self._tasks.speed), 3), 0.1)
 
-    def lower(self, kind: Kind) -> Optional[Kind]:
+    def lower(self, kind: RobotKind) -> Optional[RobotKind]:
         """The kind with the next lower level of the battery, if there is one."""
         kinds = self.kinds[kind.type]
         return dict(zip(kinds, kinds[1:])).get(kind)
@@ -164,11 +164,11 @@ class SiteTeam:
 
     # -- what robots do
 
-    def _policy_rows(self, all_edges: bool) -> List[Row]:
+    def _policy_rows(self, all_edges: bool) -> List[SiteRow]:
         """The rows of the policy; none if there is nothing to do."""
         if not self.due:
             return []
-        rows: List[Row] = []
+        rows: List[SiteRow] = []
         stuck: Set[str] = set()
         for robot, kinds in self.kinds.items():
             site = self._sites[robot]
@@ -184,36 +184,39 @@ class SiteTeam:
             )
         return rows
 
-    def _states(self, all_edges: bool) -> List[State]:
+    def _states(self, all_edges: bool) -> List[SiteState]:
         """What robots can do, in the order of the map."""
-        every: List[State] = []
+        every: List[SiteState] = []
         for robot, kinds in self.kinds.items():
             site = self._sites[robot]
             here = [(task, node) for task, node in self.due if node in site.nodes]
             docks = [dock for dock in self.docks if dock in site.nodes]
             for kind in kinds:
-                every += [State("At", node, "", kind) for node in site.nodes]
-                every += [State("Go", edge.source, edge.target, kind) for edge in site.edges]
-                every += [State("Start", node, task, kind) for task, node in here]
-                every += [State("Dock", dock, dock, kind) for dock in docks if kind != kinds[0]]
+                every += [SiteState("At", node, "", kind) for node in site.nodes]
+                every += [SiteState("Go", edge.source, edge.target, kind) for edge in site.edges]
+                every += [SiteState("Start", node, task, kind) for task, node in here]
+                every += [SiteState("Dock", dock, dock, kind) for dock in docks if kind != kinds[0]]
         if all_edges or not self.rows:
             return every
-        used = {State("At", node, "", kind) for node, kind in self.start}
+        used = {SiteState("At", node, "", kind) for node, kind in self.start}
         for row in self.rows:
             what, to = row.move
-            used |= {State("At", row.node, "", row.kind), State(what, row.node, to, row.kind)}
+            used |= {
+                SiteState("At", row.node, "", row.kind),
+                SiteState(what, row.node, to, row.kind),
+            }
             if what == "Go":
                 lower = self.lower(row.kind) if self._tasks.battery else None
-                used |= {State("At", to, "", kind) for kind in (row.kind, lower) if kind}
+                used |= {SiteState("At", to, "", kind) for kind in (row.kind, lower) if kind}
             elif what == "Dock":
-                used.add(State("At", to, "", self.kinds[row.kind.type][0]))
+                used.add(SiteState("At", to, "", self.kinds[row.kind.type][0]))
             if what == "Go" and self._tasks.battery and self.lower(row.kind) is None:
                 robot = row.kind.type
-                used.add(State("At", self.dock_of(robot), "", self.kinds[robot][0]))
+                used.add(SiteState("At", self.dock_of(robot), "", self.kinds[robot][0]))
         self._note_unused(used)
         return [state for state in every if state in used]
 
-    def _note_unused(self, used: Set[State]) -> None:
+    def _note_unused(self, used: Set[SiteState]) -> None:
         driven = {(state.node, state.to) for state in used if state.what == "Go"}
         visited = {state.node for state in used}
         nodes = [node for node in self.site.nodes if node not in visited]
