@@ -167,6 +167,15 @@ class BreakpointFile:
         self._stamp: Any = None
         self.breakpoints = Breakpoints()
 
+    def follow(self, plan: Plan) -> None:
+        """Go on under another plan, with the breakpoints that fit it; the file stays as it is."""
+        self._plan = plan
+        places, transitions = self.breakpoints
+        self.breakpoints = Breakpoints(
+            tuple(name for name in places if not why_no_breakpoint(plan, name, "place")),
+            tuple(name for name in transitions if not why_no_breakpoint(plan, name, "transition")),
+        )
+
     def changed(self) -> bool:
         """Read the file if it has changed; return whether it had.
 

@@ -289,19 +289,3 @@ def renamed(
     names.update(mapping)
     nodes = (*new.net.place_index, *new.net.transition_index)
     return {a: b for a, b in names.items() if b and a not in nodes}
-
-
-def same_structure(old: Plan, new: Plan) -> bool:
-    """Whether two plans have the same places, transitions and arcs, in the same order, so that
-    numbers and drawings of one fit the other."""
-
-    def shape(plan: Plan) -> Tuple[object, ...]:
-        net = plan.net
-        return (
-            [(p.name, p.capacity) for p in net.places],
-            [(t.name, t.timed) for t in net.transitions],
-            net.arcs,
-            plan.resource_places,
-        )
-
-    return shape(old) == shape(new)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.hub import Hub
 
 Fields = Mapping[str, Any]
@@ -29,6 +30,11 @@ class Activity:
     @property
     def running(self) -> Optional[bool]:
         """Whether a plan is being executed; None: the status of the board decides."""
+        return None
+
+    def plan_of(self, number: int) -> Optional[Plan]:
+        """The plan with this number, which the run shown went on under (see
+        :mod:`~gspn_framework_package.visualizer.board`); None if there is none."""
         return None
 
     def begin(self, hub: Hub) -> None:

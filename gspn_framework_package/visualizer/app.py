@@ -187,6 +187,11 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         hub = session().hub
         return {"epoch": hub.epoch, "board": hub.board_at(_number("at")).to_json()}
 
+    @app.route("/api/scene")
+    def scene() -> Dict[str, Any]:
+        shown = session()
+        return {"epoch": shown.hub.epoch, "scene": shown.scene_at(_number("plan"))}
+
     @app.route("/api/reasons")
     def why() -> Dict[str, Any]:
         at = _number("at") if request.args.get("at") else None
@@ -227,7 +232,8 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
             if "event" in fields
             else hub.board()
         )
-        key = jobs.start(opened.document, board.marking, fields, opened.key)
+        document = opened.document_at(board.plan)
+        key = jobs.start(document, board.marking, fields, opened.key)
         return {"job": key, "event": board.n}
 
     @app.route("/api/analysis/<job>")
@@ -252,8 +258,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/analysis/<job>/choices")
     def choices_at(job: str) -> Dict[str, Any]:
-        board = session().hub.board_at(_number("at"))
-        return {"at": board.n, "choices": jobs.optimised(job).choices(board.marking)}
+        shown = session()
+        board = shown.hub.board_at(_number("at"))
+        marking = shown.document_at(board.plan).net.named(board.marking)
+        return {"at": board.n, "choices": jobs.optimised(job).choices(marking)}
 
     @app.route("/api/analysis/<job>/plan")
     def download_plan(job: str) -> Response:

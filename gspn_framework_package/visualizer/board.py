@@ -19,6 +19,11 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
 ``data``
     The data of the ``team`` and the tasks that are ``waiting`` outside, if they changed, and the
     ``queues`` that did (see :mod:`~gspn_framework_package.execution.told_data`).
+``plan``
+    The team goes on under another plan: the one with the number ``plan``, called ``name``. The plan
+    that the page was given has number 0. ``places`` and ``transitions`` map the old indices to the
+    new ones (None: it is gone); ``marking``, ``enabled`` and the number of transitions, ``size``,
+    are those of the new net.
 ``note``
     ``text`` for people, with a ``level`` (info, warning, fault), about ``robot`` or about none.
 ``status``
@@ -26,17 +31,18 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
     or it is not known yet), ``running``, ``paused``, ``ended`` (the reason, None until then),
     ``finished``, ``stalled``, ``fault`` (whether the run ended because something broke).
 
-The hub adds ``n`` (number, from 1) and, unless the source gave it, ``t`` (seconds since the
-beginning).
+The hub adds ``n`` (number, from 1), unless the source gave it, ``t`` (seconds since the
+beginning), and ``p``, the number of the plan whose indices the event uses, unless that is 0.
 """
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.enabled_set import Change, EnabledSet
 from gspn_framework_package.execution.phase import ENTERED
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 Event = Dict[str, Any]
 """See the module."""
@@ -125,6 +131,45 @@ def mark_event(enabled: EnabledSet, why: str) -> Event:
     }
 
 
+def renumbered(place: Optional[int], places: Sequence[Optional[int]]) -> int:
+    """The new number of a robot's place; -1 if it has none in the new net.
+
+    :param places: the new number of each place.
+    """
+    new = places[place] if place is not None and place >= 0 else None
+    return -1 if new is None else new
+
+
+class PlanNumbers(Protocol):
+    """What becomes of the places and transitions of a plan in the one that follows it."""
+
+    def place_number(self, p: int) -> Optional[int]:
+        """The new number of a place; None if it is no more."""
+
+    def transition_number(self, t: int) -> Optional[int]:
+        """The new number of a transition; None if it is no more."""
+
+
+def plan_event(
+    number: int, old: Plan, new: Plan, numbers: PlanNumbers, enabled: EnabledSet
+) -> Event:
+    """The event of another plan.
+
+    :param number: the number of ``new``.
+    :param numbers: what becomes of the nodes of ``old``.
+    :param enabled: the marking of the net of ``new``.
+    """
+    return {
+        **mark_event(enabled, ""),
+        "k": "plan",
+        "plan": number,
+        "name": new.name,
+        "places": [numbers.place_number(p) for p in range(len(old.net.places))],
+        "transitions": [numbers.transition_number(t) for t in range(len(old.net.transitions))],
+        "size": len(new.net.transitions),
+    }
+
+
 class Board:
     """The state after the events so far.
 
@@ -143,6 +188,8 @@ class Board:
     ) -> None:
         self.n = 0
         self.t = 0.0
+        self.plan = 0
+        """Number of the plan that the team follows; 0 for the one that the page was given."""
         self.marking: List[int] = list(marking)
         self.enabled: Set[int] = set(enabled)
         self.counts: List[int] = [0] * transitions
@@ -155,7 +202,7 @@ class Board:
     def from_json(cls, data: Mapping[str, Any]) -> Board:
         """Read a board from its JSON object."""
         board = cls(0, data["marking"], data["enabled"], data["status"])
-        board.n, board.t = data["n"], data["t"]
+        board.n, board.t, board.plan = data["n"], data["t"], data.get("plan", 0)
         board.counts = list(data["counts"])
         board.robots = {robot["name"]: dict(robot) for robot in data["robots"]}
         board.data = dict(data.get("data", {}))
@@ -165,12 +212,19 @@ class Board:
     def copy(self) -> Board:
         """Return an independent copy."""
         board = Board(0, self.marking, self.enabled, self.status)
-        board.n, board.t = self.n, self.t
+        board.n, board.t, board.plan = self.n, self.t, self.plan
         board.counts = list(self.counts)
         board.robots = {name: dict(robot) for name, robot in self.robots.items()}
         board.data = dict(self.data)
         board.notes = list(self.notes)
         return board
+
+    def admit(self, event: Event) -> None:
+        """Number the next event of the run, and update the board by it."""
+        event["n"] = self.n + 1
+        self.apply(event)
+        if self.plan:
+            event["p"] = self.plan
 
     def apply(self, event: Event) -> None:
         """Update the board by one event."""
@@ -197,6 +251,8 @@ class Board:
                 self.counts = [0] * len(self.counts)
             if "counts" in event:
                 self.counts = list(event["counts"])
+        elif kind == "plan":
+            self._change_plan(event)
         elif kind == "robots":
             for robot in event["r"]:
                 known = self.robots.setdefault(robot["name"], {})
@@ -214,6 +270,20 @@ class Board:
         elif kind == "status":
             self.status.update(event["status"])
 
+    def _change_plan(self, event: Event) -> None:
+        """Go on with the net of another plan: what survives keeps its firings and its robots."""
+        self.plan = event["plan"]
+        self.marking = list(event["marking"])
+        self.enabled = set(event["enabled"])
+        counts, self.counts = self.counts, [0] * event["size"]
+        for t, new in enumerate(event["transitions"]):
+            if new is not None:
+                self.counts[new] += counts[t]
+        self.robots = {
+            name: {**robot, "place": renumbered(robot.get("place"), event["places"])}
+            for name, robot in self.robots.items()
+        }
+
     def to_json(self) -> Dict[str, Any]:
         """The board as a JSON object."""
         return {
@@ -226,4 +296,5 @@ class Board:
             "notes": list(self.notes),
             "status": dict(self.status),
             **({"data": dict(self.data)} if self.data else {}),
+            **({"plan": self.plan} if self.plan else {}),
         }

@@ -130,10 +130,9 @@ class Hub:
         """Take in events, in order."""
         with self._condition:
             for event in events:
-                event["n"] = self._board.n + 1
                 if "t" not in event:
                     event["t"] = round(time.monotonic() - self._started, 4)
-                self._board.apply(event)
+                self._board.admit(event)
                 self._events.append(event)
                 self._texts.append(json.dumps(event, separators=(",", ":")))
                 if event["n"] % KEYFRAME == 0:
@@ -149,11 +148,17 @@ class Hub:
             if self._tap is not None:
                 self._tap(events)
 
-    def tap(self, take: Optional[Tap]) -> None:
-        """Have ``take`` called with all further events of this epoch, in order; it must return at
-        once."""
+    def tap(self, take: Tap) -> None:
+        """Have ``take`` called with all further events of this epoch, in order, instead of what was
+        called before; it must return at once."""
         with self._condition:
             self._tap = take
+
+    def untap(self, take: Tap) -> None:
+        """Call ``take`` no more."""
+        with self._condition:
+            if self._tap == take:
+                self._tap = None
 
     def clock(self) -> float:
         """Seconds since this epoch began, the clock of its events."""

@@ -28,14 +28,15 @@ from __future__ import annotations
 
 import queue
 import threading
+from dataclasses import replace
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, PACES, Alarm, Monitor
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.model.plan import FailureKind, Plan
+from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 from gspn_framework_package.visualizer.analysis_jobs import ALL, AnalysisJobs
-from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.board import Board, Event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
 
@@ -67,10 +68,15 @@ class RunFollower:
     :param monitor: the monitor.
     :param complete: whether the events begin with the run, so that robots that appear have just
         started.
+    :param number: of the plan; events under others are ignored.
+    :param began: when the plan began to hold, in seconds; the monitor's time begins then.
     """
 
-    def __init__(self, plan: Plan, monitor: Monitor, complete: bool) -> None:
+    def __init__(
+        self, plan: Plan, monitor: Monitor, complete: bool, number: int = 0, began: float = 0.0
+    ) -> None:
         self._plan, self._net, self._monitor = plan, plan.net, monitor
+        self._number, self._began = number, began
         self._complete = complete
         self._timing = PlanTiming(plan)
         self._places: Dict[str, int] = {}
@@ -85,9 +91,9 @@ class RunFollower:
 
     def take(self, event: Event) -> None:
         """Take in an event, in the order in which they were published."""
-        if self.over:
+        if self.over or event.get("p", 0) != self._number:
             return
-        now = float(event["t"])
+        now = float(event["t"]) - self._began
         kind = event["k"]
         if kind == "fire":
             self._fire(event, now)
@@ -197,13 +203,20 @@ class LiveComparison:
     :param hub: its epoch is that of the run.
     :param complete: whether the run begins with the epoch.
     :param listener: is told of the alarms, on a thread of its own.
+    :param number: of the plan, as the board counts them.
     """
 
     def __init__(
-        self, plan: Plan, hub: Hub, complete: bool, listener: Optional[Listener] = None
+        self,
+        plan: Plan,
+        hub: Hub,
+        complete: bool,
+        listener: Optional[Listener] = None,
+        number: int = 0,
     ) -> None:
         self._plan, self._hub, self._complete = plan, hub, complete
-        self._listener = listener
+        self._listener, self._number = listener, number
+        self._began = hub.clock() if number else 0.0
         self._queue: queue.SimpleQueue[Optional[Sequence[Event]]] = queue.SimpleQueue()
         self._jobs = AnalysisJobs()
         self._stop = threading.Event()
@@ -215,6 +228,14 @@ class LiveComparison:
         self._say("predicting", "the prediction of the run is being computed")
         hub.tap(self._queue.put)
         threading.Thread(target=self._work, name="compare", daemon=True).start()
+
+    def go_on(self, plan: Plan) -> LiveComparison:
+        """Stop, and compare the run with another plan that it goes on under, which the board of the
+        hub shows already."""
+        self.end()
+        board = self._hub.board()
+        here = _begun_at(plan, board)
+        return LiveComparison(here, self._hub, False, self._listener, board.plan)
 
     def end(self) -> None:
         """Stop."""
@@ -232,7 +253,7 @@ class LiveComparison:
         except Exception as error:  # the page goes on without it
             self._say("failed", "the comparison broke off: %s" % type(error).__name__)
         finally:
-            self._hub.tap(None)
+            self._hub.untap(self._queue.put)
             self._jobs.close()
 
     def _predict(self) -> Optional[Dict[str, Any]]:
@@ -252,7 +273,7 @@ class LiveComparison:
     def _watch(self, prediction: Dict[str, Any]) -> None:
         names = [robot.name for robot in self._plan.robots]
         monitor = Monitor(self._plan, names, prediction["paces"], ALARM_EVERY)
-        follower = RunFollower(self._plan, monitor, self._complete)
+        follower = RunFollower(self._plan, monitor, self._complete, self._number, self._began)
         due = 0.0
         while not self._stop.is_set():
             try:
@@ -262,7 +283,7 @@ class LiveComparison:
             for event in events or ():
                 if event["k"] != "note":
                     follower.take(event)
-            now = self._hub.clock()
+            now = self._hub.clock() - self._began
             if self._queue.empty() and (now >= due or follower.over):
                 due = now + PERIOD
                 if not follower.over:
@@ -279,7 +300,8 @@ class LiveComparison:
         new = monitor.alarms[self._told :]
         self._told = len(monitor.alarms)
         for alarm in new:
-            text = "%s, since about %.0f s" % (alarm.describe(), max(alarm.since, 0.0))
+            since = max(alarm.since, 0.0) + self._began
+            text = "%s, since about %.0f s" % (alarm.describe(), since)
             self._hub.publish({"k": "note", "level": "warning", "robot": alarm.robot, "text": text})
         lasting = monitor.on
         if self._listener is not None:
@@ -323,7 +345,19 @@ class LiveComparison:
         )
 
     def _say(self, state: str, says: str, **more: Any) -> None:
-        self._hub.set_latest("model", {"state": state, "says": says, **more})
+        if not self._stop.is_set():
+            self._hub.set_latest("model", {"state": state, "says": says, **more})
+
+
+def _begun_at(plan: Plan, board: Board) -> Plan:
+    """A plan as if it began with the marking and the robots of a board."""
+    own = {robot.name: robot.actions for robot in plan.robots}
+    robots = [
+        RobotSpec(name, plan.net.places[robot["place"]].name, own.get(name, {}))
+        for name, robot in board.robots.items()
+        if robot.get("place", -1) >= 0 and not Phase.of_value(robot.get("phase", "")).gone
+    ]
+    return replace(plan, net=plan.net.with_marking(tuple(board.marking))).with_robots(robots)
 
 
 def _name(stream: Any) -> str:

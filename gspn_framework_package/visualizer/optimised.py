@@ -91,19 +91,21 @@ class Optimised:
             ],
         }
 
-    def choices(self, marking: Sequence[int]) -> List[Dict[str, Any]]:
+    def choices(self, marking: Mapping[str, int]) -> List[Dict[str, Any]]:
         """What robots do in each place of a marking where they can choose: transition ->
         probability under the ``present`` and under the ``best`` policy; empty if they wait.
 
-        :param marking: counts in the order of the plan's places.
+        :param marking: tokens by place.
+        :raises RefusedError: it is of another net.
         """
+        if set(marking) != set(self._present.net.place_index):
+            raise RefusedError("this policy was computed for another net than the one shown")
         with self._lock:
             if self._rules is None:
                 new = plan_from_json(json.loads(self.text))
                 self._rules = PlanRules(self._present), PlanRules(new)
             present, best = self._rules
-            net = self._present.net
-            counts = tuple(marking[net.place_index[place.name]] for place in present.net.places)
+            counts = tuple(marking[place.name] for place in present.net.places)
             enabled = {
                 t
                 for t, transition in enumerate(present.net.transitions)

@@ -26,9 +26,11 @@ def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> D
         of the event after which this holds.
     :raises NetError: the net has no transition of that name.
     """
-    net, plan, hub = session.document.net, session.document.plan, session.hub
-    t = net.transition_number(transition)
+    hub = session.hub
     board = hub.board() if at is None else hub.board_at(at)
+    document = session.document_at(board.plan)
+    net, plan = document.net, document.plan
+    t = net.transition_number(transition)
     reasons = net.why_disabled(board.marking, t)
     # in a run, actions take time and priorities do not matter
     if not reasons and hub.mode == "SIMULATE":

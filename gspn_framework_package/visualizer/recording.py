@@ -15,12 +15,12 @@ import time
 import zlib
 from bisect import bisect_right
 from collections import OrderedDict
-from typing import BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
+from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
-from gspn_framework_package.execution.plan_change import same_structure
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import Board, Event
 from gspn_framework_package.visualizer.hub import KeptEvents
 from gspn_framework_package.visualizer.team_events import TeamEvents
@@ -49,13 +49,14 @@ class Mark(NamedTuple):
 class _Reader:
     """Reads the lines of a log from a mark on, and turns them into events.
 
+    :param plans: number -> plan that the team went on under; updated.
     :ivar board: the board after the events so far.
     """
 
-    def __init__(self, file: LogFile, mark: Optional[Mark] = None) -> None:
+    def __init__(self, file: LogFile, plans: Dict[int, Plan], mark: Optional[Mark] = None) -> None:
         self._file = file
         self._game = TokenGame(file.plan, agents=bool(file.header.get("agents")))
-        self._events = TeamEvents(self._game)
+        self._events = TeamEvents(self._game, plans)
         self.board = self._events.board(running=False, run=str(file.header["run"]))
         self._clock = LogClock(0.0)
         self.line, self.offset = 2, file.begin
@@ -64,10 +65,9 @@ class _Reader:
             kept = json.loads(zlib.decompress(mark.packed))
             self.line, self.offset = mark.line, mark.offset
             self.board = Board.from_json(kept["board"])
-            self._events.restore(kept["events"])
             self._clock = LogClock(*kept["clock"])
             state = self._game.state_from_json(kept["state"])
-            self._events.follow(self._game.now(state))
+            self._events.restore(kept["events"], self._game.now(state))
         self._replayer = Replayer(self._game, state)
 
     @staticmethod
@@ -96,20 +96,15 @@ class _Reader:
             self.line += 1
             self.offset += length
             for event in events:
-                event["n"] = self.board.n + 1
-                self.board.apply(event)
+                self.board.admit(event)
             yield events
 
     def _step(self, record: Record) -> List[Event]:
         try:
-            before = self._replayer.game
             step = self._replayer.take(record)
             if step is not None:
-                events = []
                 t = self._clock.read(record)
-                if self._replayer.game is not before:
-                    events = self._other_plan(before, step.slot, t)
-                return events + self._events.step(step.entries, step.firings, step.state, t)
+                return self._events.step(step.entries, step.firings, step.state, t, step.adopted)
             if record["kind"] == "ended":
                 t = round(self._clock.read(record), 4)
                 ended = str(record.get("reason", ""))
@@ -124,22 +119,6 @@ class _Reader:
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise LogError("the record is damaged (%r)" % error, line=self.line) from None
 
-    def _other_plan(self, before: TokenGame, slot: int, t: float) -> List[Event]:
-        """The team goes on under another plan: a note, if the drawing of the net still fits.
-
-        :raises LogError: it does not fit.
-        """
-        game = self._replayer.game
-        if not same_structure(before.plan, game.plan):
-            raise LogError(
-                "from slot %d on, the team follows the plan '%s', whose net is another one; "
-                "this replay shows the net that the run began with" % (slot, game.plan.name)
-            )
-        self._events.follow(game)
-        text = "the team goes on under the plan '%s'" % game.plan.name
-        note = {"k": "note", "t": round(t, 4), "level": "warning", "robot": "", "text": text}
-        return [note]
-
 
 class Recording(KeptEvents):
     """An event log as a history; see the module. All methods may be called from any thread, except
@@ -152,7 +131,8 @@ class Recording(KeptEvents):
         self._file = file
         self._lock = threading.Lock()
         self._reading = threading.Lock()
-        first = _Reader(file)
+        self._plans: Dict[int, Plan] = {}
+        first = _Reader(file, self._plans)
         self._marks: List[Mark] = [first.mark()]
         self._between = LINES_BETWEEN
         self._known = 0
@@ -162,7 +142,12 @@ class Recording(KeptEvents):
 
     def first_board(self) -> Board:
         """The board before the run began."""
-        return _Reader(self._file).board
+        return _Reader(self._file, self._plans).board
+
+    def plan_of(self, number: int) -> Optional[Plan]:
+        """The plan with that number, which the team went on under; None if no such plan has been
+        read."""
+        return self._plans.get(number)
 
     def read(self) -> Iterator[Tuple[Board, float]]:
         """Read the log. From time to time, yield the board so far and the share of the file read
@@ -170,7 +155,7 @@ class Recording(KeptEvents):
 
         An error in the log becomes a note at its end.
         """
-        reader = _Reader(self._file)
+        reader = _Reader(self._file, self._plans)
         size = max(1, self._file.size)
         try:
             with self._file.open() as file:
@@ -213,9 +198,8 @@ class Recording(KeptEvents):
             "level": level,
             "robot": "",
             "text": text,
-            "n": reader.board.n + 1,
         }
-        reader.board.apply(event)
+        reader.board.admit(event)
         self._last.append(event)
 
     # -- looking up --------------------------------------------------------------------------------
@@ -275,7 +259,7 @@ class Recording(KeptEvents):
             if kept is not None and (kept[1][-1]["n"] if kept[1] else mark.n) >= last:
                 self._stretches.move_to_end(mark.offset)
                 return kept
-            reader = _Reader(self._file, mark)
+            reader = _Reader(self._file, self._plans, mark)
             before = reader.board.copy()
             events: List[Event] = []
             with self._file.open() as file:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Dict
+from typing import Any, Dict, Optional
 
 from gspn_framework_package.execution.event_log import LogFile
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
@@ -27,6 +28,7 @@ class Replay(Activity):
     def __init__(self, file: LogFile) -> None:
         super().__init__()
         self._file = file
+        self._recording = Recording(file)
         self._stop = threading.Event()
 
     @classmethod
@@ -38,26 +40,27 @@ class Replay(Activity):
         """The plan of the recorded run, for display."""
         return Document(title, self._file.plan.net, self._file.plan)
 
+    def plan_of(self, number: int) -> Optional[Plan]:
+        """See :class:`Activity`."""
+        return self._recording.plan_of(number)
+
     def begin(self, hub: Hub) -> None:
         """Start reading the log, which becomes the history of the hub."""
         header = self._file.header
         who = "run %s" % header["run"]
         if header["robot"]:
             who += ", as %s recorded it" % header["robot"]
-        recording = Recording(self._file)
         info: Dict[str, Any] = {"says": who, "loading": True, "progress": 0.0}
-        hub.restart(self.mode, recording.first_board(), info, history=recording)
-        threading.Thread(
-            target=self._read, args=(hub, recording), name="replay", daemon=True
-        ).start()
+        hub.restart(self.mode, self._recording.first_board(), info, history=self._recording)
+        threading.Thread(target=self._read, args=(hub,), name="replay", daemon=True).start()
 
     def end(self) -> None:
         """Stop reading."""
         self._stop.set()
 
-    def _read(self, hub: Hub, recording: Recording) -> None:
+    def _read(self, hub: Hub) -> None:
         told = 0.0
-        for board, share in recording.read():
+        for board, share in self._recording.read():
             if self._stop.is_set():
                 return
             now = time.monotonic()

@@ -57,6 +57,25 @@ class Session:
         self.activity: Activity = activity or OfflineSimulation(document.net)
         self.activity.begin(self.hub)
 
+    def document_at(self, plan: int) -> Document:
+        """The net that the run shown follows under the plan with this number.
+
+        :raises InputError: there is no such plan; the run shown may be another one now.
+        """
+        if not plan:
+            return self.document
+        found = self.activity.plan_of(plan)
+        if found is None:
+            raise InputError("the run shown has followed no plan with the number %d" % plan)
+        return self.document._replace(
+            net=found.net, plan=found, executable=False, notes=tuple(found.notes)
+        )
+
+    def scene_at(self, plan: int) -> Dict[str, Any]:
+        """The picture of that net. :raises InputError: as :meth:`document_at`."""
+        document = self.document_at(plan)
+        return scene_to_json(document.net, document.plan) if plan else self.scene
+
     @property
     def executable(self) -> bool:
         """Whether the page may start an execution."""

@@ -78,6 +78,7 @@ class StandaloneRun(Activity, Listener):
         self._events = TeamEvents(self._executor.game)
         self._over = threading.Lock()
         self._told_end = False
+        self._changed_plan = False
         self.commands = {
             "stop": self._stop,
             "pause": self._order("{whom} is paused", lambda f: log_entries.Pause(self._whom(f))),
@@ -95,9 +96,13 @@ class StandaloneRun(Activity, Listener):
             ),
             "breakpoints": self._set_breakpoints,
             "submit": self._order(
-                "task {id} comes in by {transition}", lambda f: submission(plan, f)
+                "task {id} comes in by {transition}", lambda f: submission(self._plan, f)
             ),
         }
+
+    def plan_of(self, number: int) -> Optional[Plan]:
+        """See :class:`Activity`."""
+        return self._events.plans.get(number)
 
     def _record(self, runs: str) -> None:
         """Begin an event log: a new file, named after the run."""
@@ -220,6 +225,12 @@ class StandaloneRun(Activity, Listener):
 
     # -- events of the executor --------------------------------------------------------------------
 
+    def on_plan(self, plan: Plan) -> None:
+        """Go on under another plan, on the executor's thread; the events of its step follow."""
+        self._plan = plan
+        self._breakpoints.follow(plan)
+        self._changed_plan = True
+
     def on_step(
         self,
         slot: int,
@@ -231,6 +242,11 @@ class StandaloneRun(Activity, Listener):
         if self._told_end:
             return  # it was abandoned and no longer owns the hub
         self._hub.publish(*self._events.step(entries, firings, state))
+        if self._changed_plan:
+            self._changed_plan = False
+            self._hub.change_info(says="%s runs on this server" % self._plan.name)
+            if self._comparison is not None:
+                self._comparison = self._comparison.go_on(self._plan)
         self._show_breakpoints()
         for entry in entries:
             if isinstance(entry, (log_entries.Done, log_entries.Failed)):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.plan_change import NewNames
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.told_data import (
@@ -16,7 +17,8 @@ from gspn_framework_package.execution.told_data import (
     told_of_robot,
     told_of_team,
 )
-from gspn_framework_package.model.net import Marking
+from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import (
     Board,
     Event,
@@ -25,6 +27,8 @@ from gspn_framework_package.visualizer.board import (
     enter,
     fire_event,
     mark_event,
+    plan_event,
+    renumbered,
 )
 
 
@@ -34,22 +38,25 @@ class TeamEvents:
     A transition counts as enabled here if the marking gives it concession: in a run the robots'
     actions take time, so priorities only matter among simultaneous requests.
 
-    :param game: the rules of the plan.
+    :param game: the rules of the plan that the run began with.
+    :param plans: number -> plan that the team went on under; updated. The first one is number 0.
     """
 
-    def __init__(self, game: TokenGame) -> None:
-        self.game = game
+    def __init__(self, game: TokenGame, plans: Optional[Dict[int, Plan]] = None) -> None:
+        self._first = self.game = game
         self.net = game.net
+        self.plans: Dict[int, Plan] = {} if plans is None else plans
+        self.plans[0] = game.plan
+        self._number = 0
+        """Of the plan that the team follows."""
+        self._digest = ""
+        """Of the plan that the team adopted; "": it follows the first one."""
         self._enabled = EnabledSet(self.net, game.new_state().marking, by_priority=False)
         self._robots: Dict[str, Dict[str, Any]] = {}
         self._status: Dict[str, Any] = {}
         self._data: Dict[str, Any] = {}
         self._looked_at: Dict[str, Any] = {}
         """Robot, or "" for the team -> its data and tasks when they were last told."""
-
-    def follow(self, game: TokenGame) -> None:
-        """Go on by the rules of a plan with the same net."""
-        self.game, self.net = game, game.net
 
     def board(self, running: bool, run: str = "") -> Board:
         """The board before the run named ``run`` begins."""
@@ -72,15 +79,24 @@ class TeamEvents:
         firings: Sequence[Firing],
         state: TeamState,
         t: Optional[float] = None,
+        adopted: Sequence[Tuple[int, TokenGame]] = (),
     ) -> List[Event]:
         """The events of one slot of the log.
 
         :param t: seconds since the run began, None for now.
+        :param adopted: the plans adopted in the slot, each with the number of firings before it.
         """
         events: List[Event] = []
         why = ", ".join(dict.fromkeys(_deed(entry) for entry in entries if _deed(entry)))
-        for firing in firings:
+        begins = adopted[-1][0] if adopted else 0
+        other = bool(adopted) or self._digest != _digest(state)
+        for number, firing in enumerate(firings):
+            if other and number == begins:
+                events.append(self._other_plan(state, _before(firing, self._first.now(state).net)))
+                other = False
             events += self._fired(firing, why or "state taken over")
+        if other:
+            events.append(self._other_plan(state, state.marking))
         if state.marking != self._enabled.marking:
             events.append(self._whole(state.marking, why or "state taken over"))
         events += self._robots_changed(state)
@@ -104,25 +120,45 @@ class TeamEvents:
             "robots": self._robots,
             "status": self._status,
             "data": self._data,
+            "number": self._number,
+            "digest": self._digest,
         }
 
-    def restore(self, data: Dict[str, Any]) -> None:
-        """Continue from a state that :meth:`to_json` returned."""
-        self._enabled.move_to(tuple(data["marking"]))
+    def restore(self, data: Dict[str, Any], game: TokenGame) -> None:
+        """Continue from a state that :meth:`to_json` returned, by the rules that apply in it."""
+        self._number, self._digest = data["number"], data["digest"]
+        self.game, self.net = game, game.net
+        self._enabled = EnabledSet(self.net, tuple(data["marking"]), by_priority=False)
         self._robots = {name: dict(shown) for name, shown in data["robots"].items()}
         self._status = dict(data["status"])
         self._data = dict(data["data"])
 
     # -- parts -------------------------------------------------------------------------------------
 
+    def _other_plan(self, state: TeamState, marking: Marking) -> Event:
+        """The team goes on under another plan.
+
+        :param marking: that of its net, before anything fired in it.
+        """
+        old, game = self.game.plan, self._first.now(state)
+        mapping = state.adopted.mapping if state.adopted is not None else {}
+        names = NewNames(old, game.plan, mapping)
+        self.game, self.net = game, game.net
+        self._number, self._digest = self._number + 1, _digest(state)
+        self.plans[self._number] = game.plan
+        self._enabled = EnabledSet(self.net, marking, by_priority=False)
+        event = plan_event(self._number, old, game.plan, names, self._enabled)
+        for shown in self._robots.values():
+            shown["place"] = renumbered(shown.get("place"), event["places"])
+        self._looked_at.clear()
+        return event
+
     def _fired(self, firing: Firing, why: str) -> List[Event]:
         t = self.net.transition_index[firing.transition]
-        before = list(firing.marking)
-        for p, gain in self.net.effect(t):
-            before[p] -= gain
+        before = _before(firing, self.net)
         events: List[Event] = []
-        if tuple(before) != self._enabled.marking:
-            events.append(self._whole(tuple(before), why))
+        if before != self._enabled.marking:
+            events.append(self._whole(before, why))
         change = self._enabled.move_to(firing.marking)
         moves: List[Move] = []
         for move in firing.moves:
@@ -222,6 +258,19 @@ class TeamEvents:
     def _takes_robots(self, t: int) -> bool:
         resources = self.game.plan.resource_places
         return any(self.net.places[p].name not in resources for p, _ in self.net.inputs[t])
+
+
+def _digest(state: TeamState) -> str:
+    """The digest of the plan that a team adopted; "" if it follows its first one."""
+    return state.adopted.digest if state.adopted is not None else ""
+
+
+def _before(firing: Firing, net: Net) -> Marking:
+    """The marking before a firing in a net."""
+    before = list(firing.marking)
+    for p, gain in net.effect(net.transition_index[firing.transition]):
+        before[p] -= gain
+    return tuple(before)
 
 
 def _deed(entry: log_entries.Entry) -> str:

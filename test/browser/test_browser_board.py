@@ -94,7 +94,19 @@ DATA = st.fixed_dictionaries(
         "queues": st.dictionaries(KEYS, st.lists(st.tuples(NAMES), max_size=2), max_size=2),
     },
 )
-EVENT = st.one_of(FIRING, MARK, ROBOTS, NOTE, CHANGE, DATA)
+RENUMBERED = st.lists(SOME([None, 0, 1, 2]), min_size=3, max_size=3)
+PLAN = st.fixed_dictionaries(
+    {
+        "k": st.just("plan"),
+        "plan": st.integers(1, 9),
+        "places": RENUMBERED,
+        "transitions": RENUMBERED,
+        "size": st.just(3),
+        "marking": COUNTS,
+        "enabled": SUBSET,
+    }
+)
+EVENT = st.one_of(FIRING, MARK, ROBOTS, NOTE, CHANGE, DATA, PLAN)
 BOARD = st.fixed_dictionaries(
     {
         "n": st.just(0),

@@ -168,6 +168,14 @@ export class NewsStream {
     }
   }
 
+  /** Begin anew, with all that is shown. */
+  again() {
+    this.source?.close();
+    this.source = null;
+    this.cursor = "";
+    setTimeout(() => this.retry(), RETRY);
+  }
+
   close() {
     this.closed = true;
     clearInterval(this.watch);

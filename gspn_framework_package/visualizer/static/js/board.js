@@ -14,6 +14,20 @@ function entered(robot, place) {
   return { ...robot, place, phase: named.entered, why: "", ...Object.fromEntries(left) };
 }
 
+/** Go on with the net of another plan: what survives keeps its firings and its robots. */
+function changePlan(board, event) {
+  board.plan = event.plan;
+  board.marking = event.marking.slice();
+  board.enabled = new Set(event.enabled);
+  const counts = new Array(event.size).fill(0);
+  event.transitions.forEach((now, before) => {
+    if (now !== null) counts[now] += board.counts[before];
+  });
+  board.counts = counts;
+  for (const [name, robot] of board.robots)
+    board.robots.set(name, { ...robot, place: event.places[robot.place] ?? -1 });
+}
+
 /** Update the board by one event. */
 export function applyEvent(board, event) {
   board.n = event.n;
@@ -38,6 +52,8 @@ export function applyEvent(board, event) {
     board.enabled = new Set(event.enabled);
     if (event.restart) board.counts = board.counts.map(() => 0);
     if (event.counts) board.counts = event.counts.slice();
+  } else if (event.k === "plan") {
+    changePlan(board, event);
   } else if (event.k === "robots") {
     for (const robot of event.r) {
       const known = board.robots.get(robot.name) || {};

@@ -3,7 +3,7 @@
 
 import { named, told } from "./phases.js";
 
-const NOWHERE = -1;
+const NOWHERE = "";
 
 /** The events since the last reset, without those that were undone: their times never decrease. With `whole`, also
  * those before that reset and earlier ones. */
@@ -27,14 +27,19 @@ export function courseOf(model, whole = false) {
   return course.reverse();
 }
 
-/** What each robot did from `begin` to `end` (s): name -> [[from, to, place, phase], ...]. */
+/** The name of a place (index) in a scene; undefined if nothing is said of it. */
+const nameOf = (scene, place) =>
+  place === undefined ? undefined : (scene.places[place]?.name ?? NOWHERE);
+
+/** What each robot did from `begin` to `end` (s): name -> [[from, to, place, phase], ...]; a place by its name, since
+ * the team may have changed its net. */
 export function lanesOf(model, begin, end) {
   const { base, board, events } = model;
   const last = model.indexAfter(board.n);
   const lanes = new Map();
   const leave = (lane, t) => {
     const phase = lane.paused ? named.paused : lane.phase; // without one, nothing is known of the robot
-    if (phase && told(phase).shown && lane.place >= 0 && t > begin && t > lane.at)
+    if (phase && told(phase).shown && lane.place && t > begin && t > lane.at)
       lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
   const change = (name, t, place, phase, paused) => {
@@ -55,23 +60,31 @@ export function lanesOf(model, begin, end) {
   };
   // whether the loaded events lead from a known board to the one shown; otherwise only the latter is known
   const known = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
+  let scene = model.scenes.get((known ? base : board).plan || 0) || model.scene;
   for (const robot of (known ? base : board).robots.values())
     change(
       robot.name,
       robot.since ?? (known ? base : board).t,
-      robot.place,
+      nameOf(scene, robot.place),
       robot.phase,
       robot.paused,
     );
   for (let i = 0; known && i < last; i++) {
     const event = events[i];
     if (event.n <= base.n) continue;
-    if (event.k === "fire") {
+    const before = scene;
+    scene = model.sceneOf(event);
+    if (event.k === "plan") {
+      for (const [name, lane] of lanes) {
+        const place = before.places.findIndex((one) => one.name === lane.place);
+        change(name, event.t, nameOf(scene, event.places[place] ?? -1));
+      }
+    } else if (event.k === "fire") {
       for (const move of event.m)
-        change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : named.entered);
+        change(move[0], event.t, nameOf(scene, move[2]), move[2] === null ? "" : named.entered);
     } else if (event.k === "robots") {
       for (const robot of event.r)
-        change(robot.name, event.t, robot.place, robot.phase, robot.paused);
+        change(robot.name, event.t, nameOf(scene, robot.place), robot.phase, robot.paused);
       for (const name of event.gone || []) change(name, event.t, NOWHERE, "");
     }
   }

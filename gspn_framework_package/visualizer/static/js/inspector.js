@@ -70,6 +70,11 @@ export class Inspector extends EventTarget {
       }, 200);
   }
 
+  close() {
+    clearTimeout(this.timer);
+    this.timer = -1; // nothing is drawn any more
+  }
+
   /** Redraw, unless the user is typing or pressing a button. */
   refresh() {
     if (isPressed(this.panel)) {

@@ -157,6 +157,11 @@ export class NodeList extends EventTarget {
       this.timer = setTimeout(() => this.update(), Math.max(250, 25 * (this.cost || 0)));
   }
 
+  close() {
+    clearTimeout(this.timer);
+    this.timer = -1; // nothing is drawn any more
+  }
+
   move(steps, fly) {
     if (!this.items.length) return;
     const at = this.chosen

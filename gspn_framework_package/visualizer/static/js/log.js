@@ -67,8 +67,14 @@ export class FiringLog extends EventTarget {
       this.timer = setTimeout(() => this.update(), Math.max(150, 25 * (this.cost || 0)));
   }
 
+  close() {
+    clearTimeout(this.timer);
+    this.timer = -1; // nothing is drawn any more
+  }
+
   say(event) {
-    const { scene } = this.model;
+    const scene = this.model.sceneOf(event);
+    if (event.k === "plan") return `— the team goes on under the plan “${event.name}” —`;
     if (event.k === "fire") {
       const moves = event.m.map(([robot, from, to]) => {
         const ends = [

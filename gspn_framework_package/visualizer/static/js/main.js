@@ -148,11 +148,28 @@ class Page {
     $("title").title = session.title;
     $("subtitle").textContent = session.title === session.scene.name ? "" : session.title;
     document.title = `${session.scene.name} · GSPN`;
-    const begun = performance.now();
+    this.openedAt = performance.now();
+    this.orders = new Orders(this);
+    this.room = new Room(model);
+    this.tools = null;
+    this.makeViews();
+    this.wire(model);
+    this.editor.showButtons();
+    this.stream = new NewsStream(
+      key,
+      (news) => this.takeNews(news),
+      (state, heard, why) => this.setConnection(state, heard, why),
+    );
+    const cut = this.cutOff(this.hello, key);
+    if (cut) this.tellCut("The last run of this plan was cut off.", cut);
+  }
+
+  /** Make what shows the scene of the model. */
+  makeViews() {
+    const { model } = this;
     this.view = new NetView($("net"), model, $("subnets"));
     this.view.setShowEnabled(this.showEnabled);
     this.list = new NodeList(model);
-    this.orders = new Orders(this);
     this.inspector = new Inspector(model, this.orders);
     this.robots = new RobotsPanel(model, this.orders);
     this.analysis = new AnalysisPanel(
@@ -164,22 +181,44 @@ class Page {
     this.optimise = new OptimisePanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
     this.log = new FiringLog(model);
     this.line = new TimeLine(model);
-    this.room = new Room(model);
-    this.tools = null;
-    this.wire(model);
-    this.editor.showButtons();
-    this.view.addEventListener("frame", () => {
-      if (!this.model?.board || document.body.dataset.ready) return;
-      this.readyAt = performance.now();
-      document.body.dataset.ready = (this.readyAt - begun).toFixed(1);
-    });
-    this.stream = new NewsStream(
-      key,
-      (news) => this.takeNews(news),
-      (state, heard, why) => this.setConnection(state, heard, why),
-    );
-    const cut = this.cutOff(this.hello, key);
-    if (cut) this.tellCut("The last run of this plan was cut off.", cut);
+    this.wireViews();
+  }
+
+  closeViews() {
+    for (const part of [
+      this.view,
+      this.list,
+      this.inspector,
+      this.robots,
+      this.analysis,
+      this.optimise,
+      this.log,
+      this.line,
+    ])
+      part?.close();
+  }
+
+  /** The team follows another plan: show its net, with the same node selected if it is still there. */
+  showScene() {
+    const { model, selection } = this;
+    const before = this.view.scene;
+    const nodes = (scene, kind) => (kind === "place" ? scene.places : scene.transitions);
+    const name = selection && nodes(before, selection.kind)[selection.index].name;
+    const { now, fitted } = this.view.camera;
+    const camera = before.hash === model.scene.hash && !fitted ? now : null;
+    const tab = TABS.find((one) => !$(one).hidden);
+    this.closeViews();
+    this.makeViews();
+    if (camera) this.view.camera.set(camera.k, camera.x, camera.y);
+    $("title").textContent = model.scene.name;
+    document.title = `${model.scene.name} · GSPN`;
+    const index = selection
+      ? nodes(model.scene, selection.kind).findIndex((node) => node.name === name)
+      : -1;
+    this.selection = index < 0 ? null : { kind: selection.kind, index };
+    for (const part of [this.view, this.list, this.inspector]) part.select(this.selection);
+    this.openTab(tab);
+    announce(`The team goes on under the plan ${model.scene.name}`);
   }
 
   // -- losing the server, and reconnecting -----------------------------------------------------------
@@ -260,15 +299,17 @@ class Page {
     delete document.body.dataset.ready;
     this.stream?.close();
     this.tools?.stopRunning();
-    for (const part of [this.view, this.robots, this.line, this.analysis, this.optimise])
-      part?.close();
+    this.closeViews();
     this.stream =
       this.model =
       this.view =
+      this.list =
+      this.inspector =
       this.robots =
-      this.line =
       this.analysis =
       this.optimise =
+      this.log =
+      this.line =
       this.tools =
         null;
     this.selection = null;
@@ -299,6 +340,8 @@ class Page {
   }
 
   wire(model) {
+    model.addEventListener("scene", () => this.showScene());
+    model.addEventListener("unread", () => this.stream?.again());
     model.addEventListener("reset", ({ detail }) => {
       if (detail.another) {
         this.showMode();
@@ -360,6 +403,15 @@ class Page {
       this.line.later();
       this.showRun();
       this.showConnection();
+    });
+  }
+
+  wireViews() {
+    const { model } = this;
+    this.view.addEventListener("frame", () => {
+      if (!this.model?.board || document.body.dataset.ready) return;
+      this.readyAt = performance.now();
+      document.body.dataset.ready = (this.readyAt - this.openedAt).toFixed(1);
     });
     this.view.addEventListener("select", ({ detail }) => {
       this.choose(detail);

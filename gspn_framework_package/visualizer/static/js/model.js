@@ -9,13 +9,17 @@ const AHEAD = 5000; // events per request while a recorded run is played
 const PREPARED = 3; // s of playback for which events are loaded in advance
 const STALL = 250; // largest advance of the playback between two frames, in ms: a page that was hidden does not jump
 
-/** Fires: "scene", "reset" (the board was replaced), "events" (detail.events were added to the board),
- * "head" (news behind a paused view), "latest" (detail.keys), "view" (following or not). */
+/** Fires: "scene" (another net is shown: the team follows another plan), "reset" (the board was replaced), "events"
+ * (detail.events were added to the board), "head" (news behind a paused view), "latest" (detail.keys), "view"
+ * (following or not). */
 export class Model extends EventTarget {
   constructor(session) {
     super();
     this.session = session;
-    this.scene = session.scene;
+    this.scenes = new Map([[0, session.scene]]); // number of a plan that the run followed -> its scene
+    this.scene = session.scene; // of the plan that the board shown follows
+    this.arrived = Promise.resolve(); // settled when all news so far were taken in
+    this.waiting = 0; // messages that wait for it
     this.mode = "";
     this.info = {};
     this.epoch = "";
@@ -37,8 +41,56 @@ export class Model extends EventTarget {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
-  /** Take in a message of the server's hub. */
+  /** Take in a message of the server's hub, in order, once the net of each plan in it is known. */
   take(news) {
+    const plans = this.plansIn(news);
+    if (!this.waiting && plans.every((plan) => this.scenes.has(plan))) {
+      this.takeIn(news);
+      return;
+    }
+    this.waiting += 1;
+    this.arrived = this.arrived
+      .then(() => this.loadScenes(plans, news.snapshot?.epoch))
+      .then(
+        () => this.takeIn(news),
+        () => this.tell("unread"), // the stream has to begin anew
+      )
+      .finally(() => {
+        this.waiting -= 1;
+      });
+  }
+
+  /** The numbers of the plans that a message is about. */
+  plansIn({ snapshot, events = [] }) {
+    if (snapshot && snapshot.epoch !== this.epoch && this.scenes.size > 1)
+      this.scenes = new Map([[0, this.session.scene]]); // they were those of another run
+    return [snapshot?.board.plan || 0, ...events.map((event) => event.p || 0)];
+  }
+
+  /** Load the scenes of these plans of the run, where they are not known yet. */
+  async loadScenes(plans, epoch = this.epoch) {
+    for (const plan of new Set(plans)) {
+      if (this.scenes.has(plan)) continue;
+      const found = await get("scene", { id: this.session.id, plan });
+      if (found.epoch !== epoch) throw new Error("another run is shown now");
+      this.scenes.set(plan, found.scene);
+    }
+  }
+
+  /** The scene in which an event happened. */
+  sceneOf(event) {
+    return this.scenes.get(event.p || 0) || this.scene;
+  }
+
+  /** Show the net of the plan that the board follows. */
+  showScene() {
+    const scene = this.scenes.get(this.board.plan || 0);
+    if (scene === this.scene) return;
+    this.scene = scene;
+    this.tell("scene");
+  }
+
+  takeIn(news) {
     if (news.snapshot) this.restart(news.snapshot);
     if (news.head) {
       this.head = news.head;
@@ -73,6 +125,7 @@ export class Model extends EventTarget {
     this.following = this.mode !== "REPLAY";
     this.playing = false;
     this.board = this.following ? board : copyOf(board);
+    this.showScene();
     this.tell("reset", { another });
     // where the server does not answer, the connection says so, and the next reset asks again
     if (this.mode === "REPLAY") this.show(0).catch(() => {});
@@ -87,8 +140,16 @@ export class Model extends EventTarget {
       this.trim();
     }
     for (const event of events) applyEvent(this.head, event);
-    if (this.following) this.tell("events", { events });
+    if (this.following) this.tellEvents(events);
     else this.tell("head");
+  }
+
+  /** Say that the board shown went on by events; under another plan all of it is drawn anew. */
+  tellEvents(events) {
+    const { scene } = this;
+    this.showScene();
+    if (scene === this.scene) this.tell("events", { events });
+    else this.tell("reset", { another: false });
   }
 
   /** Note that the server is connected (null), or the time of its last message if it is not. */
@@ -140,6 +201,8 @@ export class Model extends EventTarget {
     const before = data.events[0].n - 1;
     const state = await get("state", { id: this.session.id, at: before });
     if (state.epoch !== epoch || this.epoch !== epoch) return null;
+    await this.loadScenes([state.board.plan || 0, ...data.events.map((event) => event.p || 0)]);
+    if (this.epoch !== epoch) return null;
     return { events: data.events, base: state.board.n === before ? boardOf(state.board) : null };
   }
 
@@ -177,8 +240,10 @@ export class Model extends EventTarget {
         const at = this.wanted;
         this.wanted = null;
         const data = await get("state", { id: this.session.id, at });
+        await this.loadScenes([data.board.plan || 0], data.epoch);
         if (data.epoch !== this.epoch || this.following) return;
         this.board = boardOf(data.board);
+        this.showScene();
         this.tell("reset", { another: false });
         if (this.wanted === null) await this.fetchAround();
       }
@@ -214,6 +279,11 @@ export class Model extends EventTarget {
       data.events[0]?.n !== tail + 1
     )
       return undefined;
+    await this.loadScenes(
+      data.events.map((event) => event.p || 0),
+      epoch,
+    );
+    if (this.epoch !== epoch || this.events[this.events.length - 1]?.n !== tail) return undefined;
     this.events = this.events.concat(data.events);
     if (this.board.n - this.events[0].n > KEPT / 2) this.trim();
     return undefined;
@@ -228,7 +298,7 @@ export class Model extends EventTarget {
       applyEvent(this.board, this.events[index]);
       added.push(this.events[index++]);
     }
-    if (added.length) this.tell("events", { events: added });
+    if (added.length) this.tellEvents(added);
     return added.length;
   }
 
@@ -251,7 +321,7 @@ export class Model extends EventTarget {
       const index = this.indexAfter(this.board.n);
       const next = this.events
         .slice(index)
-        .find((event) => event.k === "fire" || event.k === "mark");
+        .find(({ k }) => k === "fire" || k === "mark" || k === "plan");
       if (next) this.forward(next.n);
       else if (this.board.n < this.head.n) await this.show(Math.min(this.head.n, this.board.n + 1));
       this.tell("view");
@@ -330,6 +400,7 @@ export class Model extends EventTarget {
     }
     const shown = this.board.n;
     this.board = this.head;
+    this.showScene();
     if (shown !== this.head.n) this.tell("reset", { another: false });
     this.tell("view");
     this.fetchPast();

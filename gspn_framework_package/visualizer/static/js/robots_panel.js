@@ -80,7 +80,8 @@ export class RobotsPanel {
     this.clock = setInterval(() => {
       if (!this.panel.hidden && model.mode === "LIVE" && model.lostAt === null) this.update();
     }, 1000);
-    orders.addEventListener("given", () => this.later());
+    this.onGiven = () => this.later();
+    orders.addEventListener("given", this.onGiven);
   }
 
   later() {
@@ -198,6 +199,7 @@ export class RobotsPanel {
   }
 
   close() {
+    this.orders.removeEventListener("given", this.onGiven);
     clearInterval(this.clock);
     clearTimeout(this.timer);
   }

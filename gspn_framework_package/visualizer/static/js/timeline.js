@@ -245,7 +245,7 @@ export class TimeLine extends EventTarget {
       if (event.t < begin) break;
       if (event.k !== "fire" || drawn - x(event.t) < 0.5) continue;
       drawn = x(event.t);
-      const transition = model.scene.transitions[event.tr];
+      const transition = model.sceneOf(event).transitions[event.tr];
       const tall = transition.event ? 0.46 : 0.32; // an event stands out
       c.fillStyle = transition.event ? eventful : transition.timed ? timed : immediate;
       c.fillRect(x(event.t) - 0.75, y0 - step * tall, 1.5, step * tall * 2);
@@ -270,7 +270,7 @@ export class TimeLine extends EventTarget {
         c.fillStyle = is.needs_operator ? ink("--bad") : colour;
         c.fillRect(a, y + 2, Math.max(1, b - a - 1), bar);
         c.globalAlpha = 1;
-        const does = is.gone ? is.word : model.scene.places[place]?.name || "";
+        const does = is.gone ? is.word : place;
         if (b - a > 34 && step >= 14) {
           c.fillStyle = is.waits || is.at_rest ? ink("--ink") : "#fff";
           c.textAlign = "left";
