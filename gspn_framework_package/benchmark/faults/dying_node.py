@@ -6,15 +6,20 @@ kills itself with SIGKILL:
 
 - :data:`CUT`: in the next write, of which only a part reaches the file;
 - :data:`UNSENT`: after the next write, before the process sends anything that depends on it.
+
+With the argument :data:`DEATH` and a file name, it also dies as the :class:`Death` in that file
+orders.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import random
 import signal
 import sys
-from typing import Any, BinaryIO, List
+from typing import Any, BinaryIO, List, Optional, Sequence
 
 from gspn_framework_package.execution.event_log import EventLogWriter, Record
 
@@ -22,6 +27,51 @@ CUT, UNSENT = signal.SIGUSR1, signal.SIGUSR2
 
 AT_ONCE = "--cut-the-first-write"
 """An argument of the process: die in its very first write."""
+
+
+DEATH = "--death="
+"""An argument of the process: the file of its :class:`Death`."""
+
+
+class Death:
+    """An order to a process to die when it writes a certain record, kept in a file."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def order(self, kind: str, entry: str, cut: bool) -> None:
+        """Order it to die at the next record of a ``kind`` that has an ``entry`` of this kind.
+
+        :param cut: in the write, of which only a part reaches the file; otherwise right after it.
+        """
+        with open(self._path + ".part", "w", encoding="utf-8") as file:
+            json.dump([kind, entry, cut], file)
+        os.replace(self._path + ".part", self._path)
+
+    def withdraw(self) -> None:
+        """Order nothing any more."""
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self._path)
+
+    def due(self, records: Sequence[Record]) -> Optional[int]:
+        """:data:`CUT` or :data:`UNSENT` if the process has to die at one of these records."""
+        try:
+            with open(self._path, encoding="utf-8") as file:
+                kind, entry, cut = json.load(file)
+        except FileNotFoundError:
+            return None
+        if any(record["kind"] == kind and entry in _entries_of(record) for record in records):
+            self.withdraw()
+            return CUT if cut else UNSENT
+        return None
+
+
+def _entries_of(record: Record) -> List[str]:
+    """The kinds of the entries in a record."""
+    entries = [item[0] for item in record.get("batch", ())] + list(record.get("entries", ()))
+    if "entry" in record:
+        entries.append(record["entry"])
+    return [entry["entry"] for entry in entries]
 
 
 class DyingFile:
@@ -41,15 +91,19 @@ class DyingFile:
         return size  # never reached
 
 
-def die_when_told(*told_already: int) -> None:
+def die_when_told(*told_already: int, death: Optional[Death] = None) -> None:
     """Make this process die at its next log write after one of the signals has arrived.
 
     :param told_already: the signals to treat as received from the start.
+    :param death: also at the records that it orders.
     """
     told: List[int] = list(told_already)
     append = EventLogWriter.append
 
     def append_or_die(self: Any, *records: Record, durable: bool = True) -> None:
+        due = death.due(records) if death is not None else None
+        if due is not None:
+            told.append(due)
         if told:
             self._file = DyingFile(self._file, told[0])
         append(self, *records, durable=durable)
@@ -64,7 +118,8 @@ def main() -> None:
     from gspn_framework_package.ros import node_main
     from gspn_framework_package.ros.transport import node_process
 
-    die_when_told(*([CUT] if AT_ONCE in sys.argv else []))
+    deaths = [Death(word[len(DEATH) :]) for word in sys.argv if word.startswith(DEATH)]
+    die_when_told(*([CUT] if AT_ONCE in sys.argv else []), death=deaths[0] if deaths else None)
     node_process.exit_with(node_main.run_execution_node())
 
 

@@ -3,8 +3,9 @@ checker. Needs ROS.
 
 ``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` runs :mod:`.each_in_turn` on a
 team of each size in each mode, ``--operators ROUNDS`` runs :mod:`.operators`, ``--hostile`` runs
-:mod:`.hostile`; ``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is
-over. The command starts its own ROS master. Each team is finally paused, at rest, and verified.
+:mod:`.hostile`, ``--deploying`` runs :mod:`.deploying`; ``--minutes 30`` runs rounds of
+:mod:`.soak` with fresh teams until the time is over. The command starts its own ROS master. Each
+team is finally paused, at rest, and verified.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import time
 from collections import Counter
 from typing import Any, Callable, Dict, List, Optional, Sequence, Union
 
+from gspn_framework_package.benchmark.faults.deploying import Deploying
 from gspn_framework_package.benchmark.faults.each_in_turn import EachInTurn
 from gspn_framework_package.benchmark.faults.hostile import Hostile
 from gspn_framework_package.benchmark.faults.operators import Operators
@@ -57,6 +59,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     scenario.add_argument(
         "--hostile", action="store_true", help="malformed, forged, replayed and flooding messages"
+    )
+    scenario.add_argument(
+        "--deploying",
+        action="store_true",
+        help="another plan for the running team, while each robot is killed at each step of it",
     )
     scenario.add_argument(
         "--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)"
@@ -103,6 +110,7 @@ def _report(args: argparse.Namespace) -> int:
         "each in turn": args.each_in_turn,
         "operators": args.operators,
         "hostile": args.hostile,
+        "deploying": args.deploying,
     }
     name = next((scenario for scenario, asked in chosen.items() if asked), "soak")
     interrupted = False
@@ -174,11 +182,13 @@ def _scenario(
     def tell(step: str) -> None:
         _tell("%d robots, %s: %s" % (robots, mode.value, step))
 
-    scenario: Union[EachInTurn, Operators, Hostile]
+    scenario: Union[EachInTurn, Operators, Hostile, Deploying]
     if args.operators:
         scenario = Operators(robots, mode, args.operators, tell)
     elif args.hostile:
         scenario = Hostile(robots, mode, tell)
+    elif args.deploying:
+        scenario = Deploying(robots, mode, tell)
     else:
         scenario = EachInTurn(master, robots, mode, source, tell)
     row = _run(scenario, scenario.run, args.keep)

@@ -85,6 +85,7 @@ class LaunchedTeam:
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
     :param plan: the other plan, with its own actions.
 
+    :ivar plan: the plan that the team begins with.
     :ivar gone: robots that have left, and must not be restarted.
     """
 
@@ -109,6 +110,7 @@ class LaunchedTeam:
             synchronisation=mode,
             timing=Timing(evict_after=evict_after),
         )
+        self.plan = plan
         with open(os.path.join(self.folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(plan), file)
         self.first = [robot.name for robot in plan.robots]
@@ -132,6 +134,7 @@ class LaunchedTeam:
             "_log_dir:=" + self.folder,
         ]
         words += ["__ns:=/" + name, "__name:=executor", "_place:=" + place, *arguments]
+        words.append(dying_node.DEATH + self.death_file(name))
         with open(os.path.join(self.folder, name + ".txt"), "ab") as output:
             self._processes[name] = subprocess.Popen(
                 [sys.executable, "-m", dying_node.__name__, *words],
@@ -188,6 +191,10 @@ class LaunchedTeam:
         except subprocess.TimeoutExpired:
             raise ExecutionError("waited %g s for the end of %s" % (seconds, name)) from None
 
+    def death_file(self, name: str) -> str:
+        """The file of a robot's :class:`~.dying_node.Death`."""
+        return os.path.join(self.folder, name + ".death")
+
     def log_file(self, name: str) -> str:
         """The path of a robot's log."""
         return os.path.join(self.folder, RUN, name + ".jsonl")
@@ -224,7 +231,7 @@ class LaunchedTeam:
 
     # -- questions and orders ----------------------------------------------------------------------
 
-    def order(self, command: str, robot: str, at: str = "") -> bool:
+    def order(self, command: str, robot: str, at: str = "", argument: str = "") -> bool:
         """Give the team an order; returns whether it was carried out.
 
         :param at: the robot whose node receives it; "" for any.
@@ -236,7 +243,7 @@ class LaunchedTeam:
                 client.nodes = [
                     node for node in client.nodes if at in ("", node.namespace.strip("/"))
                 ]
-                return client.order(command, robot, "", RUN)[0]
+                return client.order(command, robot, argument, RUN)[0]
         except ExecutionError:
             return False
 
