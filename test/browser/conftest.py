@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from page_reading import resize
+from story_film import NoFilm, StoryFilm
 
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.project import Project
@@ -45,6 +46,17 @@ AXE = """async (rules) => {
   const where = (nodes) => nodes.slice(0, 3).map((n) => `${n.failureSummary} ${n.html.slice(0, 160)}`);
   return violations.map((v) => ({ rule: v.id, help: v.help, where: where(v.nodes) }));
 }"""
+
+
+def pytest_addoption(parser):
+    parser.addoption("--film", metavar="FILE.webp", help="film the test of the editor's story")
+
+
+@pytest.fixture(name="film")
+def _film(request):
+    """Films the page of a test if the option ``--film`` says where to."""
+    path = request.config.getoption("--film")
+    return NoFilm() if path is None else StoryFilm(path)
 
 
 @pytest.fixture(scope="session", name="browser")
