@@ -109,9 +109,23 @@ def test_a_net_is_drawn_by_pointer(edit, picture):
     page.dblclick("#ed-net", position={"x": 60, "y": 60})
     assert len(names(page, "places")) == 3
     key(page, "Control+z")
-    # a dragged node snaps to the line of another
+    # a dragged node snaps to the line of another; its arcs go with it, and look as before
     x, y, k = where(page, "P1")
-    drag(page, (x, y), (x - 118 * k, y))
+    looks = """() => [...document.querySelectorAll("#ed-net .lines")].map((line) =>
+        getComputedStyle(line).stroke)"""
+    before = page.evaluate(looks)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 118 * k, y)
+    assert page.evaluate(
+        """() => { const { canvas } = window.gspn.edit, node = canvas.byKey.get("place:P1");
+        return canvas.lifted.has(node) && [...node.arcs].every(({ element }) =>
+          element.parentNode === canvas.layer.liftedArcs); }"""
+    )
+    assert page.evaluate(looks) == before and "none" not in before
+    page.mouse.up()
+    page.wait_for_function("() => !window.gspn.edit.canvas.lifted.size")
+    assert page.evaluate("() => window.gspn.edit.canvas.layer.liftedNodes.childElementCount") == 0
     assert next(p for p in net(page)["places"] if p["name"] == "P1")["position"] == [0, 150]
     # renamed where it is drawn; a name that is taken is refused
     page.dblclick("#ed-net", position=_inside(page, "P1"))
@@ -314,10 +328,17 @@ def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
     page.wait_for_function("() => window.drawn > 0 && !window.gspn.edit.canvas.frame")
     assert page.evaluate("() => window.drawn") < 30
     page.evaluate(
+        """() => { window.row = document.querySelector("#ed-list li[data-key='place:r0_p1']");
+        window.gspn.edit.actions.count(1); }"""
+    )
+    page.wait_for_selector("#ed-list li[data-key='place:r0_p0'] .tokens:text-is('3')")
+    assert page.evaluate("() => window.row.isConnected")
+    page.evaluate("() => window.gspn.edit.undo()")
+    page.evaluate(
         "() => { for (let i = 0; i < 999; i++) window.gspn.edit.actions.add(i % 2 ? 'place' : 'timed', 50 * i, -500); }"
     )
     assert page.evaluate("() => window.gspn.edit.document.done.length") == 1000
-    drawn = "() => window.gspn.edit.canvas.layer.nodes.childElementCount"
+    drawn = "() => document.querySelectorAll('#ed-net :is(.place, .transition)').length"
     assert page.evaluate(drawn) == len(before["places"] + before["transitions"]) + 999
     page.evaluate("() => { while (window.gspn.edit.document.undo()); }")
     assert net(page) == before

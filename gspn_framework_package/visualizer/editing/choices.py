@@ -103,7 +103,8 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
     if found is not None and not found.choices:
         return "row %d of the policy applies: robots wait here" % (found.row + 1)
     if found is not None:
-        return "row %d of the policy applies%s" % (found.row + 1, _others(plan, full, found.row))
+        others = _others(plan, full, place, leaving, found.row)
+        return "row %d of the policy applies%s" % (found.row + 1, others)
     if table.matches(full, place):
         return "rows of the policy match, but none speaks of this place: robots wait here"
     if plan.strict:
@@ -119,15 +120,17 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
     return "%s: the weights decide among the enabled transitions" % rows
 
 
-def _others(plan: Plan, full: Marking, row: int) -> str:
-    """Say which other rows match too, and that this one goes first."""
+def _others(plan: Plan, full: Marking, place: int, leaving: Sequence[int], row: int) -> str:
+    """Say which other rows match too and apply to the place, and that this one goes first."""
     columns = [plan.net.place_number(p) for p in plan.policy.places]
-    also: List[int] = [
-        number + 1
-        for number, other in enumerate(plan.policy.rows)
-        if number != row
-        and all(c is None or full[column] == c for column, c in zip(columns, other.counts))
-    ]
+    chosen = {plan.net.transitions[t].name for t in leaving}
+    also: List[int] = []
+    for number in plan.policy.bind(plan.net).rows_of(place):
+        counts, choice, *_ = plan.policy.rows[number]
+        matches = all(c is None or full[column] == c for column, c in zip(columns, counts))
+        speaks = not choice or any(name in chosen and share > 0 for name, share in choice)
+        if number != row and matches and speaks:
+            also.append(number + 1)
     if not also:
         return ""
     listed = ", ".join(map(str, also[:8])) + (", ..." if len(also) > 8 else "")

@@ -311,6 +311,43 @@ def test_choices_without_a_policy_are_those_of_the_weights() -> None:
         at_marking(document, {"A": -1})
 
 
+def fork(places: str, rows: List[Dict[str, Any]]) -> Dict[str, Any]:
+    """A plan: from each place an immediate transition with its name in small letters, back to it."""
+    arcs = [{"from": p, "to": p.lower()} for p in places]
+    arcs += [{"from": p.lower(), "to": p} for p in places]
+    net = {
+        "places": [{"name": p, "tokens": 1} for p in places],
+        "transitions": [{"name": p.lower()} for p in places],
+        "arcs": arcs,
+    }
+    policy = {"places": list(places), "rows": rows}
+    return {"plan": places, "net": net, "actions": dict.fromkeys(places), "policy": policy}
+
+
+def test_only_rows_that_apply_to_a_place_are_said_to_match_too(tmp_path: Path) -> None:
+    inside = fork("XY", [{"marking": [1, 0], "choose": {"x": 1}}])
+    (tmp_path / "inside.json").write_text(json.dumps(inside))
+    rows = [
+        {"marking": [1, 1], "choose": {"a": 1}},
+        {"marking": [1, "-"], "choose": {"b": 1}},
+        {"marking": ["-", "-"], "choose": {}},
+    ]
+    outside = fork("ABC", rows)
+    outside["actions"]["C"] = {"plan": "inside.json", "entry": "X", "exit": "Y"}
+    outside["policy"]["places"] = ["A", "B"]
+    outside["net"]["transitions"][2].update(timed=True, rate=1)
+    (tmp_path / "plan.json").write_text(json.dumps(outside))
+    document = document_of(str(tmp_path / "plan.json"))
+    marking = {"A": 1, "B": 1, "C": 1}
+    found = choices(document, str(tmp_path / "plan.json"), str(tmp_path), marking)
+    why = {place["place"]: place["why"] for place in found["places"]}
+    assert why == {
+        "A": "row 1 of the policy applies; it goes before row 3, which also matches",
+        "B": "row 2 of the policy applies; it goes before row 3, which also matches",
+        "C.X": "row 4 of the policy applies",
+    }
+
+
 # -- the palette -----------------------------------------------------------------------------------
 
 

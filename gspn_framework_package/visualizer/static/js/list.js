@@ -1,16 +1,17 @@
 // The list on the left: places and transitions, enabled ones first, searchable. Only the visible part is drawn.
 
-import { h, $, natural, isPressed, LIST_STEPS } from "./dom.js";
+import { h, $, natural, LIST_STEPS } from "./dom.js";
+import { RestingList } from "./resting_list.js";
 
 const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
+const PAUSE = 250; // ms between two drawings
 
 /** Fires "choose" (detail {kind, index}) and "fire" (detail index, Shift+Enter). */
-export class NodeList extends EventTarget {
+export class NodeList extends RestingList {
   constructor(model) {
-    super();
+    super($("list"), PAUSE);
     this.model = model;
-    this.list = $("list");
     this.search = $("list-search");
     this.search.value = "";
     this.chosen = null;
@@ -70,14 +71,7 @@ export class NodeList extends EventTarget {
     this.update();
   }
 
-  update() {
-    clearTimeout(this.timer);
-    this.timer = 0;
-    if (isPressed(this.list)) {
-      this.later();
-      return;
-    }
-    const begun = performance.now();
+  draw() {
     const { board } = this.model;
     if (!board) return;
     const wanted = this.search.value.trim().toLowerCase();
@@ -118,7 +112,6 @@ export class NodeList extends EventTarget {
       );
     this.list.replaceChildren(...rows);
     this.mark();
-    this.cost = performance.now() - begun;
   }
 
   row(item, enabled) {
@@ -149,17 +142,6 @@ export class NodeList extends EventTarget {
           unseen(tokens === 1 ? " token" : " tokens"),
         ),
     );
-  }
-
-  /** The board changed: redraw at most a few times a second, using only a small share of the time. */
-  later() {
-    if (!this.timer)
-      this.timer = setTimeout(() => this.update(), Math.max(250, 25 * (this.cost || 0)));
-  }
-
-  close() {
-    clearTimeout(this.timer);
-    this.timer = -1; // nothing is drawn any more
   }
 
   move(steps, fly) {

@@ -1,18 +1,19 @@
 // The firing log: latest first, filtered by transition, robot or place. The arrow keys move through its lines,
 // Enter shows the net as it was after the selected one.
 
-import { h, $, seconds, isPressed, LIST_STEPS } from "./dom.js";
+import { h, $, seconds, LIST_STEPS } from "./dom.js";
 import { courseOf } from "./course.js";
 import { firingExtras } from "./reacting.js";
+import { RestingList } from "./resting_list.js";
 
 const ROWS = 120;
+const PAUSE = 150; // ms between two drawings
 
 /** Fires "visit" (detail n) when a line is chosen. */
-export class FiringLog extends EventTarget {
+export class FiringLog extends RestingList {
   constructor(model) {
-    super();
+    super($("log"), PAUSE);
     this.model = model;
-    this.list = $("log");
     this.filter = $("log-filter");
     this.filter.value = "";
     this.filter.oninput = () => this.update();
@@ -62,16 +63,6 @@ export class FiringLog extends EventTarget {
     return row;
   }
 
-  later() {
-    if (!this.timer)
-      this.timer = setTimeout(() => this.update(), Math.max(150, 25 * (this.cost || 0)));
-  }
-
-  close() {
-    clearTimeout(this.timer);
-    this.timer = -1; // nothing is drawn any more
-  }
-
   say(event) {
     const scene = this.model.sceneOf(event);
     if (event.k === "plan") return `— the team goes on under the plan “${event.name}” —`;
@@ -97,16 +88,9 @@ export class FiringLog extends EventTarget {
     return null;
   }
 
-  update() {
-    clearTimeout(this.timer);
-    this.timer = 0;
-    if (isPressed(this.list)) {
-      this.later();
-      return;
-    }
+  draw() {
     const { model } = this;
     if (!model.board) return;
-    const begun = performance.now();
     const wanted = this.filter.value.trim().toLowerCase();
     const course = courseOf(model, true);
     const rows = [];
@@ -147,6 +131,5 @@ export class FiringLog extends EventTarget {
       );
     this.list.replaceChildren(...rows);
     this.mark();
-    this.cost = performance.now() - begun;
   }
 }

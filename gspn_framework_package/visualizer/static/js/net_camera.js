@@ -113,7 +113,10 @@ export class Camera {
     this.small = k < SMALL;
     this.view.arcs.zoomed(k);
     this.view.container.classList.toggle("far", k < FAR);
-    this.view.container.style.setProperty("--bold", Math.max(1, THIN / k).toFixed(1));
+    // every element below inherits it: in steps, so that not each step of a zoom has all of them restyled
+    const bold = 2 ** (Math.round(4 * Math.log2(Math.max(1, THIN / k))) / 4);
+    if (bold !== this.bold) this.view.container.style.setProperty("--bold", bold.toFixed(2));
+    this.bold = bold;
     this.cull();
   }
 

@@ -12,6 +12,9 @@ import { arcKey, nodeKey } from "./net_edits.js";
 const NEAREST = 44; // px between two nodes below which the positions of a file are spread
 const SPREAD = 68; // px to which they are spread
 const GAP = 96; // px between the nodes of a net without positions
+const FEW = 60; // nodes that an edit may change and that are then drawn in the upper sheet
+const MOST_LIFTED = 300; // nodes that are in the upper sheet before all go back
+const QUIET = 600; // ms without a change after which they go back
 const LEVELS = ["error", "warning", "note"]; // of marks
 
 /** How far the positions of a file are spread, so that no symbols lie over each other. */
@@ -47,11 +50,19 @@ export class Canvas extends EventTarget {
     this.counts = null; // tokens that are shown instead of those of the document
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
-    this.layer = { arcs: s("g"), nodes: s("g"), lifted: s("g"), over: s("g") };
+    this.layer = {
+      arcs: s("g"),
+      nodes: s("g"),
+      liftedArcs: s("g", { class: "arcs" }),
+      liftedNodes: s("g"),
+      over: s("g"),
+    };
+    this.lifted = new Set(); // nodes in the upper sheet
+    this.quiet = 0; // timer until they go back
     container.replaceChildren(
       sheet("arcs", this.layer.arcs),
       sheet("nodes", this.layer.nodes),
-      sheet("lifted", this.layer.lifted),
+      sheet("nodes", this.layer.liftedArcs, this.layer.liftedNodes),
       sheet("over", this.layer.over),
     );
     this.moving = Object.values(this.layer);
@@ -187,6 +198,7 @@ export class Canvas extends EventTarget {
   /** Returns whether nodes came or went. */
   showNodes(kind, list) {
     const seen = new Set();
+    const touched = [];
     let other = false;
     for (const data of list) {
       const key = nodeKey(kind, data.name);
@@ -194,7 +206,7 @@ export class Canvas extends EventTarget {
       const node = this.byKey.get(key);
       const look = this.classOf(kind, data);
       if (!node) {
-        this.add(kind, key, data, look);
+        touched.push(this.add(kind, key, data, look));
         other = true;
       } else if (node.data !== data || node.look !== look) {
         const moved = node.data.position !== data.position;
@@ -202,12 +214,15 @@ export class Canvas extends EventTarget {
         if (node.look !== look) this.rebuild(node, look);
         if (moved) this.place(node);
         this.drawTokens(node);
+        touched.push(node);
       }
     }
+    if (touched.length <= FEW) this.lift(touched);
     for (const [key, node] of this.byKey) {
       if (node.type !== kind || seen.has(key)) continue;
       node.element.remove();
       this.byKey.delete(key);
+      this.lifted.delete(node);
       this.loose = this.loose || node.arcs.size > 0;
       other = true;
     }
@@ -267,18 +282,36 @@ export class Canvas extends EventTarget {
     this.request();
   }
 
-  /** Draw some nodes and their arcs in a layer of their own while they move: the others are not drawn again. */
+  /** Draw some nodes and their arcs in a sheet of their own until nothing has changed for a while: a change of them
+   * does not have all others drawn again. */
   lift(nodes) {
+    if (this.lifted.size > MOST_LIFTED) this.settle();
     for (const node of nodes) {
-      for (const { element } of node.arcs) this.layer.lifted.prepend(element);
-      this.layer.lifted.append(node.element);
+      if (this.lifted.has(node)) continue;
+      this.lifted.add(node);
+      for (const { element } of node.arcs) this.layer.liftedArcs.append(element);
+      this.layer.liftedNodes.append(node.element);
     }
+    this.changedAt = performance.now();
+    if (this.lifted.size && !this.quiet) this.settleAfter(QUIET);
+  }
+
+  settleAfter(time) {
+    this.quiet = setTimeout(() => {
+      const left = this.changedAt + QUIET - performance.now();
+      if (left > 0) this.settleAfter(left);
+      else this.settle();
+    }, time);
   }
 
   /** Put what was lifted back. */
   settle() {
-    for (const element of [...this.layer.lifted.children])
-      this.layer[element.dataset.arc === undefined ? "nodes" : "arcs"].append(element);
+    clearTimeout(this.quiet);
+    this.quiet = 0;
+    this.lifted.clear();
+    const { arcs, nodes, liftedArcs, liftedNodes } = this.layer;
+    arcs.append(...liftedArcs.children);
+    nodes.append(...liftedNodes.children);
   }
 
   showArcs(list) {
@@ -330,7 +363,8 @@ export class Canvas extends EventTarget {
     element.classList.toggle("selected", this.chosen.has(key));
     from.arcs.add(arc);
     to.arcs.add(arc);
-    this.layer.arcs.append(element);
+    const lifted = this.lifted.has(from) || this.lifted.has(to);
+    this.layer[lifted ? "liftedArcs" : "arcs"].append(element);
     this.stale.add(arc);
     return arc;
   }
@@ -440,6 +474,7 @@ export class Canvas extends EventTarget {
 
   close() {
     this.document.removeEventListener("change", this.changed);
+    clearTimeout(this.quiet);
     this.camera.close();
     this.labels.close();
     cancelAnimationFrame(this.frame);

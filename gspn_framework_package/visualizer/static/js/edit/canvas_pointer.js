@@ -175,7 +175,6 @@ export class CanvasPointer extends Pointer {
     if (!mode.selection.has(gesture.node.key))
       mode.choose(event.shiftKey ? [...mode.selection, gesture.node.key] : [gesture.node.key]);
     gesture.nodes = mode.actions.chosenNodes();
-    this.view.lift(gesture.nodes);
     gesture.starts = gesture.nodes.map(({ x, y }) => [x, y]);
     const moving = new Set(gesture.nodes);
     gesture.others = this.view.nodes.filter((node) => !moving.has(node));
@@ -192,6 +191,7 @@ export class CanvasPointer extends Pointer {
       gesture.others,
       k,
     );
+    view.lift(gesture.nodes);
     gesture.nodes.forEach((node, i) => {
       const [sx, sy] = gesture.starts[i];
       view.moveTo(node, sx + x - x0, sy + y - y0);
@@ -266,7 +266,6 @@ export class CanvasPointer extends Pointer {
   }
 
   clear() {
-    if (this.gesture?.nodes) this.view.settle();
     this.gesture = null;
     this.view.container.classList.remove("dragging");
     this.band.setAttribute("visibility", "hidden");

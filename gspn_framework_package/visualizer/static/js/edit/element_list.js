@@ -1,16 +1,28 @@
 // The list beside the drawing: the places, transitions and arcs of the document, searchable. It shows what is chosen
 // and chooses; everything that can be done to the drawing can be done from here with keys.
 
-import { h, $, isPressed, natural, LIST_STEPS } from "../dom.js";
+import { h, $, natural, LIST_STEPS } from "../dom.js";
+import { RestingList } from "../resting_list.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 
 const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
-const PAUSE = 120; // ms after an edit before the list is drawn again; longer if that takes long
+const PAUSE = 120; // ms between two drawings
 
-export class ElementList {
+export class ElementList extends RestingList {
   constructor(mode) {
+    const list = h("ul", {
+      id: "ed-list",
+      class: "node-list",
+      role: "listbox",
+      tabindex: "0",
+      "aria-multiselectable": "true",
+      "aria-label": "Places, transitions and arcs",
+    });
+    super(list, PAUSE);
     this.mode = mode;
+    this.rows = new Map(); // key -> the row that is drawn
+    this.made = 0; // rows so far: each has an id of its own
     this.items = [];
     this.search = h("input", {
       id: "ed-search",
@@ -32,20 +44,12 @@ export class ElementList {
         }
       },
     });
-    this.list = h("ul", {
-      id: "ed-list",
-      class: "node-list",
-      role: "listbox",
-      tabindex: "0",
-      "aria-multiselectable": "true",
-      "aria-label": "Places, transitions and arcs",
-      onkeydown: (event) => this.key(event),
-      onclick: (event) => {
-        const row = event.target.closest("li[data-key]");
-        if (row) this.choose(row.dataset.key, event.shiftKey || event.ctrlKey || event.metaKey);
-      },
-    });
-    $("ed-list-box").append(h("div", { class: "find" }, this.search), this.list);
+    list.onkeydown = (event) => this.key(event);
+    list.onclick = (event) => {
+      const row = event.target.closest("li[data-key]");
+      if (row) this.choose(row.dataset.key, event.shiftKey || event.ctrlKey || event.metaKey);
+    };
+    $("ed-list-box").append(h("div", { class: "find" }, this.search), list);
     this.changed = ({ detail }) => {
       if (detail.before.net !== mode.document.net || detail.before.plan !== mode.document.plan)
         this.later();
@@ -55,19 +59,7 @@ export class ElementList {
     this.update();
   }
 
-  later() {
-    if (!this.timer)
-      this.timer = setTimeout(() => this.update(), Math.max(PAUSE, 25 * (this.cost || 0)));
-  }
-
-  update() {
-    clearTimeout(this.timer);
-    this.timer = 0;
-    if (isPressed(this.list)) {
-      this.later();
-      return;
-    }
-    const begun = performance.now();
+  draw() {
     const { net } = this.mode.document;
     const wanted = this.search.value.trim().toLowerCase();
     const found = (items) =>
@@ -107,35 +99,57 @@ export class ElementList {
     ];
     this.items = groups.flatMap(([, items]) => items);
     let left = ROWS_DRAWN;
-    const rows = [];
-    const heading = (text) => rows.push(h("li", { class: "heading", role: "presentation", text }));
+    const before = this.rows;
+    const wantedRows = [];
+    this.rows = new Map();
+    const heading = (text) =>
+      wantedRows.push(h("li", { class: "heading", role: "presentation", text }));
     for (const [title, items] of groups) {
       if (!items.length) continue;
       heading(`${title} (${items.length})`);
-      for (const item of items.slice(0, Math.max(0, left))) rows.push(this.row(item));
+      for (const item of items.slice(0, Math.max(0, left))) {
+        const row = this.rows.has(item.key) ? this.row(item) : this.row(item, before.get(item.key));
+        this.rows.set(item.key, row);
+        wantedRows.push(row);
+      }
       if (items.length > left) heading(`${items.length - Math.max(0, left)} more: search`);
       left -= items.length;
     }
     if (!this.items.length) heading(wanted ? "No match" : "The net is empty");
-    this.list.replaceChildren(...rows);
-    this.rows = new Map();
-    for (const row of this.list.querySelectorAll("li[data-key]")) {
-      row.id = `ed-row-${this.rows.size}`;
-      this.rows.set(row.dataset.key, row);
-    }
+    this.put(wantedRows);
     this.mark();
-    this.cost = performance.now() - begun;
   }
 
-  row(item) {
-    return h(
+  /** Let the list have these rows; those that are there already stay where they are. */
+  put(rows) {
+    const stays = new Set(rows);
+    for (const row of [...this.list.children]) if (!stays.has(row)) row.remove();
+    let at = this.list.firstChild;
+    for (const row of rows)
+      if (row === at) at = at.nextSibling;
+      else this.list.insertBefore(row, at);
+  }
+
+  /** The row of an element: the one that shows it already, if that is as it would be now. */
+  row(item, before = null) {
+    const shows = JSON.stringify(item);
+    if (before?.shows === shows) return before;
+    const row = h(
       "li",
-      { role: "option", "data-key": item.key, title: item.name, "aria-selected": "false" },
+      {
+        role: "option",
+        id: `ed-row-${++this.made}`,
+        "data-key": item.key,
+        title: item.name,
+        "aria-selected": "false",
+      },
       h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }),
       h("span", { class: "name", text: item.name }),
       h("span", { class: "unseen", text: item.says }),
       item.count > 0 && h("span", { class: "tokens", "aria-hidden": "true", text: item.count }),
     );
+    row.shows = shows;
+    return row;
   }
 
   key(event) {
@@ -179,7 +193,7 @@ export class ElementList {
   }
 
   close() {
-    clearTimeout(this.timer);
+    super.close();
     this.mode.document.removeEventListener("change", this.changed);
   }
 }

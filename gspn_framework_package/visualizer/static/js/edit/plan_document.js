@@ -11,25 +11,30 @@ export function changed(object, values) {
   return result;
 }
 
+const withoutPosition = (node) => Object.keys(node).filter((key) => key !== "position");
+
+const sameButMoved = (one, other) =>
+  one === other ||
+  (withoutPosition(one).join() === withoutPosition(other).join() &&
+    withoutPosition(one).every((key) => one[key] === other[key]));
+
+const moved = { before: null, after: null, only: false }; // what was asked last: several parts ask the same
+
 /** Whether two states differ in nothing but the positions of nodes. */
 export function onlyMoved(before, after) {
-  if (before.plan !== after.plan || before.policy !== after.policy) return false;
+  if (moved.before === before && moved.after === after) return moved.only;
   const [a, b] = [before.net, after.net];
-  const alike = (one, other) => {
-    if (one === other) return true;
-    const keys = (node) => Object.keys(node).filter((key) => key !== "position");
-    return (
-      keys(one).join() === keys(other).join() && keys(one).every((key) => one[key] === other[key])
-    );
-  };
-  return (
+  const only =
+    before.plan === after.plan &&
+    before.policy === after.policy &&
     a.arcs === b.arcs &&
     a.name === b.name &&
     ["places", "transitions"].every(
       (list) =>
-        a[list].length === b[list].length && a[list].every((it, i) => alike(it, b[list][i])),
-    )
-  );
+        a[list].length === b[list].length && a[list].every((it, i) => sameButMoved(it, b[list][i])),
+    );
+  Object.assign(moved, { before, after, only });
+  return only;
 }
 
 /** Fires "change" (detail {before, edit}) after each edit, undo and redo; "saved" when the state on the disk is
