@@ -21,9 +21,9 @@ from gspn_framework_package.ros.direct_connection import DirectConnection
 from gspn_framework_package.ros.goal_data import goal_text
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
 from gspn_framework_package.ros.goal_state import GoalNews, GoalState
-from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.transport.registration import registered_together
+from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.team.sides import LOOK_AGAIN
 
 Connection = Union[ActionConnection, DirectConnection]

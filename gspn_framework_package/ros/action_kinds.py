@@ -15,25 +15,15 @@ import genpy
 import rosgraph.names
 import rospy
 
-from gspn_framework_package.execution.actions import (
-    ActionContext,
-    ActionFailed,
-    Cancellation,
-    error_text,
-    no_feedback,
-)
-from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.local_kinds import LOCAL_KINDS
-from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.action import (
     Action,
     PublishAction,
     ServerAction,
     ServiceAction,
     WaitAction,
-    outcomes_of,
 )
-from gspn_framework_package.model.errors import DataError, ExpressionError, PlanError
+from gspn_framework_package.model.errors import ExpressionError, PlanError
 from gspn_framework_package.model.message_condition import MessageCondition
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_targets import check_kept, filled, kept, target
@@ -45,7 +35,6 @@ from gspn_framework_package.ros.message_fields import (
     message_class,
     service_class,
 )
-from gspn_framework_package.ros.patience import Patience
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     subscribers,
@@ -57,111 +46,17 @@ from gspn_framework_package.ros.transport.service_call import (
     service_type,
     service_uri,
 )
+from gspn_framework_package.team.jobs import CANCELLED, Job, JobAttempt, JobEnd, LocalJob
 
 LOOK_EVERY = 0.1
 """Seconds between two looks whether a service or subscriber is there."""
-
-
-class JobEnd(NamedTuple):
-    """How an attempt ended: ``outcome`` is "succeeded" or one of ``log_entries.FAILURES``. An
-    ``outcome`` that the plan maps to a transition is no failure."""
-
-    outcome: str
-    text: str = ""
-    transition: str = ""
-    """The transition that the action named itself."""
-    data: Mapping[str, Any] = NOTHING
-
-
-CANCELLED = JobEnd("preempted", "cancelled")
-
-
-class JobAttempt:
-    """An attempt at a job, for the thread that makes it.
-
-    :param command: what to do.
-    :param patience: how long its steps may take.
-    :param changed: called when it says something new.
-    """
-
-    def __init__(
-        self, command: StartAction, patience: Patience, changed: Callable[[], None]
-    ) -> None:
-        self.command, self.patience = command, patience
-        self.is_cancelled = Cancellation()
-        self.waits_for = ""
-        self.begun_at: Optional[float] = None
-        """When the action itself began (monotonic seconds), from which its time is measured."""
-        self._changed = changed
-
-    def wait_for(self, what: str) -> None:
-        """Say what the attempt waits for; "": for nothing but its own end."""
-        self.waits_for = what
-        self._changed()
-
-    def begin(self) -> None:
-        """The action itself begins."""
-        self.begun_at = time.monotonic()
-        self._changed()
-
-
-class Job:
-    """An action of one robot in one place, of a kind that is no action server.
-
-    :param plan: the plan.
-    :param place: the place.
-    :param action: the action, of the kind that this class is for.
-    :param namespace: absolute namespace of the robot, to which names in the plan are relative.
-    :raises PlanError: a type does not exist, fields do not fit it, or a name is not legal in ROS.
-    """
-
-    def __init__(self, plan: Plan, place: str, action: Any, namespace: str) -> None:
-        self.place, self.action = place, action
-        self.outcomes: Mapping[str, str] = outcomes_of(action)
-
-    def open(self) -> None:
-        """Register with the master what should be there before the action begins."""
-
-    def clash(self, types: Mapping[str, str]) -> Optional[str]:
-        """What contradicts the plan in the ROS graph; None if nothing does. Asked before
-        :meth:`open`.
-
-        :param types: topic -> type of its messages, as the master knows it.
-        """
-        return None
-
-    def missing(self) -> Optional[str]:
-        """What the ROS graph lacks for this action; None if nothing."""
-        return None
-
-    def prepare(self, data: Mapping[str, Any]) -> Any:
-        """What is sent, with data filled in.
-
-        :raises DataError: data is missing.
-        :raises PlanError: data does not fit.
-        """
-
-    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
-        """Carry the action out, on a thread of its own; it ends soon after it is cancelled.
-
-        :raises ActionFailed: it did not succeed.
-        :raises DataError: what it wrote cannot be kept.
-        """
-        raise NotImplementedError
-
-    def transition_of(self, end: JobEnd) -> Optional[str]:
-        """The transition that an end stands for, "" to let the policy decide; None for a
-        failure."""
-        if end.outcome == "succeeded" and end.transition:
-            return end.transition
-        return self.outcomes.get(end.outcome, "" if end.outcome == "succeeded" else None)
 
 
 class ServiceJob(Job):
     """Calls a service. A call that is cancelled is broken off; the service is not told."""
 
     def __init__(self, plan: Plan, place: str, action: ServiceAction, namespace: str) -> None:
-        super().__init__(plan, place, action, namespace)
+        super().__init__(place, action)
         self._name = absolute(action.service, namespace)
         self._class = service_class(action.type)
         check_fields(self._class._request_class(), action.request, "request")
@@ -228,7 +123,7 @@ class PublishJob(Job):
     knows are connected, since the message would be lost to them."""
 
     def __init__(self, plan: Plan, place: str, action: PublishAction, namespace: str) -> None:
-        super().__init__(plan, place, action, namespace)
+        super().__init__(place, action)
         self._topic = absolute(action.topic, namespace)
         self._class = message_class(action.type)
         check_fields(self._class(), action.message, "message")
@@ -278,7 +173,7 @@ class WaitJob(Job):
     begins at once; what arrives at other times is only read if it is latched."""
 
     def __init__(self, plan: Plan, place: str, action: WaitAction, namespace: str) -> None:
-        super().__init__(plan, place, action, namespace)
+        super().__init__(place, action)
         self._topic = absolute(action.topic, namespace)
         self._class = message_class(action.type)
         self._condition = MessageCondition(action.when) if action.when else None
@@ -353,20 +248,6 @@ class WaitJob(Job):
         return any(c.callerid_pub == caller for c in self._subscriber.impl.connections)
 
 
-class LocalJob(Job):
-    """An action of a kind that needs no ROS."""
-
-    def __init__(self, plan: Plan, place: str, action: Any, namespace: str) -> None:
-        super().__init__(plan, place, action, namespace)
-        self._do = LOCAL_KINDS[type(action)](plan, action)
-
-    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
-        """See :meth:`Job.run`."""
-        attempt.begin()
-        result = self._do(ActionContext.of(attempt.command, no_feedback, attempt.is_cancelled))
-        return JobEnd("succeeded", "", *result)
-
-
 JOBS: Dict[type, Callable[[Plan, str, Any, str], Job]] = {
     ServiceAction: ServiceJob,
     PublishAction: PublishJob,
@@ -380,8 +261,10 @@ def job(plan: Plan, place: str, action: Action, namespace: str) -> Optional[Job]
 
     :raises PlanError: see :class:`Job`.
     """
-    kind = LocalJob if type(action) in LOCAL_KINDS else JOBS.get(type(action))
+    kind = JOBS.get(type(action))
     try:
+        if type(action) in LOCAL_KINDS:
+            return LocalJob(plan, place, action, LOCAL_KINDS[type(action)](plan, action))
         return None if kind is None else kind(plan, place, action, namespace)
     except PlanError as error:
         raise error.located(element="action of '%s'" % place) from None
@@ -398,18 +281,6 @@ def jobs(plan: Plan, robot: str, namespace: str) -> Dict[str, Job]:
         if made is not None:
             found[place] = made
     return found
-
-
-def attempt_job(work: Job, prepared: Any, attempt: JobAttempt) -> JobEnd:
-    """Carry a job out; every exception becomes a failure."""
-    try:
-        return work.run(prepared, attempt)
-    except ActionFailed as error:
-        return JobEnd("aborted", error_text(error) or "the action failed")
-    except DataError as error:
-        return JobEnd("bad result", error.message)
-    except BaseException as error:
-        return JobEnd("aborted", "%s: %s" % (type(error).__name__, error_text(error)))
 
 
 def absolute(name: str, namespace: str) -> str:

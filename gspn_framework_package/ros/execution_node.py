@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Callable, Dict, List, Optional
 
 from gspn_framework_package.model.plan import Plan, Synchronisation
-from gspn_framework_package.ros.action_kinds import Job
 from gspn_framework_package.ros.event_sources import EventSources
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.node_services import NodeServices
@@ -13,6 +12,7 @@ from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.robot_actions import RobotActions
 from gspn_framework_package.ros.voice import RosVoice
 from gspn_framework_package.team.host import HostOptions, ReplicaHost
+from gspn_framework_package.team.jobs import Job
 
 
 class ExecutionNode:

@@ -37,7 +37,7 @@ from gspn_framework_package.ros.transport.registration import (
 )
 
 if TYPE_CHECKING:
-    from gspn_framework_package.ros.action_kinds import Job
+    from gspn_framework_package.team.jobs import Job
 
 
 def run_execution_node() -> int:

@@ -10,8 +10,8 @@ import rospy
 from rospy.client import load_command_line_node_params
 
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
 from gspn_framework_package.ros.transport.registration import master_proxy
+from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience
 
 
 class NodeOptions(NamedTuple):

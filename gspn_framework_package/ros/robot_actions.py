@@ -3,7 +3,7 @@ servers of this process."""
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple
 
 from gspn_framework_package.execution.agreement.interface import ActionDone, AttemptFailed
 from gspn_framework_package.execution.firing import StartAction
@@ -12,12 +12,14 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
-from gspn_framework_package.ros.action_kinds import Job, jobs, live_types
+from gspn_framework_package.ros.action_kinds import jobs, live_types
+from gspn_framework_package.ros.action_runner import ActionRunner, open_jobs
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import GoalIdentity
-from gspn_framework_package.ros.job_runner import ActionRunner, JobRunner
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServer, PlaceServers
+from gspn_framework_package.team.job_runner import AttemptEnd, JobRunner
+from gspn_framework_package.team.jobs import Job
 
 ALLOW = "~allow_commands, allow_commands:=true"
 
@@ -47,7 +49,7 @@ class RobotActions:
         namespace: str,
         options: NodeOptions,
         enqueue: Callable[..., None],
-        ended: Callable[[Union[ActionDone, AttemptFailed]], None],
+        ended: Callable[[AttemptEnd], None],
         progress: Callable[[List[int]], None],
         warn: Callable[[str], None],
     ) -> None:
@@ -73,12 +75,12 @@ class RobotActions:
             plan.cancel_grace,
             warn,
         )
+        open_jobs(self.jobs)
         runner = JobRunner(
-            robot,
             self.jobs,
             plan.timeout,
             enqueue,
-            self._ended,
+            ended,
             options.patience,
             plan.cancel_grace,
             warn,

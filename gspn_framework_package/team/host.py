@@ -7,7 +7,7 @@ import itertools
 import queue
 import threading
 import time
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence
 
 from gspn_framework_package.analysis.preflight.while_running import why_refused
 from gspn_framework_package.execution import log_entries, plan_change
@@ -27,6 +27,7 @@ from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import Carrier, Handlers, firing_fields
 from gspn_framework_package.team.commands import Commands
+from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
 from gspn_framework_package.team.narrator import Narrator
 from gspn_framework_package.team.plan_examination import why_not_followed, with_folder
@@ -464,7 +465,7 @@ class ReplicaHost(Worker):
 
     # -- reports of the action side, on the worker thread ------------------------------------------
 
-    def attempt_ended(self, ended: Union[interface.ActionDone, interface.AttemptFailed]) -> None:
+    def attempt_ended(self, ended: AttemptEnd) -> None:
         """Pass the end of an attempt to the replica. The action's text goes into the log, to all
         robots and onto screens, so it is shortened to one line."""
         if isinstance(ended, interface.AttemptFailed):

@@ -24,6 +24,7 @@ from robots import RobotTestCase, chain
 from waiting import wait_for
 from worker import PATIENT, Worker, plan_in
 
+from gspn_framework_package.execution.agreement.interface import AttemptFailed
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import (
     CommandAction,
@@ -34,8 +35,9 @@ from gspn_framework_package.model.action import (
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.plan import RobotSpec
 from gspn_framework_package.ros.action_kinds import jobs, look_at_actions
-from gspn_framework_package.ros.job_runner import JobRunner
+from gspn_framework_package.ros.action_runner import open_jobs
 from gspn_framework_package.ros.transport.registration import topic_types
+from gspn_framework_package.team.job_runner import JobRunner
 
 SET_BOOL, TRIGGER, STRING = "std_srvs/SetBool", "std_srvs/Trigger", "std_msgs/String"
 
@@ -50,8 +52,8 @@ class Robot:
         self.ended, self.faults = queue.Queue(), []
         self._worker = Worker()
         self.jobs = jobs(plan, "robot_1", namespace)
+        open_jobs(self.jobs)
         self.runner = JobRunner(
-            "robot_1",
             self.jobs,
             plan.timeout,
             self._worker.put,
@@ -70,7 +72,10 @@ class Robot:
         self._worker.put(self.runner.start, command, time.monotonic())
 
     def end(self):
-        return self.ended.get(timeout=20)[1:]
+        ended = self.ended.get(timeout=20)
+        if isinstance(ended, AttemptFailed):
+            return "", ended.reason, ended.detail, {}
+        return ended.result, "", "", ended.data
 
     def do(self, place, **data):
         self.send(place, **data)

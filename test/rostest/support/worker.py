@@ -6,7 +6,7 @@ import time
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.ros.patience import Patience
+from gspn_framework_package.team.patience import Patience
 
 PATIENT = Patience(server=20, acknowledgement=20, status=20, result=20)
 

@@ -11,7 +11,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.ros.node_main import robot_of
 from gspn_framework_package.ros.options import launched_file, options_from
-from gspn_framework_package.ros.patience import Patience
+from gspn_framework_package.team.patience import Patience
 
 
 def test_what_is_not_given_has_its_default():

@@ -22,6 +22,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import NetError, PlanError, UsageError
+from gspn_framework_package.team.jobs import LocalJob
 
 
 @pytest.fixture(autouse=True)
@@ -206,7 +207,7 @@ def test_a_kind_of_action_with_a_key_of_its_own(toy_kind, tmp_path, capsys):
     assert read_plan(str(tmp_path / "one.json")).actions == read_plan(folder).actions
     pytest.importorskip("rospy")
     pytest.importorskip("gspn_framework_package.msg")
-    from gspn_framework_package.ros.action_kinds import LocalJob, jobs
+    from gspn_framework_package.ros.action_kinds import jobs
 
     assert {type(job) for job in jobs(read_plan(folder), "robot_1", "/x").values()} == {LocalJob}
 

@@ -1,36 +1,31 @@
-"""Carries out the actions of one robot: goals for action servers, and jobs of all other kinds."""
+"""Carries out the jobs of one robot, one at a time, each on a thread of its own."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Mapping, NamedTuple, Optional
+from typing import Callable, Deque, Mapping, NamedTuple, Optional, Union
 
-import rospy
-
+from gspn_framework_package.execution.agreement.interface import ActionDone, AttemptFailed
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.worker_pool import WorkerPool
-from gspn_framework_package.model.errors import DataError, ExecutionError, PlanError
+from gspn_framework_package.model.errors import DataError, PlanError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
-from gspn_framework_package.ros.action_kinds import Job, JobAttempt, JobEnd, attempt_job
-from gspn_framework_package.ros.action_targets import ActionTarget
-from gspn_framework_package.ros.goal_id import GoalIdentity
-from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience, earliest
-from gspn_framework_package.ros.place_servers import PlaceServer
-from gspn_framework_package.ros.transport.registration import registered_together
+from gspn_framework_package.team.jobs import Job, JobAttempt, JobEnd, attempt_job
+from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 
 LAST_WORDS = 1.0
-"""Seconds that a job which is cancelled has to end before its node does."""
+"""Seconds that a job which is cancelled has to end before its host does."""
+
+AttemptEnd = Union[ActionDone, AttemptFailed]
+"""How an attempt ended, as the replica takes it."""
 
 
 class _Running:
     """A job under way; it begins at ``start_at`` (monotonic seconds)."""
 
-    def __init__(
-        self, job: Job, attempt: JobAttempt, identity: GoalIdentity, start_at: float
-    ) -> None:
-        self.job, self.attempt, self.identity = job, attempt, identity
+    def __init__(self, job: Job, attempt: JobAttempt, start_at: float) -> None:
+        self.job, self.attempt = job, attempt
         self.start_at = start_at
         self.started = self.over = False
 
@@ -41,51 +36,44 @@ class _Cancelled(NamedTuple):
 
 
 class JobRunner:
-    """Has the interface of :class:`ActionCaller`, for jobs. All methods belong to the node's worker
-    thread; each job runs on a thread of its own.
+    """All methods belong to the worker thread of the robot's host.
 
-    :param robot: name of the robot.
-    :param jobs: its jobs by place.
-    :param timeout: see :class:`ActionCaller`, like all that follow.
-    :raises ExecutionError: a topic has two types in this process.
+    :param jobs: the jobs of the robot by place; they are open.
+    :param timeout: place -> seconds that its job may take, or None.
+    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
+    :param ended: receives the end of each attempt, once.
+    :param patience: how long each step may take.
+    :param cancel_grace: seconds that a job has to end after it was cancelled.
+    :param fault: receives the text of a fault: a job did not end in that time.
     """
 
     def __init__(
         self,
-        robot: str,
         jobs: Mapping[str, Job],
         timeout: Callable[[str], Optional[float]],
         enqueue: Callable[..., None],
-        ended: Callable[[ActionEnded], None],
+        ended: Callable[[AttemptEnd], None],
         patience: Patience = DEFAULT_PATIENCE,
         cancel_grace: float = Plan.cancel_grace,
         fault: Callable[[str], None] = lambda text: None,
     ) -> None:
-        self._robot, self._jobs, self._timeout = robot, jobs, timeout
+        self._jobs, self._timeout = jobs, timeout
         self._enqueue, self._ended, self._fault = enqueue, ended, fault
         self._patience, self._cancel_grace = patience, cancel_grace
         self._pool = WorkerPool("job")
         self._current: Optional[_Running] = None
         self._cancelled: Deque[_Cancelled] = deque()
-        _open(jobs)
 
     def follow(self, jobs: Mapping[str, Job], timeout: Callable[[str], Optional[float]]) -> None:
-        """From now on do the jobs of another plan; one that is under way goes on.
-
-        :raises ExecutionError: a topic has two types in this process.
-        """
-        _open(jobs)
+        """From now on do the jobs of another plan; one that is under way goes on."""
         self._jobs, self._timeout = jobs, timeout
 
     def start(self, command: StartAction, now: float) -> None:
         """Start a job; cancels the previous one if it still runs."""
         self.cancel()
-        identity = GoalIdentity(
-            self._robot, command.incarnation, command.visit, command.attempt, ""
-        )
         attempt = JobAttempt(command, self._patience, lambda: self._enqueue(self._look))
         job = self._jobs[command.place]
-        self._current = _Running(job, attempt, identity, now + command.delay)
+        self._current = _Running(job, attempt, now + command.delay)
         self.poll(now)
 
     def cancel(self) -> None:
@@ -115,7 +103,7 @@ class JobRunner:
         return running.attempt.waits_for
 
     def poll(self, now: float) -> Optional[float]:
-        """See :meth:`ActionCaller.poll`."""
+        """See :class:`ActionSide`."""
         return earliest(self._poll_job(now), self._poll_cancelled(now))
 
     def _poll_job(self, now: float) -> Optional[float]:
@@ -181,73 +169,12 @@ class JobRunner:
     def _report(self, running: _Running, end: JobEnd) -> None:
         self._current = None
         transition = running.job.transition_of(end)
+        command = running.attempt.command
+        attempt = command.incarnation, command.visit, command.attempt
         if transition is None:
-            self._ended(ActionEnded(running.identity, "", end.outcome, end.text))
+            self._ended(AttemptFailed(*attempt, end.outcome, end.text))
         else:
-            self._ended(ActionEnded(running.identity, transition, data=end.data))
+            self._ended(ActionDone(*attempt, transition, end.data))
 
     def _look(self) -> None:
         self.poll(time.monotonic())
-
-
-def _open(jobs: Mapping[str, Job]) -> None:
-    with registered_together():
-        for place, job in jobs.items():
-            try:
-                job.open()
-            except rospy.ROSException as error:
-                raise ExecutionError(str(error), element="action of '%s'" % place) from None
-
-
-class ActionRunner:
-    """The actions of one robot, one at a time, of whatever kind.
-
-    :param caller: sends goals to action servers.
-    :param runner: does the jobs.
-    :param jobs: the places with jobs.
-    """
-
-    def __init__(self, caller: ActionCaller, runner: JobRunner, jobs: Mapping[str, Any]) -> None:
-        self._caller, self._runner, self._jobs = caller, runner, jobs
-
-    def start(self, command: StartAction, now: float) -> None:
-        """Start an action; cancels the previous one if it still runs."""
-        self.cancel()
-        if command.place in self._jobs:
-            self._runner.start(command, now)
-        else:
-            self._caller.start(command, now)
-
-    def follow(
-        self,
-        plan: Plan,
-        targets: Mapping[str, ActionTarget],
-        jobs: Mapping[str, Job],
-        own_servers: Optional[Mapping[str, PlaceServer]],
-    ) -> None:
-        """From now on start the actions of another plan; the one that is under way goes on.
-
-        :raises ExecutionError: see :meth:`JobRunner.follow`.
-        """
-        self._runner.follow(jobs, plan.timeout)
-        self._caller.follow(targets, plan.timeout, own_servers)
-        self._jobs = jobs
-
-    def cancel(self) -> None:
-        """Cancel the running action, if any; nothing more is reported about it."""
-        self._caller.cancel()
-        self._runner.cancel()
-
-    def close(self) -> None:
-        """Cancel the running action, and end all threads."""
-        self._caller.close()
-        self._runner.close()
-
-    def doing(self) -> str:
-        """What the current action waits for, in words; "" if it runs or there is none."""
-        return self._caller.doing() or self._runner.doing()
-
-    def poll(self, now: float) -> Optional[float]:
-        """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
-        time is set."""
-        return earliest(self._caller.poll(now), self._runner.poll(now))

@@ -1,0 +1,155 @@
+"""Actions that run on threads of a robot's own process: Python functions, commands, and on ROS the
+kinds that are no action servers."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Callable, Mapping, NamedTuple, Optional
+
+from gspn_framework_package.execution.actions import (
+    ActionContext,
+    ActionFailed,
+    Cancellation,
+    error_text,
+    no_feedback,
+)
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.local_kinds import LocalAction
+from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.model.action import outcomes_of
+from gspn_framework_package.model.errors import DataError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.patience import Patience
+
+
+class JobEnd(NamedTuple):
+    """How an attempt ended: ``outcome`` is "succeeded" or one of ``log_entries.FAILURES``. An
+    ``outcome`` that the plan maps to a transition is no failure."""
+
+    outcome: str
+    text: str = ""
+    transition: str = ""
+    """The transition that the action named itself."""
+    data: Mapping[str, Any] = NOTHING
+
+
+CANCELLED = JobEnd("preempted", "cancelled")
+
+
+class JobAttempt:
+    """An attempt at a job, for the thread that makes it.
+
+    :param command: what to do.
+    :param patience: how long its steps may take.
+    :param changed: called when it says something new.
+    """
+
+    def __init__(
+        self, command: StartAction, patience: Patience, changed: Callable[[], None]
+    ) -> None:
+        self.command, self.patience = command, patience
+        self.is_cancelled = Cancellation()
+        self.waits_for = ""
+        self.begun_at: Optional[float] = None
+        """When the action itself began (monotonic seconds), from which its time is measured."""
+        self._changed = changed
+
+    def wait_for(self, what: str) -> None:
+        """Say what the attempt waits for; "": for nothing but its own end."""
+        self.waits_for = what
+        self._changed()
+
+    def begin(self) -> None:
+        """The action itself begins."""
+        self.begun_at = time.monotonic()
+        self._changed()
+
+
+class Job:
+    """An action of one robot in one place, which a thread of the robot's own process carries out.
+
+    :param place: the place.
+    :param action: the action, of the kind that this class is for.
+    """
+
+    def __init__(self, place: str, action: Any) -> None:
+        self.place, self.action = place, action
+        self.outcomes: Mapping[str, str] = outcomes_of(action)
+
+    def open(self) -> None:
+        """Prepare what should be there before the action begins."""
+
+    def clash(self, types: Mapping[str, str]) -> Optional[str]:
+        """What contradicts the plan in the world outside; None if nothing does. Asked before
+        :meth:`open`.
+
+        :param types: topic -> type of its messages, where there are topics.
+        """
+        return None
+
+    def missing(self) -> Optional[str]:
+        """What is not there yet that this action needs; None if nothing."""
+        return None
+
+    def prepare(self, data: Mapping[str, Any]) -> Any:
+        """What is sent, with data filled in.
+
+        :raises DataError: data is missing.
+        :raises PlanError: data does not fit.
+        """
+
+    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
+        """Carry the action out, on a thread of its own; it ends soon after it is cancelled.
+
+        :raises ActionFailed: it did not succeed.
+        :raises DataError: what it wrote cannot be kept.
+        """
+        raise NotImplementedError
+
+    def transition_of(self, end: JobEnd) -> Optional[str]:
+        """The transition that an end stands for, "" to let the policy decide; None for a
+        failure."""
+        if end.outcome == "succeeded" and end.transition:
+            return end.transition
+        return self.outcomes.get(end.outcome, "" if end.outcome == "succeeded" else None)
+
+
+class LocalJob(Job):
+    """A Python function, or an action of another kind that needs no ROS.
+
+    :param plan: the plan.
+    :param place: the place.
+    :param do: carries the action out.
+    :param feedback: receives its progress, on its thread.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        place: str,
+        action: Any,
+        do: LocalAction,
+        feedback: Callable[..., None] = no_feedback,
+    ) -> None:
+        super().__init__(place, action)
+        self._plan, self._do, self._feedback = plan, do, feedback
+
+    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
+        """See :meth:`Job.run`."""
+        attempt.begin()
+        context = ActionContext.of(attempt.command, self._feedback, attempt.is_cancelled)
+        result = self._do(context)
+        transition = self._plan.transition_meant(self.place, result.transition)
+        return JobEnd("succeeded", "", transition, result.data)
+
+
+def attempt_job(work: Job, prepared: Any, attempt: JobAttempt) -> JobEnd:
+    """Carry a job out; every exception becomes a failure."""
+    try:
+        return work.run(prepared, attempt)
+    except ActionFailed as error:
+        return JobEnd("aborted", error_text(error) or "the action failed")
+    except DataError as error:
+        return JobEnd("bad result", error.message)
+    except BaseException as error:
+        return JobEnd("aborted", "%s: %s" % (type(error).__name__, error_text(error)))
