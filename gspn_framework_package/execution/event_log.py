@@ -68,7 +68,13 @@ from typing import (
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Command, Firing, firing_from_json
-from gspn_framework_package.execution.stored_policy import hash_of, read_stored, stored_separately
+from gspn_framework_package.execution.stored_policy import (
+    hash_of,
+    read_stored,
+    stored_separately,
+    with_policies,
+    without_large_policies,
+)
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
@@ -83,6 +89,9 @@ POLICY_APART = 3
 """The version whose header has only the hash of the policy."""
 
 Record = Dict[str, Any]
+
+_WITH_PLANS = ("slot", "snapshot", "accepted", "invoked")
+"""The kinds of records that can hold a plan that was staged."""
 
 
 def header(
@@ -199,8 +208,8 @@ class EventLogWriter:
         """
         wall, mono = self._clocks()
         clocks = {"wall": round(wall, 6), "mono": round(mono, 6)}
-        data = "".join(self._line({**r, **clocks}) for r in records).encode()
         try:
+            data = "".join(self._line({**r, **clocks}) for r in records).encode()
             while data:
                 data = data[self._file.write(data) :]
             if self._fsync and durable:
@@ -211,6 +220,8 @@ class EventLogWriter:
     def _line(self, record: Record) -> str:
         if record["kind"] == "life":
             record = {**record, "host": self._host, "fsync": self._fsync}
+        elif record["kind"] in _WITH_PLANS:
+            record = without_large_policies(record, self.path, self._fsync)
         if self._sum is None:
             return json.dumps(record, separators=(",", ":")) + "\n"
         text, self._sum = line_of(record, self._sum)
@@ -539,6 +550,8 @@ def _record(line: bytes, path: str, number: int) -> Record:
     if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
         raise LogError("is not a record: %.80r" % line, file=path, line=number)
     record.pop("sum", None)
+    if b'"policy":{"hash":' in line and record["kind"] in _WITH_PLANS:
+        return with_policies(record, path)
     return record
 
 

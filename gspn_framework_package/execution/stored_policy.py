@@ -4,7 +4,8 @@ The header of an event log has the plan, so that the log explains itself. With i
 tens of thousands of rows takes megabytes, in the log of every robot. A policy whose JSON is longer
 than :data:`INLINE` therefore goes into a file of its own, ``policies/HASH.json`` in the folder of
 the log, and the header has its hash: ``"policy": {"hash": HASH}``. All logs in the folder share it.
-The file is a policy file like any other.
+The file is a policy file like any other. The plans that a team stages and adopts are kept in the
+same way: records that hold one have its hash.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import json
 import os
 import re
 import tempfile
-from typing import Any, Dict, Optional
+from typing import Any, Callable, Dict, Mapping, Optional, TypeVar
 
 from gspn_framework_package.formats.plan_json import check_schema, policy_from_json
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -29,17 +30,22 @@ INLINE = 65_536
 header can be read at once is better in one file."""
 
 
+_Value = TypeVar("_Value")
+
 _HASH = re.compile(r"[0-9a-f]{32}\Z")
 
 
 def stored_separately(plan: Dict[str, Any], log: str, fsync: bool) -> Dict[str, Any]:
-    """Return the plan for the header of ``log``; if its policy is large, it is stored first.
+    """Return the plan for a line of ``log``; if its policy is large, it is stored first.
 
     :param plan: the plan as a JSON object, with its policy.
     :param fsync: wait until the policy is on the disk.
     :raises OSError: the policy cannot be written.
     """
-    text = json.dumps(plan["policy"], separators=(",", ":"))
+    policy = plan.get("policy")
+    if not policy or hash_of(plan) is not None:
+        return plan
+    text = json.dumps(policy, separators=(",", ":"))
     if len(text) <= INLINE:
         return plan
     data = text.encode()
@@ -48,6 +54,62 @@ def stored_separately(plan: Dict[str, Any], log: str, fsync: bool) -> Dict[str, 
     if _content(path) != data:
         _write(path, data, fsync)
     return {**plan, "policy": {"hash": name}}
+
+
+def without_large_policies(record: Mapping[str, Any], log: str, fsync: bool) -> Dict[str, Any]:
+    """Return a record for ``log`` in which the large policies of staged and adopted plans are
+    hashes; they are stored first.
+
+    :param fsync: as for :func:`stored_separately`.
+    :raises OSError: a policy cannot be written.
+    """
+    return _with_plans(record, lambda plan: stored_separately(plan, log, fsync))
+
+
+def with_policies(record: Mapping[str, Any], log: str) -> Dict[str, Any]:
+    """Return a record of ``log`` with the policies to which it refers by their hashes.
+
+    :raises LogError: one is missing, or has another hash.
+    """
+
+    def whole(plan: Dict[str, Any]) -> Dict[str, Any]:
+        name = hash_of(plan)
+        return plan if name is None else {**plan, "policy": _read(log, name, _object)}
+
+    return _with_plans(record, whole)
+
+
+def _with_plans(
+    record: Mapping[str, Any], change: Callable[[Dict[str, Any]], Dict[str, Any]]
+) -> Dict[str, Any]:
+    """The record, with ``change`` of each staged or adopted plan in it. What is no plan, in a log
+    that somebody altered, stays."""
+
+    def holder(value: Any) -> Any:
+        if isinstance(value, dict) and isinstance(value.get("plan"), dict):
+            return {**value, "plan": change(value["plan"])}
+        return value
+
+    def entry(value: Any) -> Any:
+        is_stage = isinstance(value, dict) and value.get("entry") == "stage"
+        return holder(value) if is_stage else value
+
+    changed = dict(record)
+    if "entry" in record:
+        changed["entry"] = entry(record["entry"])
+    if isinstance(record.get("entries"), list):
+        changed["entries"] = [entry(value) for value in record["entries"]]
+    if isinstance(record.get("batch"), list):
+        changed["batch"] = [
+            [entry(item[0]), *item[1:]] if isinstance(item, (list, tuple)) and item else item
+            for item in record["batch"]
+        ]
+    if isinstance(record.get("state"), dict):
+        state = changed["state"] = dict(record["state"])
+        for key in ("staged", "adopted"):
+            if key in state:
+                state[key] = holder(state[key])
+    return changed
 
 
 def hash_of(plan: Any) -> Optional[str]:
@@ -62,6 +124,11 @@ def read_stored(log: str, name: str) -> Policy:
 
     :raises LogError: the file is missing, or its content has another hash.
     """
+    return _read(log, name, _parsed)
+
+
+def _read(log: str, name: str, parse: Callable[[bytes], _Value]) -> _Value:
+    """What ``parse`` makes of the file of a policy. :raises LogError: see :func:`read_stored`."""
     path = _file(log, name)
     hint = "%s refers to it by its hash %s; copy the folder '%s' together with the logs" % (
         os.path.basename(log),
@@ -76,9 +143,18 @@ def read_stored(log: str, name: str) -> Policy:
             "the policy of the log was altered: its hash is %s" % _hash(data), file=path, hint=hint
         )
     try:
-        return _parsed(data)
+        return parse(data)
     except (GspnError, ValueError, RecursionError) as error:
         raise LogError("holds no policy (%s)" % error, file=path, hint=hint) from None
+
+
+@functools.lru_cache(maxsize=2)
+def _object(data: bytes) -> Dict[str, Any]:
+    """The JSON object in a file. All records that refer to it share it: nobody may change it."""
+    found = json.loads(data.decode())
+    if not isinstance(found, dict):
+        raise ValueError("no JSON object")
+    return found
 
 
 @functools.lru_cache(maxsize=2)

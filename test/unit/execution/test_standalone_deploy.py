@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -13,6 +14,7 @@ from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.errors import PlanError, RefusedError
+from gspn_framework_package.model.policy import Policy, PolicyRow
 
 ACTIONS = """
 import sys
@@ -29,11 +31,11 @@ def new(is_cancelled):
 """
 
 
-def _plan(folder, arcs, actions, start="A"):
+def _plan(folder, arcs, actions, start="A", timed=True):
     places = sorted({p for pair in arcs.values() for p in pair})
     net = {
         "places": [{"name": p, "tokens": int(p == start)} for p in places],
-        "transitions": [{"name": t, "timed": True} for t in arcs],
+        "transitions": [{"name": t, "timed": timed} for t in arcs],
         "arcs": [
             arc
             for t, (a, b) in arcs.items()
@@ -127,3 +129,26 @@ def test_actions_that_start_after_an_edited_module_was_deployed_use_it(tmp_path)
 
 def _module(name):
     return next((m for n, m in sys.modules.items() if n.endswith(name)), None)
+
+
+def test_a_large_policy_is_not_in_the_log_of_a_run_that_adopts_it(tmp_path) -> None:
+    name = "acts_%d" % time.monotonic_ns()
+    (tmp_path / (name + ".py")).write_text(ACTIONS)
+    arcs = {"ab": "AB", "ac": "AC", "ba": "BA", "ca": "CA"}
+    plan = _plan(tmp_path, arcs, dict.fromkeys("ABC", name + ".new"), timed=False)
+    never = [PolicyRow((7, 100 + n), (("ab", 1.0),)) for n in range(2_000)]
+    rows = [*never, PolicyRow((1, None), (("ac", 1.0),))]
+    log = EventLogWriter(str(tmp_path / "log.jsonl"), header(plan, "r", "", "x", agents=True))
+    heard = _Heard()
+    executor = StandaloneExecutor(plan, heard, log)
+    executor.start()
+    executor.deploy(replace(plan, policy=Policy(("A", "B"), rows)).validate())
+    heard.wait_for("ca")
+    executor.stop()
+    executor.wait(10)
+    log.close()
+    assert (tmp_path / "log.jsonl").stat().st_size < 100_000
+    read = read_log(str(tmp_path / "log.jsonl"))
+    assert verify([read]).violation is None
+    adopted = list(replay(read))[-1].state.adopted
+    assert len(adopted.plan["policy"]["rows"]) == 2_001

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.attempts import gather
 from gspn_framework_package.execution.event_log import (
     EventLogWriter,
@@ -23,6 +24,7 @@ from gspn_framework_package.execution.event_log import (
     replay,
 )
 from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan, read_policy
 from gspn_framework_package.model.errors import LogError
@@ -123,6 +125,54 @@ def test_a_policy_that_is_missing_or_altered_is_told_with_file_and_hash(tmp_path
     assert str(file) in told and "Traceback" not in told
     write_log(path, LARGE)  # a robot that goes on with its log writes the policy again
     assert read_log(str(path)).plan.policy == LARGE.policy
+
+
+def test_the_large_policy_of_a_staged_plan_is_stored_too(tmp_path) -> None:
+    entry = log_entries.to_json(stage_of(LARGE, {"a": "b"}, "/plans"))
+    held = {"number": 1, "digest": entry["digest"], "plan": entry["plan"]}
+    records = [
+        {"kind": "invoked", "entry": entry, "origin": ["r", 0, 1, "l"]},
+        {"kind": "accepted", "slot": 1, "batch": [[entry, ["r", 0, 1, "l"], 0]]},
+        {"kind": "slot", "slot": 1, "entries": [{"entry": "resume"}, entry]},
+        {"kind": "snapshot", "slot": 2, "state": {"adopted": held, "staged": None, "paused": True}},
+        {"kind": "snapshot", "slot": 3, "state": {"staged": held}},
+    ]
+    path = tmp_path / "run.jsonl"
+    log = EventLogWriter(str(path), header(patrol(10), "run", "r", "l"))
+    log.append(*records)
+    log.append(
+        {"kind": "slot", "slot": 4, "entries": [log_entries.to_json(stage_of(patrol(9), {}))]}
+    )
+    log.close()
+    lines = path.read_bytes().splitlines()
+    assert max(map(len, lines)) < 20_000
+    assert read_policy(str(stored(tmp_path))) == LARGE.policy
+    found = read_log(str(path)).records
+    assert [{key: r[key] for key in given} for r, given in zip(found, records)] == records
+    assert found[5]["entries"][0]["plan"]["policy"]["rows"]
+    with LogFile(str(path)).open() as file:
+        whole = LogFile(str(path))
+        assert next(whole.records(file, whole.begin, 2))[0]["entry"] == entry
+    stored(tmp_path).unlink()
+    with pytest.raises(LogError, match="missing.*run.jsonl"):
+        read_log(str(path))
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        {"kind": "slot", "entries": [{"entry": "stage", "plan": 3}, None, 1]},
+        {"kind": "accepted", "batch": [[], None, [None], {}]},
+        {"kind": "snapshot", "state": {"staged": [], "adopted": {"plan": {"policy": 0}}}},
+        {"kind": "invoked", "entry": []},
+    ],
+)
+def test_what_is_no_plan_stays_as_it_is(tmp_path, record) -> None:
+    path = tmp_path / "run.jsonl"
+    log = EventLogWriter(str(path), header(patrol(10), "run", "r", "l"))
+    log.append({**record, "note": {"policy": {"hash": "0"}}})
+    (found,) = read_log(str(path)).records
+    assert record.items() <= found.items()
 
 
 def test_a_folder_of_logs_can_be_moved(tmp_path) -> None:
