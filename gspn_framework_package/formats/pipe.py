@@ -25,6 +25,7 @@ from lxml import etree
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
 from gspn_framework_package.formats.format import Format, XmlReader
+from gspn_framework_package.formats.pipe_update import updater
 from gspn_framework_package.formats.pnml_family import PIPE, member
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
@@ -373,4 +374,5 @@ FORMAT = Format(
     XmlReader(
         from_xml, ("pnml", "net"), lambda root: tag(root) == "net" or member(root).kind == PIPE
     ),
+    update=updater(to_bytes),
 )

@@ -25,7 +25,8 @@ from lxml import etree
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
 from gspn_framework_package.formats.format import Format, XmlReader
-from gspn_framework_package.formats.pnml_family import PNML, member
+from gspn_framework_package.formats.pnml_family import OWN, PNML, STOCHASTIC, member
+from gspn_framework_package.formats.pnml_update import updater
 from gspn_framework_package.formats.repetition import FileSample
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
@@ -50,8 +51,6 @@ from gspn_framework_package.model.net import Net, Position
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
 NET_TYPE = "http://www.pnml.org/version-2009/grammar/ptnet"
-STOCHASTIC = "StochasticPetriNet"
-OWN = "gspn_framework_package"
 
 _COLOURED = ("symmetric", "highlevel", "hlpn", "colored", "coloured")
 _TINA = "laas.fr/tina"
@@ -499,4 +498,5 @@ FORMAT = Format(
     (".pnml",),
     to_bytes,
     XmlReader(from_xml, ("pnml",), lambda root: member(root).kind == PNML),
+    update=updater(to_bytes),
 )

@@ -11,6 +11,10 @@ from lxml import etree
 
 from gspn_framework_package.formats.xml_tree import tag
 
+STOCHASTIC = "StochasticPetriNet"
+OWN = "gspn_framework_package"
+"""Tools whose data in PNML files is read and written."""
+
 PIPE, PNML, TAPAAL = "pipe", "pnml", "tapaal"
 
 _NUMBERS = ("name", "initialMarking", "inscription", "rate", "timed")

@@ -20,6 +20,8 @@ from lxml import etree
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
 from gspn_framework_package.formats.format import Format, XmlReader
+from gspn_framework_package.formats.pnpro_position import from_editor, write_position
+from gspn_framework_package.formats.pnpro_update import updater
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -37,12 +39,8 @@ from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten, tokenize
-from gspn_framework_package.model.net import Net, Position
+from gspn_framework_package.model.net import Net
 
-UNIT = 16.0
-"""Drawing units per unit of the editor; a power of two, so that nothing is rounded."""
-
-_CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
 _COLOURED = ("color-class", "color-var")
 _FUNCTIONS = {
@@ -211,7 +209,7 @@ class _Reader:
         text = (element.get("marking") or "").strip()
         tokens = self._count(text, "initial marking", what, line) if text else 0
         self.draft.add_place(
-            None, _name(element), tokens, None, _from_editor(coordinates(element), "place"), line
+            None, _name(element), tokens, None, from_editor(coordinates(element), "place"), line
         )
 
     def _transition(self, element: etree._Element) -> None:
@@ -233,7 +231,7 @@ class _Reader:
                 line,
                 "guards belong to coloured nets",
             )
-        where = _from_editor(coordinates(element), kind)
+        where = from_editor(coordinates(element), kind)
         if kind == "EXP":
             rate = self._value(element, "delay", "rate", what, 1.0)
             self.draft.add_exponential(
@@ -340,12 +338,6 @@ def _name(element: etree._Element) -> str:
     return (element.get("name") or "").strip()
 
 
-def _from_editor(where: Optional[Position], kind: str) -> Optional[Position]:
-    if where is None:
-        return None
-    return round((where[0] - _CORNER[kind]) * UNIT, 6), where[1] * UNIT
-
-
 # -- writing -------------------------------------------------------------------------------------
 
 
@@ -392,13 +384,6 @@ def to_bytes(net: Net) -> bytes:
     return serialise(root, depth=4)
 
 
-def write_position(node: etree._Element, where: Optional[Position], kind: str) -> None:
-    """Write the position of a node: place, EXP or IMM."""
-    if where is not None:
-        node.set("x", number_text(round(where[0] / UNIT + _CORNER[kind], 9)))
-        node.set("y", number_text(where[1] / UNIT))
-
-
 FORMAT = Format(
     "pnpro",
     "PNPRO (GreatSPN)",
@@ -406,4 +391,5 @@ FORMAT = Format(
     to_bytes,
     XmlReader(from_xml, ("project", "gspn")),
     losses,
+    update=updater(to_bytes),
 )

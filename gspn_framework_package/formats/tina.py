@@ -328,4 +328,17 @@ def _quote(name: str) -> str:
     return name if _PLAIN.match(name) else "{%s}" % re.sub(r"([{}\\])", r"\\\1", name)
 
 
-FORMAT = Format("tina", "TINA .net", (".net",), to_bytes, TextReader(from_text, recognises), losses)
+def _update(data: bytes, options: ReadOptions, old: Net, new: Net) -> bytes:
+    mark = b"\xef\xbb\xbf" if data.startswith(b"\xef\xbb\xbf") else b""
+    return mark + update_text(data.decode("utf-8-sig"), old, new).encode("utf-8")
+
+
+FORMAT = Format(
+    "tina",
+    "TINA .net",
+    (".net",),
+    to_bytes,
+    TextReader(from_text, recognises),
+    losses,
+    update=_update,
+)

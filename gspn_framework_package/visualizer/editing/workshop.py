@@ -13,8 +13,8 @@ from gspn_framework_package.analysis.plan.completion import complete
 from gspn_framework_package.formats import pipe
 from gspn_framework_package.formats.draft import ReadOptions
 from gspn_framework_package.formats.json_update import update_json
+from gspn_framework_package.formats.net_equality import same_net
 from gspn_framework_package.formats.net_json import net_from_json
-from gspn_framework_package.formats.net_update import same_net
 from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
 from gspn_framework_package.formats.plan_parts import JsonObject
 from gspn_framework_package.formats.source import read_bytes

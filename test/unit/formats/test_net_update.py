@@ -2,6 +2,7 @@
 
 import glob
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ from hypothesis import strategies as st
 from random_nets import NAMES, nets
 
 from gspn_framework_package.formats.draft import ReadOptions
-from gspn_framework_package.formats.net_update import same_net, update_net
+from gspn_framework_package.formats.format import Format, TextReader
+from gspn_framework_package.formats.net_equality import same_net
+from gspn_framework_package.formats.net_update import update_net
 from gspn_framework_package.formats.registry import FORMATS, read_net
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
@@ -261,3 +264,24 @@ def test_what_a_format_cannot_hold_is_not_written(tmp_path):
     assert update_net(data, "net.xml", OPTIONS, many) is None
     full = changed(net, [net.places[0]._replace(capacity=5), *net.places[1:]])
     assert update_net(FORMATS["pnpro"].to_bytes(net), "n", OPTIONS, full) is None
+
+
+def test_a_format_is_changed_as_its_record_says(monkeypatch):
+    """Also one from outside the package; without ``update`` its files are left alone."""
+
+    def read(text, path, options):
+        return Net([Place(name) for name in text.split()[1:]], []), []
+
+    mine = Format(
+        "listed",
+        "a list",
+        (".listed",),
+        lambda net: b"",
+        TextReader(read, lambda text: text.startswith("listed")),
+        update=lambda data, options, old, new: data + b" " + new.places[-1].name.encode(),
+    )
+    monkeypatch.setitem(FORMATS, "listed", mine)
+    bigger = Net([Place("A"), Place("B")], [])
+    assert update_net(b"listed A", "x", ReadOptions(), bigger) == b"listed A B"
+    monkeypatch.setitem(FORMATS, "listed", replace(mine, update=None))
+    assert update_net(b"listed A", "x", ReadOptions(), bigger) is None

@@ -1,0 +1,51 @@
+"""Whether two nets say the same, however they are drawn and in whatever order."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Tuple, Union
+
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
+
+Node = Union[Place, Transition]
+
+CLOSE = 1e-5
+"""How far a position may be off when it is read back, as a part of its size (or of 1)."""
+
+
+def same_net(a: Net, b: Net) -> bool:
+    """Whether two nets say the same; the order of their elements does not matter."""
+    if len(a.places) != len(b.places) or len(a.transitions) != len(b.transitions):
+        return False
+    for mine, others in ((a.places, b.places), (a.transitions, b.transitions)):
+        named = {node.name: node for node in others}
+        for node in mine:
+            other = named.get(node.name)
+            if other is None or not same_node(node, other):
+                return False
+    return sorted(map(arc_key, a.arcs)) == sorted(map(arc_key, b.arcs))
+
+
+def same_node(a: Node, b: Node) -> bool:
+    """Whether two nodes say the same, up to the rounding of their positions."""
+    if (a.position is None) != (b.position is None):
+        return False
+    if a.position is not None and b.position is not None:
+        for x, y in zip(a.position, b.position):
+            if not math.isclose(x, y, rel_tol=CLOSE, abs_tol=CLOSE):
+                return False
+    return meaning(a) == meaning(b)
+
+
+def meaning(node: Node) -> Tuple[Any, ...]:
+    """The node without its position, and without what its kind does not have."""
+    if isinstance(node, Place):
+        return (node.name, node.tokens, node.capacity)
+    if node.timed:
+        return (node.name, True, node.rate, node.servers)
+    return (node.name, False, node.weight, node.priority)
+
+
+def arc_key(arc: Arc) -> Tuple[str, str, int, bool]:
+    """What an arc says, in a form that can be sorted."""
+    return (arc.source, arc.target, arc.weight, arc.inhibitor)
