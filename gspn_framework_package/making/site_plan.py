@@ -9,7 +9,7 @@ drive on an edge, and ``Free_dock_NODE`` one for each free place at a dock.
 from __future__ import annotations
 
 import json
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, write_plan_folder
@@ -64,11 +64,12 @@ class Drive(TakeTime):
 
 class SitePlan(NamedTuple):
     """A plan that was made from a map: ``net``, ``plan`` (without net and policy), the ``actions``
-    on ROS, ``policy``, and ``notes`` for the user."""
+    and ``events`` on ROS, ``policy``, and ``notes`` for the user."""
 
     net: Net
     plan: Dict[str, Any]
     ros_actions: Dict[str, Any]
+    ros_events: Dict[str, Any]
     policy: Optional[Dict[str, Any]]
     notes: List[str]
 
@@ -83,6 +84,8 @@ class SitePlan(NamedTuple):
             plan_ros["policy"] = POLICY_FILE
         plan_ros.update((k, v) for k, v in self.plan.items() if k not in plan_ros)
         plan_ros["actions"] = self.ros_actions
+        if self.ros_events:
+            plan_ros["events"] = self.ros_events
         files = {
             "actions.py": _ACTIONS,
             PLAN_ROS_FILE: json.dumps(plan_ros, indent=2, ensure_ascii=False) + "\n",
@@ -133,6 +136,7 @@ class _Builder:
         self._net = NetBuilder(name)
         self._actions: Dict[str, Any] = {}
         self._ros: Dict[str, Any] = {}
+        self._events: Dict[str, Any] = {}
         self._durations: Dict[str, Any] = {}
         self._given_back: Dict[str, Any] = {}
         self._resources: List[str] = []
@@ -141,7 +145,7 @@ class _Builder:
 
     def _limited(self) -> Dict[Tuple[str, str], Tuple[str, int]]:
         found: Dict[Tuple[str, str], Tuple[str, int]] = {}
-        driven = {(state.node, state.to) for state in self._of("Go")}
+        driven = {(state.node, state.to) for state in self._of("Drive")}
         for pair, edge in self._team.edges.items():
             capacity = self._tasks.capacity if edge.capacity is None else edge.capacity
             capacity = self._tasks.edges.get(pair, {}).get("capacity", capacity)
@@ -179,8 +183,10 @@ class _Builder:
         for pair, (free, capacity) in self._free.items():
             if free == "Free_%s_%s" % pair:
                 self._resource(free, capacity, self._draw.along(*pair, first, 0.5, 0))
-        for state in self._of("Go"):
+        for state in self._of("Drive"):
             self._drive(self._team.edges[state.node, state.to], state.kind)
+        for state in self._of("Go"):
+            self._go(state.node, state.to, state.kind.suffix)
         for number, (task, node) in enumerate(self._team.due):
             self._task(number, task, node)
         if self._tasks.battery:
@@ -199,7 +205,8 @@ class _Builder:
             "on_evict": self._given_back,
             "durations": self._durations,
         }
-        return SitePlan(self._net.build(), plan, self._ros, policy, self._team.notes)
+        net = self._net.build()
+        return SitePlan(net, plan, self._ros, self._events, policy, self._team.notes)
 
     def _drive(self, edge: MapEdge, kind: RobotKind) -> None:
         a, b, suffix = edge.source, edge.target, kind.suffix
@@ -212,12 +219,6 @@ class _Builder:
         self._act(drive, seconds, ros, 0, self._draw.along(a, b, suffix, 0.48))
         if free:
             self._given_back[drive] = {free[0]: 1}
-        self._net.immediate(
-            named("Go", a, b, suffix),
-            inputs=[named("At", a, suffix), *free],
-            outputs=drive,
-            position=self._draw.along(a, b, suffix, 0.25),
-        )
         self._net.exponential(
             arrive,
             (1 - drained) / seconds,
@@ -230,16 +231,38 @@ class _Builder:
             settings = self._actions[drive]["settings"]
             settings.update(drained=drained, arrive=arrive, drain=drain)
             self._actions[drive]["function"] = "actions.Drive"
-            lower = self._team.lower(kind)
-            after = self._stranded(kind.type) if lower is None else named("At", b, lower.suffix)
             self._net.exponential(
                 drain,
                 drained / seconds,
                 None,
                 inputs=drive,
-                outputs=[after, *free],
+                outputs=self._after_drain(edge, kind, drain, free),
                 position=self._draw.along(a, b, suffix, 0.7, 2.2),
             )
+
+    def _after_drain(
+        self, edge: MapEdge, kind: RobotKind, drain: str, free: Sequence[str]
+    ) -> List[str]:
+        """Where a robot is whose level ends on an edge: at its end; where the battery is read on
+        ROS, still on it, so that nobody else takes it to be free."""
+        lower, topic = self._team.lower(kind), self._tasks.battery_topic
+        charge = None if topic is None else topic.below[lower.level] if lower else topic.empty
+        if topic is not None and charge is not None:
+            self._events[drain] = topic.event(charge)
+        if lower is None:
+            return [self._stranded(kind.type), *free]
+        if topic is None:
+            return [named("At", edge.target, lower.suffix), *free]
+        return [named("Drive", edge.source, edge.target, lower.suffix)]
+
+    def _go(self, a: str, b: str, suffix: str) -> None:
+        free = [self._free[a, b][0]] if (a, b) in self._free else []
+        self._net.immediate(
+            named("Go", a, b, suffix),
+            inputs=[named("At", a, suffix), *free],
+            outputs=named("Drive", a, b, suffix),
+            position=self._draw.along(a, b, suffix, 0.25),
+        )
 
     def _stranded(self, robot: str) -> str:
         return named("Stranded", robot if len(self._team.kinds) > 1 else "")
@@ -291,7 +314,7 @@ class _Builder:
             dock, suffix = state.node, state.kind.suffix
             free, charge = "Free_dock_" + dock, named("Charge", dock, suffix)
             x, y = self._draw.node(dock, suffix)
-            self._act(charge, tasks.charge, None, 0, (x - 160, y + 60))
+            self._act(charge, tasks.charge, self._charged(), 0, (x - 160, y + 60))
             self._given_back[charge] = {free: 1}
             self._net.immediate(
                 named("Dock", dock, suffix),
@@ -308,7 +331,7 @@ class _Builder:
                 position=(x - 80, y + 90),
             )
         last = {kinds[-1]: robot for robot, kinds in self._team.kinds.items()}
-        driving = dict.fromkeys(state.kind for state in self._of("Go") if state.kind in last)
+        driving = dict.fromkeys(state.kind for state in self._of("Drive") if state.kind in last)
         for column, kind in enumerate(driving, len(self._team.due)):
             robot = last[kind]
             stranded = self._stranded(robot)
@@ -321,10 +344,19 @@ class _Builder:
                 outputs=named("At", self._team.dock_of(robot), self._team.kinds[robot][0].suffix),
                 position=self._draw.top(column, 1),
             )
-        self._team.notes.append(
-            "on ROS nothing reports the battery: in %s a drive ends with Arrive_...; let your "
-            "driver answer with Drain_... where it is due" % PLAN_ROS_FILE
-        )
+        if tasks.battery_topic is None:
+            self._team.notes.append(
+                "on ROS nothing reports the battery: give 'battery_topic', or in %s let your "
+                "driver answer with Drain_... instead of Arrive_... where it is due" % PLAN_ROS_FILE
+            )
+
+    def _charged(self) -> Optional[Dict[str, str]]:
+        """The action on ROS that waits until the battery is charged."""
+        topic = self._tasks.battery_topic
+        if topic is None:
+            return None
+        when = "%s > %g" % (topic.field, topic.charged)
+        return {"wait_for": topic.topic, "type": topic.type, "when": when}
 
     def _policy(self) -> Dict[str, Any]:
         rows: List[Dict[str, Any]] = []

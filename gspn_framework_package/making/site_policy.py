@@ -110,13 +110,18 @@ class SitePolicy:
         return found
 
     def reached(
-        self, start: Sequence[str], drains: Mapping[str, float], stranded: Optional[str]
+        self,
+        start: Sequence[str],
+        drains: Mapping[str, float],
+        stranded: Optional[str],
+        anywhere: bool = False,
     ) -> List[SiteRow]:
         """Return the rows of those nodes that robots get to if they move by these rows alone.
 
         :param start: the nodes where robots start, with a full battery.
         :param drains: level -> probability that it ends on an edge.
         :param stranded: where a robot with an empty battery is brought.
+        :param anywhere: more than one level may end on one edge.
         """
         by_node: Dict[Tuple[str, RobotKind], List[SiteRow]] = {}
         for row in self.rows:
@@ -125,24 +130,24 @@ class SitePolicy:
         found = set(front)
         while front:
             for row in by_node.get(front.pop(), ()):
-                for state in self._after(row, drains, stranded):
+                for state in self._after(row, drains, stranded, anywhere):
                     if state not in found:
                         found.add(state)
                         front.append(state)
         return [row for row in self.rows if (row.node, row.kind) in found]
 
     def _after(
-        self, row: SiteRow, drains: Mapping[str, float], stranded: Optional[str]
+        self, row: SiteRow, drains: Mapping[str, float], stranded: Optional[str], anywhere: bool
     ) -> List[Tuple[str, RobotKind]]:
         if row.move.what == "Start":
             return []
         if row.move.what == "Dock":
             return [(row.node, self._kinds[0])]
         after = [(row.move.to, row.kind)]
-        if drains.get(row.kind.level):
-            lower = dict(zip(self._kinds, self._kinds[1:])).get(row.kind)
-            if lower is not None:
-                after.append((row.move.to, lower))
-            elif stranded is not None:
-                after.append((stranded, self._kinds[0]))
+        if not drains:
+            return after
+        lower = self._kinds[self._kinds.index(row.kind) + 1 :]
+        after += [(row.move.to, kind) for kind in (lower if anywhere else lower[:1])]
+        if stranded is not None and (anywhere or not lower):
+            after.append((stranded, self._kinds[0]))
         return after

@@ -28,6 +28,30 @@ class SiteTask(NamedTuple):
     action: Any = None
 
 
+class BatteryTopic(NamedTuple):
+    """Where robots on ROS read their batteries.
+
+    :ivar topic: relative to the namespace of the robot.
+    :ivar type: of its messages.
+    :ivar field: the charge in a message.
+    :ivar below: level, all but the first -> the charge below which it begins.
+    :ivar empty: the charge below which a robot is stranded; None: that is not noticed.
+    :ivar charged: the charge above which charging ends.
+    """
+
+    below: Mapping[str, float]
+    topic: str = "battery"
+    type: str = "sensor_msgs/BatteryState"
+    field: str = "percentage"
+    empty: Optional[float] = None
+    charged: float = 0.95
+
+    def event(self, charge: float) -> Dict[str, str]:
+        """Return the event that the charge falls below that value."""
+        when = "%s < %g" % (self.field, charge)
+        return {"topic": self.topic, "type": self.type, "when": when}
+
+
 class SiteTasks(NamedTuple):
     """The content of the file, with its defaults.
 
@@ -53,6 +77,7 @@ class SiteTasks(NamedTuple):
     stranded: float = 600.0
     types: Sequence[str] = ()
     conditions: Mapping[str, bool] = {}
+    battery_topic: Optional[BatteryTopic] = None
 
 
 def read_tasks(path: str, site: SiteMap) -> SiteTasks:
@@ -86,6 +111,21 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
         raise document.error(
             "the robots have batteries, and nowhere to charge", ["battery"], "give 'docks' too"
         )
+    topic = BatteryTopic(**data["battery_topic"]) if "battery_topic" in data else None
+    if topic is not None:
+        if set(topic.below) != set(list(battery)[1:]):
+            raise document.error(
+                "it does not say where each level but the first begins",
+                ["battery_topic", "below"],
+                "the levels are %s" % (", ".join(battery) or "given as 'battery'"),
+            )
+        charges = [topic.charged, *(topic.below[level] for level in list(battery)[1:])]
+        charges += [] if topic.empty is None else [topic.empty]
+        if sorted(set(charges), reverse=True) != charges:
+            raise document.error(
+                "the charges do not fall from 'charged' through the levels to 'empty'",
+                ["battery_topic"],
+            )
     simple = {key: data[key] for key in ("plan",) if key in data}
     for key in ("speed", "shape", "charge", "stranded"):
         if key in data:
@@ -98,6 +138,7 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
         tasks=tasks,
         battery=battery,
         docks=docks,
+        battery_topic=topic,
         types=data.get("types", []),
         conditions=data.get("conditions", {}),
         **simple,

@@ -12,8 +12,8 @@ from gspn_framework_package.model.errors import InputError, UsageError
 
 
 class SiteState(NamedTuple):
-    """What robots of a kind can do: be ``At`` a node, ``Go`` from a node ``to`` another one,
-    ``Start`` the task ``to`` at a node, ``Dock`` at a node."""
+    """What robots of a kind can do: be ``At`` a node, choose to ``Go`` from there ``to`` another
+    one, ``Drive`` there, ``Start`` the task ``to`` at a node, ``Dock`` at a node."""
 
     what: str
     node: str
@@ -34,6 +34,8 @@ class SiteTeam:
         self._path = path
         self._tasks = tasks
         self.notes: List[str] = []
+        # where the battery is read, a level ends at any time, and the robot drives on
+        self._on_the_way = tasks.battery_topic is not None
         types = list(tasks.types) or [""]
         self.kinds = {
             robot: [
@@ -174,7 +176,9 @@ class SiteTeam:
             site = self._sites[robot]
             policy = SitePolicy(site, self.due, self.docks, kinds, self.seconds)
             brought = self.dock_of(robot) if self._tasks.battery else None
-            found = policy.reached(self._homes[robot], self._tasks.battery, brought)
+            found = policy.reached(
+                self._homes[robot], self._tasks.battery, brought, self._on_the_way
+            )
             stuck |= policy.stuck & {row.move.to for row in found if row.move.what == "Go"}
             rows += policy.rows if all_edges else found
         if stuck:
@@ -193,7 +197,8 @@ class SiteTeam:
             docks = [dock for dock in self.docks if dock in site.nodes]
             for kind in kinds:
                 every += [SiteState("At", node, "", kind) for node in site.nodes]
-                every += [SiteState("Go", edge.source, edge.target, kind) for edge in site.edges]
+                for what in ("Go", "Drive"):
+                    every += [SiteState(what, e.source, e.target, kind) for e in site.edges]
                 every += [SiteState("Start", node, task, kind) for task, node in here]
                 every += [SiteState("Dock", dock, dock, kind) for dock in docks if kind != kinds[0]]
         if all_edges or not self.rows:
@@ -205,14 +210,16 @@ class SiteTeam:
                 SiteState("At", row.node, "", row.kind),
                 SiteState(what, row.node, to, row.kind),
             }
-            if what == "Go":
-                lower = self.lower(row.kind) if self._tasks.battery else None
-                used |= {SiteState("At", to, "", kind) for kind in (row.kind, lower) if kind}
-            elif what == "Dock":
-                used.add(SiteState("At", to, "", self.kinds[row.kind.type][0]))
-            if what == "Go" and self._tasks.battery and self.lower(row.kind) is None:
-                robot = row.kind.type
-                used.add(SiteState("At", self.dock_of(robot), "", self.kinds[robot][0]))
+            kinds = self.kinds[row.kind.type]
+            if what == "Dock":
+                used.add(SiteState("At", to, "", kinds[0]))
+            elif what == "Go":
+                lower = kinds[kinds.index(row.kind) + 1 :] if self._tasks.battery else []
+                driving = [row.kind, *(lower if self._on_the_way else [])]
+                used |= {SiteState("Drive", row.node, to, kind) for kind in driving}
+                used |= {SiteState("At", to, "", kind) for kind in [*driving, *lower[:1]]}
+                if self._tasks.battery and driving[-1] == kinds[-1]:
+                    used.add(SiteState("At", self.dock_of(row.kind.type), "", kinds[0]))
         self._note_unused(used)
         return [state for state in every if state in used]
 

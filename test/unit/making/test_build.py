@@ -232,3 +232,58 @@ def test_the_command_tells_what_it_made(tmp_path, capsys):
     assert done["robots"] == 2 and "plan_ros.json" in done["files"]
     assert main(["build", str(SITE), "--robots", "2", "-o", folder]) == 2
     assert "it exists already" in capsys.readouterr().err
+
+
+LEVELS = {"full": 0.2, "half": 0.2, "low": 0.2}
+
+
+def with_battery(folder, topic, robots=2):
+    tasks = {"tasks": {"Look": {"at": ["c"], "seconds": 4}}, "docks": {"a": 1}, "battery": LEVELS}
+    path = folder / "tasks.yaml"
+    path.write_text(json.dumps({**tasks, "battery_topic": topic}))
+    return build(str(MAPS / "graph.yaml"), str(path), robots)
+
+
+def test_the_battery_is_read_on_ros(tmp_path):
+    topic = {"below": {"half": 0.6, "low": 0.3}, "empty": 0.1, "charged": 0.9}
+    found = with_battery(tmp_path, topic)
+    found.write(str(tmp_path / "made"))
+    plan = read_plan(str(tmp_path / "made" / "plan_ros.json"))
+    assert not any("battery" in note for note in found.notes)
+    event = plan.events["Drain_a_b_full"]
+    assert (event.topic, event.type) == ("battery", "sensor_msgs/BatteryState")
+    assert event.when == "percentage < 0.6"
+    assert plan.events["Drain_b_c_low"].when == "percentage < 0.1"
+    assert found.ros_actions["Charge_a_low"] == {
+        "wait_for": "battery", "type": "sensor_msgs/BatteryState", "when": "percentage > 0.9",
+    }  # fmt: skip
+    for name in ("plan.json", "plan_ros.json"):
+        report = check(read_plan(str(tmp_path / "made" / name)))
+        assert report.exit_code == 0
+        assert "never_fire" not in {i.check for i in report.items if i.severity.name != "OK"}
+
+
+def test_a_robot_whose_level_ends_on_an_edge_keeps_it(tmp_path):
+    with_battery(tmp_path, {"below": {"half": 0.6, "low": 0.3}}, 1).write(str(tmp_path / "made"))
+    run = Scenario(read_plan(str(tmp_path / "made")))
+    run.action("Drive_a_b_full", result="Drain_a_b_full")
+    run.action("Drive_a_b_half", result="Drain_a_b_half")
+    for fired in ("Drain_a_b_full", "Drain_a_b_half", "Arrive_a_b_low"):
+        run.until_fired(fired)
+        there = [name for name in run.marking if name.startswith(("Drive_a_b", "Drive_b_a"))]
+        assert sum(run.marking[name] for name in there) + run.marking.get("Free_a_b", 0) == 1
+
+
+@pytest.mark.parametrize(
+    "topic, said",
+    [
+        ({"below": {"half": 0.5}}, "does not say where each level but the first begins"),
+        ({"below": {"half": 0.3, "low": 0.6}}, "do not fall from 'charged'"),
+        ({"below": {"half": 0.6, "low": 0.3}, "empty": 0.3}, "do not fall from 'charged'"),
+        ({"below": {}, "fields": 1}, "'fields' was unexpected"),
+    ],
+)
+def test_charges_fall_from_level_to_level(tmp_path, topic, said):
+    with pytest.raises(InputError, match=said) as caught:
+        with_battery(tmp_path, topic)
+    assert caught.value.line == 1
