@@ -613,10 +613,15 @@ class _Run:
                 )
 
     def _is_blocked(self) -> bool:
-        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum."""
+        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum. A
+        robot that a spare is to replace does not vote for the spare."""
         nodes = self.world.alive()
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
-        voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
+        voters = [
+            n.name
+            for n in nodes
+            if n.replica is not None and n.replica.may_vote() and not n.superseded
+        ]
         lost = self.lost_logs or (self.left and self.kind != "leave")
         return bool(lost) and not is_quorum(voters, best.state.members())
 
