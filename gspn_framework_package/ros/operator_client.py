@@ -11,10 +11,10 @@ import rosgraph
 import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.ros.messages import read_status
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
+from gspn_framework_package.team.addressing import read_status, robots_of_run, whom_to_order
 from gspn_framework_package.team.commands import ORDER_TIME
 
 PATIENCE = 2.0
@@ -141,24 +141,9 @@ class OperatorClient:
         :returns: pairs of a node's namespace and its answer; None if it does not answer.
         :raises ExecutionError: no node answers, or nodes of several runs do.
         """
-        there = self._of_one_run(run)
+        there = robots_of_run(self.statuses(), run)
         answers = self.ask_all("breakpoints", argument=argument, nodes=sorted(there))
         return [(node.namespace, answer) for node, answer in answers.items()]
-
-    def _of_one_run(self, run: str) -> Dict[NodeAddress, Dict[str, Any]]:
-        """The nodes of a run that answer, with their status. :raises ExecutionError: there are
-        none, or of several runs."""
-        there = {n: s for n, s in self.statuses().items() if s and run in ("", s["run"])}
-        runs = sorted({status["run"] for status in there.values()})
-        if not there:
-            raise ExecutionError(
-                "no execution node answers%s" % (" of run '%s'" % run if run else "")
-            )
-        if len(runs) > 1:
-            raise ExecutionError(
-                "there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run"
-            )
-        return there
 
     def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
         """Give an order to a node that answers, preferably the robot's own.
@@ -170,17 +155,8 @@ class OperatorClient:
         :returns: whether the order was carried out, and the node's message.
         :raises ExecutionError: no node answers, or nodes of several runs do.
         """
-        there = self._of_one_run(run)
-        # its own node first (last if it is to be evicted), then one with a vote
-        own_last = command in ("evict", "force_evict")
-        node = min(
-            there,
-            key=lambda n: (
-                (there[n]["robot"] == robot) == own_last,
-                not there[n]["active"],
-                there[n]["robot"],
-            ),
-        )
+        there = robots_of_run(self.statuses(), run)
+        node = whom_to_order(there, command, robot)
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         request = CommandRequest(command, robot, argument, there[node]["run"])
         self._send(node, request, answers)

@@ -35,6 +35,7 @@ _ROOT = "gspn"
 _SENDS = ["put", "reply", "declare_queryable"]
 _ASKS = ["query"]
 _SECURE = "tls/"
+_RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
 class TeamAccess(NamedTuple):
@@ -42,13 +43,15 @@ class TeamAccess(NamedTuple):
 
     ``connect``: endpoints of routers (``tls/HOST:PORT``); several are alternatives. ``listen``:
     endpoints at which this process can be reached. ``keys``: of this member; None: without
-    authentication.
+    authentication. ``router``: whether it passes messages on. ``patience``: seconds to wait for a
+    router that is not there yet; one that goes away later is connected to again for ever.
     """
 
     connect: Tuple[str, ...] = ()
     listen: Tuple[str, ...] = ()
     keys: Optional[KeyFolder] = None
     router: bool = False
+    patience: float = 0.0
 
 
 def open_session(access: TeamAccess) -> zenoh.Session:
@@ -107,17 +110,20 @@ def session_config(access: TeamAccess) -> Dict[str, Any]:
     if not access.connect and not access.listen:
         raise UsageError("no endpoint to connect to or to listen at", hint="tcp/HOST:7447")
     mode = "router" if access.router else "peer" if access.listen else "client"
-    link: Dict[str, Any] = {"rx": {"max_message_size": 2 * LARGEST_MESSAGE}}
+    link: Dict[str, Any] = {
+        "rx": {"max_message_size": 2 * LARGEST_MESSAGE},
+        "tx": {"queue": {"size": {"data_high": 16}}},  # room for a burst; what does not fit is lost
+    }
     config: Dict[str, Any] = {
         "mode": mode,
-        "connect": {"endpoints": list(access.connect)},
+        "connect": {"endpoints": list(access.connect), "retry": _RETRY},
         "listen": {"endpoints": list(access.listen)},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {"link": link, "shared_memory": {"enabled": False}},
     }
+    if mode == "client":
+        config["connect"]["timeout_ms"] = int(1000 * access.patience)
     if mode == "router":
-        # a router outlives the loss of others; a robot without any router has to say so
-        config["connect"].update(timeout_ms=-1, exit_on_failure=False)
         config["low_pass_filter"] = [
             {
                 "flows": ["ingress"],

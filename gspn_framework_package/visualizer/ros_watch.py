@@ -36,7 +36,7 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.messages import FIRED_TOPIC, read_status
+from gspn_framework_package.ros.messages import FIRED_TOPIC
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     master_proxy,
@@ -45,6 +45,7 @@ from gspn_framework_package.ros.transport.registration import (
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.ros.voice import diagnostic_array
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
+from gspn_framework_package.team.addressing import read_status
 from gspn_framework_package.visualizer.activity import (
     Activity,
     Fields,

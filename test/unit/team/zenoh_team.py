@@ -49,18 +49,23 @@ class Hub:
     def __init__(self, folder=""):
         self.folder = folder
         self.endpoint = "%s/127.0.0.1:%d" % ("tls" if folder else "tcp", free_port())
-        self.router = Router([self.endpoint], (), os.path.join(folder, "hub") if folder else "")
         self._open = contextlib.ExitStack()
-        self._open.callback(self.router.close)
+        self._open.callback(lambda: self.router.close())
+        self.reopen()
 
-    def connection(self, name, folder=None):
+    def reopen(self):
+        """Start the router, again if it was closed."""
+        own = os.path.join(self.folder, "hub") if self.folder else ""
+        self.router = Router([self.endpoint], (), own)
+
+    def access(self, name, folder=None):
         found = None
         if self.folder:
             found = keys.read_keys(os.path.join(folder or self.folder, name))
         return zenoh_session.TeamAccess((self.endpoint,), (), found)
 
     def session(self, name, folder=None):
-        return self.keep(zenoh_session.open_session(self.connection(name, folder)))
+        return self.keep(zenoh_session.open_session(self.access(name, folder)))
 
     def keep(self, made):
         """Close it at the end, before the router."""

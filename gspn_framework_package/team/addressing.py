@@ -1,0 +1,67 @@
+"""What an operator's program does with the answers of a team; the same for all carriers."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Mapping, Optional, TypeVar
+
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.team.carrier import json_object
+
+Address = TypeVar("Address")
+
+_STATUS_FIELDS = {
+    "robot",
+    "run",
+    "plan",
+    "synchronisation",
+    "active",
+    "quorum",
+    "log_length",
+    "marking",
+    "paused",
+    "ended",
+    "finished",
+    "fault",
+    "waits_for",
+    "robots",
+}
+
+
+def read_status(message: str) -> Optional[Dict[str, Any]]:
+    """A node's answer to the command ``status``; None if the text is not such an answer."""
+    status = json_object(message)
+    return status if status is not None and _STATUS_FIELDS <= set(status) else None
+
+
+def robots_of_run(
+    statuses: Mapping[Address, Optional[Dict[str, Any]]], run: str
+) -> Dict[Address, Dict[str, Any]]:
+    """Those of one run that answered, with their status.
+
+    :param statuses: where a robot is reached -> its status; None if it did not answer.
+    :param run: the name of the run; "" if there is only one.
+    :raises ExecutionError: none answered, or robots of several runs did.
+    """
+    there = {at: status for at, status in statuses.items() if status and run in ("", status["run"])}
+    runs = sorted({status["run"] for status in there.values()})
+    if not there:
+        raise ExecutionError("no execution node answers%s" % (" of run '%s'" % run if run else ""))
+    if len(runs) > 1:
+        raise ExecutionError(
+            "there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run"
+        )
+    return there
+
+
+def whom_to_order(there: Mapping[Address, Dict[str, Any]], command: str, robot: str) -> Address:
+    """Who gets an order: the robot's own node (last if it is to be evicted), then one with a
+    vote."""
+    own_last = command in ("evict", "force_evict")
+    return min(
+        there,
+        key=lambda at: (
+            (there[at]["robot"] == robot) == own_last,
+            not there[at]["active"],
+            there[at]["robot"],
+        ),
+    )

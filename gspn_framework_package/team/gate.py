@@ -1,0 +1,112 @@
+"""Checks what comes in from the network before anybody works on it."""
+
+from __future__ import annotations
+
+import json
+import threading
+from typing import Any, Dict, List, NamedTuple, NoReturn, Optional, Tuple
+
+from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.team.carrier import sender_of
+
+FASTEST = 4000.0
+"""Messages a second that are taken from one robot. A leader at its fastest sends fewer."""
+
+BURST = 4000.0
+"""Messages that are taken at once from a robot that was quiet."""
+
+_MOST_SENDERS = 1000
+_MOST_REASONS = 1000
+_LONGEST_NUMBER = 30
+
+
+class NotTaken(NamedTuple):
+    """What was not taken: from which robot, why, and how often."""
+
+    robot: str
+    why: str
+    times: int
+
+
+class MessageGate:
+    """Lets a message in that has the right size, form and sender, and comes at a bearable rate; may
+    be called on any thread.
+
+    Whether it is a message of the protocol is for the replica to say, which names the sender of one
+    that is not.
+
+    :param largest: bytes of a message.
+    """
+
+    def __init__(self, largest: int) -> None:
+        self._largest = largest
+        self._lock = threading.Lock()
+        self._refused: Dict[Tuple[str, str], int] = {}
+        self._buckets: Dict[str, Tuple[float, float]] = {}
+
+    def admits(self, robot: str, size: int, now: float) -> bool:
+        """Whether to look at a message at all.
+
+        :param robot: who sent it.
+        :param size: in bytes.
+        :param now: a monotonic clock, in seconds.
+        """
+        if size > self._largest:
+            self.refuse(robot, "too large")
+            return False
+        with self._lock:
+            if robot not in self._buckets and len(self._buckets) >= _MOST_SENDERS:
+                robot = ""  # all others together
+            tokens, before = self._buckets.get(robot, (BURST, now))
+            tokens = min(BURST, tokens + (now - before) * FASTEST)
+            let_in = tokens >= 1.0
+            self._buckets[robot] = (tokens - let_in, now)
+        if not let_in:
+            self.refuse(robot, "too many messages")
+        return let_in
+
+    def read(self, robot: str, body: bytes) -> Optional[Message]:
+        """The message in a body; None if it is refused."""
+        message = json_object_of(body)
+        if message is None:
+            self.refuse(robot, "not a JSON object")
+            return None
+        if sender_of(message) != robot:
+            self.refuse(robot, "in the name of another robot")
+            return None
+        return message
+
+    def refuse(self, robot: str, why: str) -> None:
+        """Count something that was not taken."""
+        with self._lock:
+            name = (robot[:100], why)
+            if name not in self._refused and len(self._refused) >= _MOST_REASONS:
+                name = ("others", why)
+            self._refused[name] = self._refused.get(name, 0) + 1
+
+    def refusals(self) -> List[NotTaken]:
+        """What was refused so far."""
+        with self._lock:
+            return [NotTaken(robot, why, n) for (robot, why), n in sorted(self._refused.items())]
+
+
+def _number(digits: str) -> int:
+    if len(digits) > _LONGEST_NUMBER:  # reading a long one takes time that grows with its square
+        raise ValueError("a number of %d digits" % len(digits))
+    return int(digits)
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError("%s is not JSON" % text)
+
+
+_DECODER = json.JSONDecoder(parse_int=_number, parse_constant=_no_number)
+
+
+def json_object_of(body: bytes) -> Optional[Dict[str, Any]]:
+    """The JSON object in bytes of an untrusted sender; None if there is none."""
+    try:
+        value = _DECODER.decode(body.decode("utf-8"))
+    except (ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None

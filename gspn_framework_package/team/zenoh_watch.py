@@ -1,0 +1,83 @@
+"""Watches runs over Zenoh: what fires, and what every robot does."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Any, Callable, Dict, NamedTuple
+
+from gspn_framework_package.team.gate import json_object_of
+from gspn_framework_package.team.zenoh_session import (
+    LARGEST_MESSAGE,
+    TeamAccess,
+    key_of,
+    names_in,
+    open_session,
+    zenoh_library,
+)
+
+if TYPE_CHECKING:
+    import zenoh
+
+
+class Sights(NamedTuple):
+    """What a watch calls, on Zenoh's threads, with the robot that it comes from."""
+
+    fired: Callable[[str, Dict[str, Any]], None]
+    """Takes a firing (see :func:`~gspn_framework_package.team.carrier.firing_fields`)."""
+    activity: Callable[[str, Dict[str, Any]], None]
+    """Takes what a robot does."""
+
+
+class ZenohWatch:
+    """Watches one run, or all.
+
+    A firing is published by the robot that decided it, which may concern another robot.
+
+    :param access: how to reach the team.
+    :param run: the name of the run; "" for all runs.
+    :param sights: what to do with what is seen.
+    :raises GspnError: there is no session with the team.
+    """
+
+    def __init__(self, access: TeamAccess, run: str, sights: Sights) -> None:
+        self._sights = sights
+        self._zenoh = zenoh_library()
+        self._session = open_session(access)
+        self._run = run or "*"
+        self._declared = [
+            self._session.declare_subscriber(key_of(self._run, "*", "fired"), self._on_fired),
+            self._session.declare_subscriber(key_of(self._run, "*", "activity"), self._on_activity),
+        ]
+
+    def ask_activity(self) -> None:
+        """Have every robot that is reached say again what it does; the answers come as any other
+        activity."""
+        self._session.get(
+            key_of(self._run, "*", "activity"),
+            self._on_reply,
+            target=self._zenoh.QueryTarget.ALL,
+            consolidation=self._zenoh.ConsolidationMode.NONE,
+        )
+
+    def close(self) -> None:
+        """End the session."""
+        with contextlib.suppress(self._zenoh.ZError):
+            self._session.close()
+
+    def _on_fired(self, sample: zenoh.Sample) -> None:
+        self._pass_on(sample, self._sights.fired)
+
+    def _on_activity(self, sample: zenoh.Sample) -> None:
+        self._pass_on(sample, self._sights.activity)
+
+    def _on_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._pass_on(reply.ok, self._sights.activity)
+
+    def _pass_on(self, sample: zenoh.Sample, to: Callable[[str, Dict[str, Any]], None]) -> None:
+        robot = names_in(str(sample.key_expr))[1]
+        fields = None
+        if len(sample.payload) <= LARGEST_MESSAGE:
+            fields = json_object_of(bytes(sample.payload))
+        if fields is not None:
+            to(robot, fields)

@@ -1,0 +1,61 @@
+"""What comes in from the network is checked before anybody works on it."""
+
+import json
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gspn_framework_package.team.gate import BURST, FASTEST, MessageGate, NotTaken, json_object_of
+
+
+def test_a_flood_is_cut_to_a_bearable_rate_and_hurts_no_other_robot():
+    gate = MessageGate(1000)
+    let_in = sum(gate.admits("flooder", 100, i / 100_000) for i in range(300_000))
+    assert let_in <= BURST + 3 * FASTEST + 1
+    assert all(gate.admits("other", 100, 3.0) for _ in range(1000))
+    assert [r.robot for r in gate.refusals()] == ["flooder"]
+    assert gate.refusals()[0].times == 300_000 - let_in
+    assert gate.admits("flooder", 100, 4.0)
+
+
+def test_large_messages_are_refused_unread():
+    gate = MessageGate(1000)
+    assert gate.admits("r", 1000, 0.0)
+    assert not gate.admits("r", 1001, 0.0)
+    assert gate.refusals() == [NotTaken("r", "too large", 1)]
+
+
+def test_a_message_in_the_name_of_another_robot_is_refused():
+    gate = MessageGate(1000)
+    message = {"kind": "pull", "from": "a"}
+    body = json.dumps(message).encode()
+    assert gate.read("a", body) == message
+    assert gate.read("b", body) is None
+    assert gate.read("b", b"{}") is None
+    assert gate.refusals() == [NotTaken("b", "in the name of another robot", 2)]
+
+
+def test_the_list_of_refusals_is_bounded():
+    gate = MessageGate(1000)
+    for number in range(5000):
+        gate.refuse("robot %d" % number, "too large")
+    assert len(gate.refusals()) <= 1001
+    assert sum(r.times for r in gate.refusals()) == 5000
+
+
+def test_many_senders_share_one_limit():
+    gate = MessageGate(1000)
+    let_in = sum(gate.admits("robot %d" % n, 1, 0.0) for n in range(20_000))
+    assert let_in <= 1000 + BURST
+
+
+def test_what_is_no_json_object_is_refused():
+    for body in (b"", b"[]", b"{", b"\xff", b'{"a": NaN}', b'{"a": %s}' % (b"1" * 31)):
+        assert json_object_of(body) is None
+    assert json_object_of(b"[" * 100_000) is None
+    assert json_object_of(b'{"a":' * 100_000) is None
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_read_or_refused(body):
+    assert json_object_of(body) is None or isinstance(json_object_of(body), dict)

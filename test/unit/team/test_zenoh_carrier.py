@@ -1,0 +1,274 @@
+"""The carrier over Zenoh, with and without keys, on real sessions through a router."""
+
+import builtins
+import json
+import threading
+
+import pytest
+from zenoh_team import Hub, make_keys, wait_for
+
+from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
+from gspn_framework_package.model.errors import ExecutionError, UsageError
+from gspn_framework_package.team.carrier import Handlers, OperatorAnswer
+from gspn_framework_package.team.zenoh_carrier import MOST_WAITING, ZenohCarrier
+from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
+from gspn_framework_package.team.zenoh_session import key_of, zenoh_library
+from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
+
+STATUS = {
+    "run": "run",
+    "plan": "",
+    "synchronisation": "full",
+    "active": True,
+    "quorum": True,
+    "log_length": 1,
+    "marking": {},
+    "paused": False,
+    "ended": None,
+    "finished": False,
+    "fault": "",
+    "waits_for": "",
+    "robots": [],
+}
+
+
+@pytest.fixture(params=["keys", "no keys"])
+def hub(request, tmp_path):
+    made = Hub(make_keys(tmp_path / "keys") if request.param == "keys" else "")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def secure(tmp_path):
+    made = Hub(make_keys(tmp_path / "keys"))
+    yield made
+    made.close()
+
+
+class Robot:
+    """A carrier and what it received."""
+
+    def __init__(self, hub, name, run="run", partial=False):
+        self.name, self.got, self.asked = name, [], []
+        self.answer = lambda request: OperatorAnswer(True, "done")
+        access = hub.access(name)
+        handlers = Handlers(self.got.append, self.command)
+        self.carrier = hub.keep(ZenohCarrier(name, run, access, handlers, partial))
+
+    def command(self, request, operator):
+        self.asked.append((request, operator))
+        if request.command == "status":
+            return OperatorAnswer(True, json.dumps({**STATUS, "robot": self.name}))
+        return self.answer(request)
+
+    def send(self, to, number):
+        names = to if isinstance(to, list) else [to]
+        message = {"from": self.name, "number": number}
+        self.carrier.send([Send(name, message) for name in names])
+
+    def numbers(self):
+        return {message["number"] for message in self.got}
+
+
+def connect(*robots):
+    """Wait until each hears each: subscriptions take a moment to reach everybody."""
+    for robot in robots:
+        others = [other for other in robots if other is not robot]
+
+        def heard(robot=robot, others=others):
+            robot.send(EVERYBODY, "ready")
+            for other in others:
+                robot.send(other.name, "ready alone")
+            texts = [{m["number"] for m in o.got if m["from"] == robot.name} for o in others]
+            return all({"ready", "ready alone"} <= text for text in texts)
+
+        wait_for(heard)
+    for robot in robots:
+        robot.got.clear()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_messages_reach_whom_they_are_for(hub, partial):
+    one, two, three = (Robot(hub, "robot_%d" % n, partial=partial) for n in (1, 2, 3))
+    connect(one, two, three)
+    before = one.carrier.sent
+    one.send(EVERYBODY, 1)
+    one.send("robot_2", 2)
+    one.send(["robot_2", "robot_3"], 3)
+    one.send(EVERYBODY, 4)
+    wait_for(lambda: 4 in two.numbers() & three.numbers())
+    assert one.carrier.sent == before + 4
+    assert two.numbers() - {"ready", "ready alone"} == {1, 2, 3, 4}
+    assert three.numbers() - {"ready", "ready alone"} == {1, 3, 4}
+    assert 4 not in one.numbers()
+
+
+def test_in_partial_synchronisation_nobody_else_is_disturbed(hub):
+    one, two, three = (Robot(hub, "robot_%d" % n, partial=True) for n in (1, 2, 3))
+    connect(one, two, three)
+    seen = []
+    listener = hub.session("robot_3")
+    listening = listener.declare_subscriber("gspn/run/robot_1/all", seen.append)
+    wait_for(lambda: one.send(EVERYBODY, "hello") or seen)
+    del seen[:]
+    one.send(["robot_2", "robot_3"], 1)
+    wait_for(lambda: 1 in two.numbers() & three.numbers())
+    assert "1" not in "".join(bytes(s.payload).decode().split("number")[1] for s in seen)
+    listening.undeclare()
+
+
+def test_another_run_is_not_heard(hub):
+    one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
+    other = Robot(hub, "robot_3", run="another")
+    connect(one, two)
+    other.send(EVERYBODY, "other run")
+    one.send(EVERYBODY, "this run")
+    wait_for(lambda: "this run" in two.numbers())
+    assert "other run" not in two.numbers()
+
+
+def test_nonsense_is_refused_and_its_sender_is_named(secure):
+    one, two = Robot(secure, "robot_1"), Robot(secure, "robot_2")
+    connect(one, two)
+    attacker = secure.session("robot_3")
+    key = key_of("run", "robot_3", "to", "robot_2")
+    forged = json.dumps({"from": "robot_1", "number": "forged"}).encode()
+    wanted = {
+        ("robot_3", "not a JSON object"),
+        ("robot_3", "in the name of another robot"),
+    }
+
+    def refused():
+        for body in (b"nonsense", b"\xff\xfe", b"[]", forged):
+            attacker.put(key, body)
+        return {(r.robot, r.why) for r in two.carrier.refusals()} >= wanted
+
+    wait_for(refused)
+    one.send("robot_2", "true")
+    wait_for(lambda: "true" in two.numbers())
+    assert "forged" not in two.numbers()
+
+
+def test_operators_ask_order_and_are_named(secure):
+    one = Robot(secure, "robot_1")
+    Robot(secure, "robot_2")
+    ann = secure.keep(ZenohOperator(secure.access("ann")))
+    wait_for(lambda: len(ann.statuses()) == 2)
+    assert ann.statuses()[RobotAddress("run", "robot_1")]["robot"] == "robot_1"
+    assert ann.order("retry", "robot_1", "") == (True, "done")
+    request, operator = one.asked[-1]
+    assert (request.command, request.robot, request.run) == ("retry", "robot_1", "run")
+    assert operator == "ann"
+    one.answer = lambda request: OperatorAnswer(False, "no such place")
+    assert ann.order("set_place", "robot_1", "X") == (False, "no such place")
+    told = dict(ann.breakpoints("", "run"))
+    assert [told[name].success for name in ("robot_1", "robot_2")] == [False, True]
+    with pytest.raises(ExecutionError, match="no execution node answers of run 'none'"):
+        ann.order("retry", "robot_1", "", run="none")
+
+
+def test_a_watcher_sees_and_orders_nothing(secure):
+    one = Robot(secure, "robot_1")
+    screen = secure.keep(ZenohOperator(secure.access("screen")))
+    wait_for(lambda: screen.statuses())
+    with pytest.raises(ExecutionError, match="the keys of watcher 'screen' give no orders"):
+        screen.order("stop", "", "")
+    forger = secure.session("screen")
+    for name in ("ann", "screen"):
+        request = json.dumps({"command": "stop", "robot": "", "argument": ""}).encode()
+        answers = forger.get(key_of("run", "robot_1", "orders", name), payload=request, timeout=0.5)
+        assert list(answers) == []
+    assert {request.command for request, _ in one.asked} == {"status"}
+
+
+def test_no_name_is_believed_without_keys():
+    hub = Hub()
+    try:
+        one = Robot(hub, "robot_1")
+        somebody = hub.keep(ZenohOperator(hub.access("ann")))
+        wait_for(lambda: somebody.statuses())
+        assert somebody.order("pause", "", "")[0]
+        assert one.asked[-1][1] == ""
+    finally:
+        hub.close()
+
+
+def test_a_flood_of_orders_is_refused_while_some_wait(secure):
+    one = Robot(secure, "robot_1")
+    go_on = threading.Event()
+    one.answer = lambda request: OperatorAnswer(go_on.wait(20.0), "late")
+    ann = secure.session("ann")
+    body = json.dumps({"command": "pause", "robot": "", "argument": ""}).encode()
+    key, got = key_of("run", "robot_1", "orders", "ann"), []
+
+    def ask():
+        ann.get(key, lambda reply: got.append(json.loads(bytes(reply.ok.payload))), payload=body)
+        return any("busy" in answer["message"] for answer in got)
+
+    wait_for(ask)
+    assert len(one.asked) == MOST_WAITING
+    go_on.set()
+    wait_for(lambda: sum(answer["success"] for answer in got) >= MOST_WAITING)
+
+
+@pytest.mark.parametrize("body", [None, b"", b"x", b"[]", b"{}", b'{"command": 1}'])
+def test_an_order_that_cannot_be_read_is_refused(secure, body):
+    one = Robot(secure, "robot_1")
+    ann, got = secure.session("ann"), []
+    key = key_of("run", "robot_1", "orders", "ann")
+
+    def asked():
+        ann.get(key, lambda reply: got.append(bytes(reply.ok.payload)), payload=body)
+        return got
+
+    wait_for(asked)
+    assert json.loads(got[0]) == {"success": False, "message": "not an order"}
+    assert one.asked == []
+
+
+def test_a_watch_sees_what_fires_and_what_robots_did_before_it_began(hub):
+    one = Robot(hub, "robot_1")
+    one.carrier.tell_activity({"robot": "robot_1", "phase": "Executing"})
+    fired, done = [], []
+    sights = Sights(lambda *seen: fired.append(seen), lambda *seen: done.append(seen))
+    watch = hub.keep(ZenohWatch(hub.access("screen"), "run", sights))
+    wait_for(lambda: watch.ask_activity() or done)
+    assert done[0] == ("robot_1", {"robot": "robot_1", "phase": "Executing"})
+    wait_for(lambda: one.carrier.tell_firing({"slot": 3}) or fired)
+    assert fired[0] == ("robot_1", {"slot": 3})
+    one.carrier.tell_activity({"phase": "Waiting"})
+    wait_for(lambda: ("robot_1", {"phase": "Waiting"}) in done)
+
+
+def test_messages_go_on_when_the_router_was_replaced(secure):
+    one, two = Robot(secure, "robot_1"), Robot(secure, "robot_2")
+    connect(one, two)
+    secure.router.close()
+    one.send(EVERYBODY, "lost")
+    secure.reopen()
+    wait_for(lambda: one.send(EVERYBODY, "back") or "back" in two.numbers(), 20.0)
+    assert "lost" not in two.numbers()
+
+
+def test_a_closed_carrier_says_nothing_more(hub):
+    one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
+    connect(one, two)
+    one.carrier.close()
+    one.send(EVERYBODY, "late")
+    one.carrier.tell_activity({})
+    one.carrier.close()
+    assert "late" not in two.numbers()
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *rest):
+        if name == "zenoh":
+            raise ImportError("No module named 'zenoh'")
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(UsageError, match=r"\(pip install eclipse-zenoh\)"):
+        zenoh_library()
