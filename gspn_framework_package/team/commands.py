@@ -40,6 +40,11 @@ class Commands:
         if request.command == "status":
             status = ask(self._worker, lambda: self._worker.status(request.argument))
             return OperatorAnswer(True, json.dumps(status))
+        if request.command == "plan":
+            adopted = ask(self._worker, self._worker.adopted)
+            if adopted is None:
+                return OperatorAnswer(False, "the team follows the plan that it began with")
+            return OperatorAnswer(True, json.dumps(adopted.to_json()))
         if request.command == "breakpoints":
             return ask(self._worker, lambda: self._breakpoints(request.argument))
         robot = request.robot or self._worker.robot
@@ -103,7 +108,7 @@ def ask(worker: Worker, question: Callable[[], Answer]) -> Answer:
 
 _COMMANDS = (
     "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, "
-    "stage, adopt, unstage, breakpoints, status"
+    "stage, adopt, unstage, breakpoints, plan, status"
 )
 
 

@@ -22,6 +22,7 @@ from gspn_framework_package.execution.breakpoints import (
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
@@ -492,8 +493,13 @@ class ReplicaHost(Worker):
             log_file=self._log.writer.path,
             messages_sent=self._carrier.sent,
             plan=self.plan.hash(),
+            began_with=self._began_with.hash(),
             breakpoints=self._breakpoints.breakpoints.to_json(),
         )
+
+    def adopted(self) -> Optional[StagedPlan]:
+        """See :class:`Worker`."""
+        return self._replica.ledger.state.adopted
 
     def _activity(self) -> Dict[str, Any]:
         return self._report.activity(self.plan.hash(), self._attempt, self._progress)

@@ -6,6 +6,7 @@ from typing import Any, Callable, Dict, NamedTuple, Optional, TypeVar
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.net import Marking, Net
 
 
@@ -56,6 +57,11 @@ class Worker:
         :param data: ``data``: with the data, tasks and held events of the team; ``brief``: with
             these as short texts; "": without.
         """
+        raise NotImplementedError
+
+    def adopted(self) -> Optional[StagedPlan]:
+        """The plan that the team adopted; None if it follows the one that it began with. Call it on
+        the worker thread."""
         raise NotImplementedError
 
     def breakpoints(self, argument: str) -> str:

@@ -51,6 +51,8 @@ class BagReplay(Activity):
         of_plan = [message for _, message in messages if message.plan == wanted]
         self.left_out = sorted({message.run for message in of_plan} - {run})
         self._messages = [item for item in messages if (item[1].plan, item[1].run) == (wanted, run)]
+        self._others = [t for t, m in messages if m.run == run and m.plan != wanted]
+        """When the team fired under other plans, which a bag does not hold."""
         names = {name for _, message in self._messages for name in message.robots}
         if len(self.plan.robots) != len(names):
             with contextlib.suppress(GspnError):  # the first message's marking decides then
@@ -83,6 +85,12 @@ class BagReplay(Activity):
         if self.left_out:
             text = "the bag holds other runs of this plan too, which are not shown: %s" % ", ".join(
                 self.left_out
+            )
+            events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
+        if self._others:
+            text = (
+                "from %.1f s on the run follows another plan; a bag does not hold it, so nothing "
+                "of it is shown: replay the event log of a robot" % (self._others[0] - first)
             )
             events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
         hub.publish(*events)

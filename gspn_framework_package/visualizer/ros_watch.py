@@ -11,9 +11,11 @@ import json
 import queue
 import threading
 import time
+from collections import deque
 from typing import (
     Any,
     Callable,
+    Deque,
     Dict,
     FrozenSet,
     List,
@@ -31,7 +33,9 @@ from std_msgs.msg import String
 
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
 from gspn_framework_package.execution.breakpoints import Breakpoints
+from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.plan_change import NewNames
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -53,7 +57,8 @@ from gspn_framework_package.visualizer.activity import (
     names_field,
     text_field,
 )
-from gspn_framework_package.visualizer.board import Event, data_event
+from gspn_framework_package.visualizer.board import Event, data_event, plan_event, renumbered
+from gspn_framework_package.visualizer.deployed_plan import DeployedPlan, read_deployed
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
@@ -77,6 +82,9 @@ ORDER_TIME = 6.0
 
 SILENT = 3
 """Number of unanswered requests after which the run is considered over."""
+
+UNPLACED = 500
+"""Largest number of firings that wait until it is known under which plan they happened."""
 
 UNHEARD = 3
 """Number of consecutive answers that show progress of the team without any received firing, after
@@ -110,7 +118,13 @@ class RosWatch(Activity):
         super().__init__()
         self._plan = plan
         self._net: Net = plan.net
-        self._hash = plan.hash()
+        self._hash = self._given = plan.hash()
+        self._plans: Dict[int, Plan] = {}
+        """Number -> plan that the team went on under."""
+        self._stage = 0
+        """Number of the stage of the plan shown, 0 for the plan that was given."""
+        self._unplaced: Deque[FiredTransition] = deque(maxlen=UNPLACED)
+        """Firings under a plan that is not known yet."""
         self._run = run
         self._queue: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
         self._topics: Set[str] = set()
@@ -147,6 +161,10 @@ class RosWatch(Activity):
             "submit": self._ordered(self._submit),
             "breakpoints": self._set_breakpoints,
         }
+
+    def plan_of(self, number: int) -> Optional[Plan]:
+        """See :class:`Activity`."""
+        return self._plans.get(number)
 
     def begin(self, hub: Hub) -> None:
         """Subscribe, and start asking the team for its state."""
@@ -214,7 +232,11 @@ class RosWatch(Activity):
     def _on_fired(self, message: FiredTransition) -> None:
         if not self._run and message.plan == self._hash:
             self._show_run(message.run)
-        if self._is_shown(message.plan, message.run):
+        if message.run == self._run and message.plan != self._hash:
+            if not self._unplaced:
+                self._ask_now.set()
+            self._unplaced.append(message)  # until it is known what the team follows
+        elif self._is_shown(message.plan, message.run):
             self._heard = True
             self._hub.publish(*self._follower.take(message, time.monotonic()))
 
@@ -249,6 +271,9 @@ class RosWatch(Activity):
         namespace, message = told
         activity = json.loads(message.data)
         name = str(activity["robot"])
+        if activity["run"] == self._run and activity["plan"] != self._hash and self._run:
+            self._ask_now.set()  # the team may follow another plan
+            return
         if not self._run:  # it may be left over from a run that has ended
             self._early[namespace] = message
             return
@@ -313,7 +338,8 @@ class RosWatch(Activity):
             self._ask_now.clear()
             try:
                 self._find_robots()
-                self._queue.put(("answers", (lost_track, self._ask(self._askable()))))
+                heard = self._ask(self._askable())
+                self._queue.put(("answers", (lost_track, heard, self._ask_plan(heard))))
             except MASTER_ERRORS as error:
                 rospy.logwarn_throttle(30.0, "the page: the master does not answer: %s" % error)
             self._ask_now.wait(LOOK_AROUND)
@@ -325,14 +351,82 @@ class RosWatch(Activity):
                 self._topics.add(namespace)
                 self._subscribe(topic, String, "activity", namespace)
 
-    def _on_answers(self, asked: Tuple[bool, List[Answer]]) -> None:
-        lost_track, heard = asked
+    def _ask_plan(self, heard: List[Answer]) -> Optional[DeployedPlan]:
+        """The plan that the team of the run shown went on under, if it is not the one shown; on the
+        asking thread."""
+        others = [
+            (namespace, status)
+            for namespace, status in heard
+            if status["plan"] != self._hash
+            and (
+                status["run"] == self._run if self._run else status.get("began_with") == self._given
+            )
+        ]
+        for namespace, status in sorted(others, key=lambda a: -int(a[1]["log_length"])):
+            answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
+            request = CommandRequest(command="plan", run=status["run"])
+            if not self._call(namespace, request, self._asking, answers):
+                continue
+            with contextlib.suppress(queue.Empty):
+                _, response = answers.get(timeout=ANSWER_TIME + 0.2)
+                found = read_deployed(status["run"], response.message)
+                if found is not None and found.plan.hash() == status["plan"]:
+                    return found if found.number > self._stage else None
+        return None
+
+    def _follow(self, deployed: DeployedPlan, heard: List[Answer]) -> None:
+        """Show the run under the plan that its team went on under.
+
+        :param heard: what robots answered; at least one of them follows the plan.
+        """
+        old, new = self._plan, deployed.plan
+        self._plan, self._net, self._hash = new, new.net, new.hash()
+        self._stage = deployed.number
+        statuses = [s for _, s in heard if (s["plan"], s["run"]) == (self._hash, self._run)]
+        newest = max(statuses, key=lambda s: int(s["log_length"]))
+        self._before = self._team_seen(newest, statuses)
+        self._follower = FiredFollower(new)
+        self._follower.adopt(self._before, "")
+        number = len(self._plans) + 1
+        self._plans[number] = new
+        enabled = EnabledSet(new.net, self._before.marking, by_priority=False)
+        names = NewNames(old, new, deployed.mapping)
+        event = plan_event(number, old, new, names, enabled)
+        for shown in self._shown.values():
+            shown["place"] = renumbered(shown.get("place"), event["places"])
+        self._hub.publish(event)
+        for name, seen in self._follower.robots.items():
+            self._show_robot(name, place=seen.place)
+        if self._comparison is not None:
+            self._comparison = self._comparison.go_on(new)
+
+    def _is_elsewhere(self, status: Dict[str, Any]) -> bool:
+        """Whether a robot of the run shown follows another of its team's plans: its log, or the
+        page, is not that far yet."""
+        ours = bool(self._stage) or status.get("began_with") == self._given
+        return ours and status["run"] == self._run and status["plan"] != self._hash
+
+    def _on_answers(self, asked: Tuple[bool, List[Answer], Optional[DeployedPlan]]) -> None:
+        lost_track, heard, deployed = asked
         answers = []
         if not self._run:
-            same_plan = [status for _, status in heard if status["plan"] == self._hash]
+            same_plan = [s for _, s in heard if self._hash in (s["plan"], s.get("began_with"))]
             for status in sorted(same_plan, key=lambda s: bool(s["ended"]))[:1]:
                 self._show_run(status["run"])
+        if deployed is not None and (deployed.run, deployed.number > self._stage) == (
+            self._run,
+            True,
+        ):
+            self._follow(deployed, heard)
+        unplaced = list(self._unplaced)
+        if not any(self._is_elsewhere(status) for _, status in heard):
+            self._unplaced.clear()  # what remains came late, under an earlier plan
+        for message in unplaced:
+            if message.plan == self._hash:
+                self._on_fired(message)
         for namespace, status in heard:
+            if self._is_elsewhere(status):
+                continue
             if self._is_shown(status["plan"], status["run"]):
                 self._is_ours(namespace, status["robot"])
                 answers.append(status)

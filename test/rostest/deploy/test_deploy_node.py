@@ -18,6 +18,10 @@ from robots import RobotTestCase, chain, write_plan
 from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.visualizer.board import Board
+from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.ros_watch import RosWatch
 
 ACTIONS = """
 def work(is_cancelled):
@@ -69,9 +73,29 @@ class DeployTest(RobotTestCase):
     def plan(self, places, mode, actions=ACTIONS, **more):
         return os.path.join(write_plan(patrol(places, mode, **more), actions), "plan.json")
 
+    def watched(self, team):
+        """The hub of a page that watches a team, and was given the plan that it began with."""
+        watch = RosWatch(read_plan(os.path.join(team.plan, "plan.json")), team.run)
+        hub = Hub("", Board(0, []))
+        watch.begin(hub)
+        self.addCleanup(watch.end)
+        return hub
+
+    def wait_for_the_page(self, hub, what):
+        """Wait until the page shows a robot in E, and firings of the net that has it."""
+
+        def is_shown():
+            board = hub.board()
+            fired = [e for e in hub.events(0, board.n) if e["k"] == "fire" and e.get("p") == 1]
+            return board.plan == 1 and board.marking[4] > 0 and len(fired) > 2
+
+        wait_for(is_shown, 30, what)
+
     def test_a_patrol_gets_a_fifth_location_without_stopping(self):
         for mode in ("full", "partial"):
             team = self.start(mode)
+            page = self.watched(team)
+            wait_for(lambda: sum(page.board().counts) > 0, 20, "firings on the page")
             broken = self.plan("ABCDE", mode, actions="def other():\n    pass\n")
             code, text = gspn("deploy", broken)
             self.assertEqual(code, 1)
@@ -86,6 +110,9 @@ class DeployTest(RobotTestCase):
             for robot in team:
                 wait_for(lambda: robot.status()["plan_name"] == "5 places", 10, "the new plan")
                 wait_for(lambda: robot.status()["marking"].get("E", 0) > 0, 30, "a robot in E")
+            self.wait_for_the_page(page, "the fifth location on the page")
+            late = self.watched(team)
+            self.wait_for_the_page(late, "the fifth location on a page that was opened later")
             self.assertEqual({r["incarnation"] for r in team["robot_1"].status()["robots"]}, {0})
             team["robot_2"].kill()  # it learns of the plan from its log
             team["robot_2"].start()

@@ -4,15 +4,20 @@ ever."""
 import json
 import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rospy")
 
+from gspn_framework_package.execution.plan_change import digest_of
+from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 from gspn_framework_package.ros.operator_client import OperatorClient
 from gspn_framework_package.ros.transport import registration
+from gspn_framework_package.visualizer.deployed_plan import read_deployed
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.ros_watch import UNHEARD, RosWatch
 
@@ -75,7 +80,7 @@ class Watched:
         self.watch.begin(self.hub)
         self.length = 0
 
-    def answer(self, place, run="monday", plan=None, ended=None, **more):
+    def answer(self, place, run="monday", plan=None, ended=None, deployed=None, **more):
         """One robot of the first two says where it is."""
         self.length += 1
         robots = [
@@ -99,7 +104,8 @@ class Watched:
             "waits_for": "",
             **more,
         }
-        self.watch._on_answers((False, self.watch._read_answer("/robot_1", json.dumps(status))))
+        heard = self.watch._read_answer("/robot_1", json.dumps(status))
+        self.watch._on_answers((False, heard, deployed))
 
     def notes(self):
         return [note["text"] for note in self.hub.board().notes]
@@ -185,3 +191,68 @@ def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
     assert tell("Doing", False) == "doing"
     assert tell("Waiting", False) == "done"
     assert tell("Lost", True) == "lost"
+
+
+def deployed_to(plan):
+    """A plan like ``plan`` in which P4 is called Alarm and the places come in reverse order, as a
+    robot reports it."""
+    data = json.loads(json.dumps(plan_to_json(plan)).replace('"P4"', '"Alarm"'))
+    data["net"]["places"].reverse()
+    staged = StagedPlan(1, digest_of(data), data, {"P4": "Alarm"})
+    return read_deployed("monday", json.dumps(staged.to_json()))
+
+
+def fired(plan, slot, transition, robot, place, marking):
+    """The message of a firing that moved a robot."""
+    return SimpleNamespace(
+        plan=plan.hash(),
+        run="monday",
+        transition=transition,
+        robot=robot,
+        visit=2,
+        robots=[robot],
+        robot_places=[place],
+        places=list(marking),
+        counts=list(marking.values()),
+        slot=slot,
+        index=0,
+        private_move=False,
+        details="",
+    )
+
+
+def test_the_page_follows_a_team_to_another_plan(monkeypatch):
+    page = Watched(monkeypatch)
+    deployed, began = deployed_to(page.plan), page.plan.hash()
+    new = deployed.plan
+    page.answer("P1", began_with=began)
+    before = page.hub.board().to_json()
+    message = fired(new, 3, "T2", "robot_1", "Alarm", {"P1": 1, "Alarm": 1, "P3": 1})
+    page.watch._on_fired(message)  # its plan is not known yet
+    page.answer("P1", plan=new.hash(), began_with=began)  # and cannot be asked for
+    assert page.hub.board().to_json() == before
+    page.answer("P1", plan=new.hash(), began_with=began, deployed=deployed)
+    board = page.hub.board()
+    assert board.plan == 1 and page.watch.plan_of(1) is new
+    assert new.net.named(board.marking, zeros=False) == {"P1": 1, "Alarm": 1, "P3": 1}
+    places = {name: new.net.places[r["place"]].name for name, r in board.robots.items()}
+    assert places["robot_1"] == "Alarm" and places["robot_2"] == "P1"
+    page.watch._on_fired(fired(page.plan, 1, "T2", "robot_2", "P4", {"P4": 1}))  # comes late
+    page.answer("P4", plan=began, began_with=began)  # of one who is behind
+    assert new.net.named(page.hub.board().marking, zeros=False) == {"P1": 1, "Alarm": 1, "P3": 1}
+    assert page.notes() == []
+
+
+def test_a_page_that_is_opened_later_shows_the_run_under_its_present_plan(monkeypatch):
+    page = Watched(monkeypatch, run="")
+    deployed = deployed_to(page.plan)
+    new = deployed.plan
+    page.answer("Alarm", plan=new.hash(), began_with=page.plan.hash(), deployed=deployed)
+    board = page.hub.board()
+    assert board.status["run"] == "monday" and board.plan == 1
+    assert new.net.named(board.marking, zeros=False) == {"Alarm": 2}
+
+
+@pytest.mark.parametrize("said", ["", "{}", "[]", '{"number": 1}', '{"number": 1, "plan": 3}'])
+def test_a_plan_that_cannot_be_read_is_none(said):
+    assert read_deployed("monday", said) is None

@@ -290,6 +290,18 @@ def test_of_two_runs_in_a_bag_the_first_is_shown(recorded, tmp_path):
     assert [note["text"].endswith(": another") for note in hub.board().notes] == [True]
 
 
+def test_a_bag_says_from_when_on_its_run_follows_another_plan(recorded, tmp_path):
+    path, firings, _ = recorded
+    plan = read_log(path).plan
+    heard = list(messages(plan, firings[:20]))
+    for message in heard[12:]:
+        message.plan = "another"
+    write_bag(tmp_path / "run.bag", heard)
+    board = finished(BagReplay(str(tmp_path / "run.bag"), [plan])).board()
+    assert tuple(board.marking) == firings[11].marking
+    assert "from 1.2 s on the run follows another plan" in board.notes[-1]["text"]
+
+
 def test_firings_that_a_bag_lacks_are_told(recorded, tmp_path):
     _, firings, state = recorded
     plan = read_plan(PLAN)
