@@ -272,9 +272,22 @@ def another_plan(plan: Plan, source: random.Random) -> Tuple[Plan, Dict[str, str
         for _ in range(source.choice([1, 1, 2, 3])):
             source.choice(_CHANGES)(data, mapping, source)
         try:
-            return plan_from_json(data), mapping
+            new = plan_from_json(data)
         except GspnError:
             continue
+        if not _fails_always(new):
+            return new, mapping
+
+
+def _fails_always(plan: Plan) -> bool:
+    """Whether a place without an action leaves a choice that nobody makes, of which the check of a
+    plan warns: its robots would fail however often they try again."""
+    for place in plan.action_places:
+        leaving = plan.net.consumers[plan.net.place_number(place)]
+        timed = [plan.net.transitions[t].timed for t in leaving]
+        if plan.actions.get(place) is None and all(timed) and len(timed) > 1:
+            return True
+    return False
 
 
 Change = Callable[[Dict[str, Any], Dict[str, str], random.Random], None]

@@ -206,6 +206,11 @@ class _Run:
 
     def _count(self, fault: str) -> None:
         self.faults[fault] = self.faults.get(fault, 0) + 1
+        if self.deploys and fault not in ("adopt", "unstage", "another plan adopted"):
+            replicas = [node.replica for node in self.world.alive()]
+            if any(r is not None and r.ledger.state.staged is not None for r in replicas):
+                fault += " while a plan is staged"
+                self.faults[fault] = self.faults.get(fault, 0) + 1
 
     def _up(self) -> List[SimulatedNode]:
         return [n for n in self.world.alive() if not n.suspended and n.name not in self.left]

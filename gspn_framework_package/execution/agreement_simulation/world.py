@@ -83,6 +83,8 @@ class SimulatedNode:
         self.trusted = True
         self.plan = world.plan
         """The plan that its host binds actions by."""
+        self.renamed: Dict[str, str] = {}
+        """What names of earlier plans are called in that plan."""
         self.faults: List[str] = []
         self.disk: Optional[Disk] = None
         self.old_disks: List[Disk] = []
@@ -116,6 +118,7 @@ class SimulatedNode:
         self.backlog = []
         self.halted = ""
         self.holds = -1
+        self.renamed = {}
         if self.disk is None:
             log_id = "%s-log%d" % (self.key, len(self.old_disks))
             self.disk = Disk(dict(_header(world.plan), robot=self.name, log=log_id))
@@ -239,8 +242,8 @@ class SimulatedNode:
             elif isinstance(effect, interface.Examine):
                 self.world.examine(self, effect)
             elif isinstance(effect, interface.PlanChanged):
-                self.plan = effect.plan
-                self.world.give_up_tasks(self)
+                before, self.plan = self.plan, effect.plan
+                self.world.close_entrances(self, before)
 
     def _wake_at(self, time: float) -> None:
         """Schedule a Tick at that time; an alarm that is due earlier reschedules itself."""
@@ -356,6 +359,8 @@ class World:
         self._calls: Dict[str, Tuple[str, int]] = {}
         self._chain: Dict[int, str] = {}
         self.published: List[Tuple[float, interface.Fired]] = []
+        self.closed: Set[str] = set()
+        """The transitions by which tasks came in under a plan, and no more under the next."""
         self.spares = 0
         self.away: Set[Tuple[str, str]] = set()
         """Blocked links of a robot that is out of reach while a spare runs under its name."""
@@ -553,16 +558,17 @@ class World:
         if awake and not over and taken and node.life == life and disk is not None:
             self.reached.append((disk, task))
 
-    def give_up_tasks(self, node: SimulatedNode) -> None:
-        """A robot follows another plan: it gives up tasks that this one does not take, also if a
-        later plan would."""
-        replica = node.replica
-        if replica is not None:
-            self.reached = [
-                (disk, task)
-                for disk, task in self.reached
-                if disk is not node.disk or _entrance(task, replica.ledger) is not None
-            ]
+    def close_entrances(self, node: SimulatedNode, before: Plan) -> None:
+        """A robot follows another plan: tasks that this one does not take any more are refused,
+        also if a later plan takes tasks by a transition of the same name."""
+        adopted = node.replica.ledger.state.adopted if node.replica is not None else None
+        if node.replica is None or adopted is None:
+            return
+        gone = {
+            t for t in before.submissions if adopted.mapping.get(t, t) not in node.plan.submissions
+        }
+        self.closed |= gone | {old for old, name in node.renamed.items() if name in gone}
+        node.renamed = dict(node.replica.ledger.state.renamed)
 
     def lost_tasks(self) -> List[str]:
         """The tasks that a running robot has taken in with the log that it has, and that the team
@@ -575,7 +581,9 @@ class World:
         return [
             task.id
             for disk, task in self.reached
-            if any(disk is other for other in kept) and _is_missing(task, team)
+            if task.transition not in self.closed
+            and any(disk is other for other in kept)
+            and _is_missing(task, team)
         ]
 
     # -- checks during the run ---------------------------------------------------------------------

@@ -356,8 +356,10 @@ class RobotCheck:
         the team adopted may take no more tasks by a transition: those that were on their way are
         refused then. Call this only for robots whose nodes are up and take part."""
         there = {(stages.present_name(t), task) for t, task in self.proposals.tasks}
-        offered = {(stages.present_name(t), task) for t, task in self._offered}
-        missing = [task for t, task in sorted(offered - there) if t not in stages.closed]
+        offered = {
+            (stages.present_name(t), task) for t, task in self._offered if t not in stages.closed
+        }
+        missing = [task for _, task in sorted(offered - there)]
         if missing:
             raise BrokenRuleError(
                 9, "task %s reached %s, and is not in the log" % (missing[0], self.robot)

@@ -68,7 +68,8 @@ class LoggedStages:
         self._called: Dict[str, str] = {}
         """Name in an earlier plan -> name in the present one, if the latter has no such node."""
         self.closed: Set[str] = set()
-        """The transitions by which tasks came in under a plan, and no more under the next."""
+        """The transitions by which tasks came in under a plan, and no more under the next, by all
+        names that they had."""
         self.plans: List[Plan] = []
         """The plans that were adopted, in order."""
 
@@ -131,13 +132,14 @@ class LoggedStages:
         new = self._plan(staged)
         if new is None or not _fits(team, new, staged.mapping):
             return None
+        after = {t: staged.mapping.get(t, t) for t in team.plan.submissions}
+        gone = {t for t, name in after.items() if name not in new.submissions}
+        self.closed |= gone | {a for a, b in self._called.items() if b in gone}
         nodes = {*new.net.place_index, *new.net.transition_index}
         chain = {a: staged.mapping.get(b, b) for a, b in self._called.items()}
         self._called = {
             a: b for a, b in {**chain, **staged.mapping}.items() if a not in nodes and b
         }
-        before = {t: staged.mapping.get(t, t) for t in team.plan.submissions}
-        self.closed.update(name for name in before.values() if name not in new.submissions)
         # of a dropped place nothing is left, not even under its old name
         called = {a: b or "\0" for a, b in staged.mapping.items()}
         self._staged, self._votes = None, {}
