@@ -233,6 +233,61 @@ def test_a_net_is_drawn_by_keys_alone(edit, axe):
     page.wait_for_selector("dialog[open]:has-text('choose the next node in that direction')")
 
 
+def touch(page, start, end):
+    """Put fingers down at points of the page, move them, and lift them."""
+    session = page.context.new_cdp_session(page)
+    for kind, points in (("Start", start), ("Move", end), ("End", [])):
+        fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": "touch" + kind, "touchPoints": fingers})
+    session.detach()
+
+
+def chosen(page):
+    return page.evaluate("() => [...window.gspn.edit.selection]")
+
+
+def test_several_are_chosen_arranged_and_copied_by_keys(edit):
+    page = edit({"one": ONE, "home": SUB}, "home")
+    dirty = "() => window.gspn.edit.document.dirty"
+    page.focus("#ed-list")
+    key(page, "Home", "Control+ArrowDown", "Control+ArrowDown")
+    assert chosen(page) == ["place:Dock"]
+    at = page.get_attribute("#ed-list", "aria-activedescendant")
+    assert page.get_attribute("#%s" % at, "data-key") == "transition:go"
+    key(page, "Space", "Control+ArrowDown", "Space", "Space")
+    assert chosen(page) == ["place:Dock", "transition:go"]
+    # arrow keys and letters look for an entry of the menu, Enter takes it
+    page.focus("#ed-arrange")
+    key(page, "ArrowDown", "ArrowDown", "a")
+    assert page.input_value("#ed-arrange") == "left" and not page.evaluate(dirty)
+    key(page, "Enter")
+    assert page.input_value("#ed-arrange") == ""
+    across = "(names) => names.map((name) => window.gspn.edit.canvas.byKey.get(name).x)"
+    left = page.evaluate(across, ["place:Dock", "transition:go"])
+    assert left[0] == left[1] and page.evaluate(dirty)
+    # from one net into another
+    page.focus("#ed-net")
+    key(page, "Control+c")
+    page.focus("#ed-list")
+    key(page, "Home", "Control+Enter")
+    page.wait_for_selector("#ed-crumbs:has-text('one/plan.json')")
+    page.focus("#ed-net")
+    key(page, "Control+v")
+    assert names(page, "places") == ["Home", "Dock"] and names(page, "transitions") == ["go"]
+    assert arcs(page) == {("go", "Dock")}
+    # the next node in a direction too; without a choice the arrows move the view
+    page.focus("#ed-list")
+    key(page, "Home")
+    page.focus("#ed-net")
+    key(page, *("Control+Shift+Arrow" + way for way in ("Up", "Down", "Left", "Right")))
+    assert len(chosen(page)) > 1
+    key(page, "Escape")
+    page.wait_for_function("() => !window.gspn.edit.canvas.camera.flight")
+    before = page.evaluate("() => window.gspn.edit.canvas.camera.now.x")
+    key(page, "ArrowRight", "Shift+ArrowRight")
+    assert page.evaluate("() => window.gspn.edit.canvas.camera.now.x") == before - 360
+
+
 SUB = {
     "plan": "home",
     "net": {
@@ -272,17 +327,24 @@ def test_subnets_reloads_and_unsaved_work(edit):
     assert page.text_content("#title") == "home"
     # two fingers zoom, one moves the view, and nothing is edited
     before = page.evaluate("() => ({ ...window.gspn.edit.canvas.camera.now })")
-    page.evaluate(
-        """() => { const net = document.getElementById("ed-net");
-        const send = (type, id, x, y) => net.dispatchEvent(new PointerEvent(type,
-          { pointerId: id, pointerType: "touch", clientX: x, clientY: y, button: 0, bubbles: true }));
-        net.setPointerCapture = () => {};
-        send("pointerdown", 1, 500, 400); send("pointerdown", 2, 600, 400);
-        send("pointermove", 2, 700, 400); send("pointerup", 1, 500, 400); send("pointerup", 2, 700, 400);
-        send("pointerdown", 3, 500, 400); send("pointermove", 3, 530, 440); send("pointerup", 3, 530, 440); }"""
-    )
+    touch(page, [(500, 400), (600, 400)], [(500, 400), (700, 400)])
+    touch(page, [(500, 400)], [(530, 440)])
     after = page.evaluate("() => window.gspn.edit.canvas.camera.now")
     assert after["k"] == pytest.approx(2 * before["k"])
+    assert not page.evaluate("() => window.gspn.edit.document.dirty")
+    # a tap chooses a node, which a finger then moves
+    page.click("#ed-fit")
+    page.wait_for_function("() => !window.gspn.edit.canvas.frame")
+    x, y, k = where(page, "Work")
+    touch(page, [(x, y)], [(x + 40, y)])
+    assert not page.evaluate("() => window.gspn.edit.document.dirty")
+    x, y, k = where(page, "Work")
+    page.touchscreen.tap(x, y)
+    page.wait_for_function("() => window.gspn.edit.selection.has('place:Work')")
+    touch(page, [(x, y)], [(x, y - 60 * k)])
+    moved = where(page, "Work")
+    assert moved[0] == pytest.approx(x, abs=7) and moved[1] == pytest.approx(y - 60 * k, abs=7)
+    key(page, "Control+z")
     assert not page.evaluate("() => window.gspn.edit.document.dirty")
     # leaving with unsaved work asks
     page.click("#ed-list li[data-key='place:Work']")
@@ -334,6 +396,12 @@ def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
     page.wait_for_selector("#ed-list li[data-key='place:r0_p0'] .tokens:text-is('3')")
     assert page.evaluate("() => window.row.isConnected")
     page.evaluate("() => window.gspn.edit.undo()")
+    # of the list's rows those are drawn that the keys have come to
+    page.focus("#ed-list")
+    key(page, "End", "ArrowUp")
+    at = page.get_attribute("#ed-list", "aria-activedescendant")
+    assert page.get_attribute("#%s" % at, "aria-selected") == "true"
+    assert page.locator("#ed-list li").count() < 170
     page.evaluate(
         "() => { for (let i = 0; i < 999; i++) window.gspn.edit.actions.add(i % 2 ? 'place' : 'timed', 50 * i, -500); }"
     )

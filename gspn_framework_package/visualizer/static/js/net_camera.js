@@ -52,6 +52,14 @@ export class Camera {
     this.view.request();
   }
 
+  /** Move the view by some pixels. */
+  pan(dx, dy) {
+    const { k, x, y } = this.now;
+    this.stop();
+    this.fitted = false;
+    this.set(k, x + dx, y + dy);
+  }
+
   /** Zoom around a point of the container, its centre by default. */
   zoom(factor, cx, cy) {
     const { width, height } = this.size;

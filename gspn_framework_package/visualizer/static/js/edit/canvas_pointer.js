@@ -124,7 +124,9 @@ export class CanvasPointer extends Pointer {
     const point = this.drawing(event);
     const handle = event.target.closest("[data-handle]");
     const node = handle ? this.handled : this.nodeAt(point);
-    const looks = event.button === 1 || mode.panning || event.pointerType === "touch";
+    // a finger moves what a tap has chosen, and else the view
+    const touches = event.pointerType === "touch" && !(node && mode.selection.has(node.key));
+    const looks = event.button === 1 || mode.panning || touches;
     const kind = looks
       ? "pan"
       : handle || (mode.tool === "arc" && node)

@@ -11,8 +11,10 @@ export const EDIT_KEYS = [
   ["+  −", "tokens of the chosen places, weight of the chosen arcs; else zoom"],
   ["H", "make the chosen arcs inhibitor arcs, and back"],
   ["X", "make the chosen transitions timed or immediate"],
-  ["← → ↑ ↓", "move what is chosen (with Shift: farther)"],
-  ["Ctrl + ← → ↑ ↓", "choose the next node in that direction"],
+  ["← → ↑ ↓", "move what is chosen (with Shift: farther); if nothing is, the view"],
+  ["Ctrl + ← → ↑ ↓", "choose the next node in that direction (with Shift: that one too)"],
+  ["↑ ↓ in the list", "choose the next element (with Shift: that one too)"],
+  ["Ctrl + ↑ ↓, Space", "in the list: go to the next element; choose it, or no longer"],
   ["Delete", "delete what is chosen"],
   ["Ctrl + A", "choose everything"],
   ["Ctrl + C  X  V  D", "copy, cut, paste, duplicate"],
@@ -28,6 +30,7 @@ export const EDIT_KEYS = [
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const ADDS = { p: "place", t: "timed", i: "immediate" };
 const FAR = 5; // steps of the grid that Shift and an arrow move
+const PAN = 60; // px that an arrow moves the view
 
 const isField = (target) =>
   target.matches?.("input:not([type=checkbox]):not([type=radio]), textarea, select") ||
@@ -75,7 +78,7 @@ export function bindEditKeys(mode, signal) {
 function withControl(event, mode) {
   const { actions } = mode;
   const step = ARROWS[event.key];
-  if (step) return () => mode.chooseBeside(...step);
+  if (step) return () => mode.chooseBeside(...step, event.shiftKey);
   switch (event.key.toLowerCase()) {
     case "z":
       return () => (event.shiftKey ? mode.redo() : mode.undo());
@@ -104,8 +107,9 @@ function alone(event, mode) {
   if (step) {
     if (target.matches("[role=tab]")) return null;
     if (mode.tool === "arc" && mode.arcStart) return () => mode.aimNext(step[0] + step[1]);
-    if (!selection.size) return null;
+    if (target.closest("[role=tabpanel], [role=region]")) return null; // they scroll
     const by = event.shiftKey ? FAR : 1;
+    if (!selection.size) return () => canvas.camera.pan(-step[0] * by * PAN, -step[1] * by * PAN);
     return () => actions.nudge(step[0] * by, step[1] * by);
   }
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;

@@ -22,6 +22,7 @@ export class ElementList extends RestingList {
     super(list, PAUSE);
     this.mode = mode;
     this.rows = new Map(); // key -> the row that is drawn
+    this.at = null; // the key of the element that the keys have come to
     this.made = 0; // rows so far: each has an id of its own
     this.items = [];
     this.search = h("input", {
@@ -55,7 +56,10 @@ export class ElementList extends RestingList {
         this.later();
     };
     mode.document.addEventListener("change", this.changed);
-    mode.addEventListener("select", () => this.mark());
+    mode.addEventListener("select", () => {
+      this.at = [...mode.selection].pop() ?? null;
+      this.mark();
+    });
     this.update();
   }
 
@@ -98,22 +102,28 @@ export class ElementList extends RestingList {
       ["Arcs", arcs],
     ];
     this.items = groups.flatMap(([, items]) => items);
-    let left = ROWS_DRAWN;
+    // the first ones, or those around the one that the keys have come to
+    const at = this.items.findIndex(({ key }) => key === (this.mode.arcEnd ?? this.at));
+    const first = at < ROWS_DRAWN ? 0 : at - ROWS_DRAWN / 2;
     const before = this.rows;
     const wantedRows = [];
     this.rows = new Map();
     const heading = (text) =>
       wantedRows.push(h("li", { class: "heading", role: "presentation", text }));
+    let start = 0; // number of the first item of the group
     for (const [title, items] of groups) {
       if (!items.length) continue;
+      const within = (n) => Math.min(items.length, Math.max(0, n - start));
+      const [from, to] = [within(first), within(first + ROWS_DRAWN)];
       heading(`${title} (${items.length})`);
-      for (const item of items.slice(0, Math.max(0, left))) {
+      if (from) heading(`${from} before: search`);
+      for (const item of items.slice(from, to)) {
         const row = this.rows.has(item.key) ? this.row(item) : this.row(item, before.get(item.key));
         this.rows.set(item.key, row);
         wantedRows.push(row);
       }
-      if (items.length > left) heading(`${items.length - Math.max(0, left)} more: search`);
-      left -= items.length;
+      if (to < items.length && from < items.length) heading(`${items.length - to} more: search`);
+      start += items.length;
     }
     if (!this.items.length) heading(wanted ? "No match" : "The net is empty");
     this.put(wantedRows);
@@ -153,15 +163,33 @@ export class ElementList extends RestingList {
   }
 
   key(event) {
+    const { tool, arcEnd, selection } = this.mode;
     const step = LIST_STEPS[event.key];
-    if (!step || event.ctrlKey || event.metaKey || event.altKey || !this.items.length) return;
+    const aims = tool === "arc" && this.mode.arcStart;
+    const toggles = event.key === " " && !aims;
+    if (!(step || toggles) || event.altKey || !this.items.length) return;
     event.preventDefault();
     event.stopPropagation();
-    const { tool, arcEnd, selection } = this.mode;
-    const present = tool === "arc" && arcEnd ? arcEnd : [...selection].pop();
-    const at = this.items.findIndex((item) => item.key === present);
-    const next = at < 0 ? 0 : Math.min(this.items.length - 1, Math.max(0, at + step));
-    this.choose(this.items[next].key, event.shiftKey);
+    const present = this.items.findIndex(({ key }) => key === ((aims && arcEnd) || this.at));
+    if (toggles) {
+      if (present < 0) return;
+      const { key } = this.items[present];
+      const chosen = new Set(selection);
+      if (!chosen.delete(key)) chosen.add(key);
+      this.mode.choose(chosen);
+      this.goTo(key);
+      return;
+    }
+    const next = present < 0 ? 0 : Math.min(this.items.length - 1, Math.max(0, present + step));
+    const { key } = this.items[next];
+    if ((event.ctrlKey || event.metaKey) && !aims) this.goTo(key);
+    else this.choose(key, event.shiftKey);
+  }
+
+  /** Let the keys come to an element, which is not chosen by that. */
+  goTo(key) {
+    this.at = key;
+    this.mark();
   }
 
   /** Choose an element; while an arc is being made, it is the arc's end. */
@@ -180,12 +208,16 @@ export class ElementList extends RestingList {
     for (const row of this.list.querySelectorAll("[aria-selected=true]"))
       row.setAttribute("aria-selected", "false");
     for (const key of selection) this.rows.get(key)?.setAttribute("aria-selected", "true");
-    const row = this.rows.get(arcEnd || [...selection].pop());
+    this.list.querySelector(".at")?.classList.remove("at");
+    const at = arcEnd || this.at;
+    const row = this.rows.get(at);
     if (!row) {
       this.list.removeAttribute("aria-activedescendant");
+      if (this.items.some(({ key }) => key === at)) this.update(); // it is not drawn yet
       return;
     }
     if (arcEnd) row.setAttribute("aria-selected", "true");
+    else if (!selection.has(at)) row.classList.add("at");
     this.list.setAttribute("aria-activedescendant", row.id);
     const top = row.offsetTop;
     if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight)

@@ -3,7 +3,7 @@
 // document. A form follows the document: every edit, undo and redo redraws it, and the focus stays where it was.
 
 import { h, isPressed } from "../dom.js";
-import { completionsOf, selectOf } from "./long_options.js";
+import { actOnChoice, completionsOf, selectOf } from "./menus.js";
 import { onlyMoved } from "./plan_document.js";
 
 let ids = 0;
@@ -447,7 +447,7 @@ export class FormPanel {
       { value: "", text: `${label} …` },
       ...names.map((name) => ({ value: name, text: name })),
     ]);
-    select.addEventListener("change", () => select.value && add(select.value));
+    actOnChoice(select, add);
     select.disabled = !names.length;
     return select;
   }

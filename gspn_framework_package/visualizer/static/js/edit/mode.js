@@ -11,6 +11,7 @@ import { DiffView } from "./diff_view.js";
 import { bindEditKeys } from "./edit_keys.js";
 import { ElementList } from "./element_list.js";
 import { Files } from "./files.js";
+import { actOnChoice } from "./menus.js";
 import { problemOfArc } from "./net_edits.js";
 import { PlanDocument } from "./plan_document.js";
 import { WhatHappens } from "./what_happens.js";
@@ -301,16 +302,13 @@ export class EditMode extends EventTarget {
       {
         id: "ed-arrange",
         "aria-label": "Copy and arrange",
-        onchange: () => {
-          const act = acts.get(menu.value);
-          menu.value = "";
-          attempt(act);
-        },
+        title: "Arrow keys look for an entry, Enter takes it",
       },
       h("option", { value: "", text: "More …" }),
       MORE.map(option),
       ARRANGEMENTS.map(option),
     );
+    actOnChoice(menu, (word) => attempt(acts.get(word)));
     $("ed-group-arrange").append(menu);
     $("ed-group-arrange").hidden = false;
   }
@@ -403,8 +401,8 @@ export class EditMode extends EventTarget {
     else if (this.actions.connect(this.arcStart, key)) this.setTool(null);
   }
 
-  /** Choose the nearest node in a direction. */
-  chooseBeside(dx, dy) {
+  /** Choose the nearest node in a direction; `more`: beside what is chosen. */
+  chooseBeside(dx, dy, more = false) {
     const from = this.canvas.byKey.get([...this.selection].pop()) || this.canvas.nodes[0];
     if (!from) return;
     let [best, least] = [null, Infinity];
@@ -416,9 +414,11 @@ export class EditMode extends EventTarget {
       [best, least] = [node, along + 2 * aside];
     }
     if (!best && this.selection.size) return;
-    this.choose([(best || from).key]);
-    this.flyTo((best || from).key);
-    this.say(`${(best || from).name} chosen`);
+    const { key } = best || from;
+    this.choose(more ? [...[...this.selection].filter((it) => it !== key), key] : [key]);
+    this.flyTo(key);
+    const { size } = this.selection;
+    this.say(`${(best || from).name} chosen${size > 1 ? `, ${size} in all` : ""}`);
   }
 
   escape() {

@@ -1,5 +1,5 @@
-// Menus and completions with many entries. Making a thousand options takes a browser longer than all the rest of a
-// form, so those of a long list are made when somebody turns to the control.
+// Menus and completions. Making a thousand options takes a browser longer than all the rest of a form, so those of a
+// long list are made when somebody turns to the control.
 
 import { h } from "../dom.js";
 
@@ -41,4 +41,31 @@ export function completionsOf(input, id, names) {
   else whenUsed(input, fill);
   input.setAttribute("list", id);
   return list;
+}
+
+/** Call `act(value)` when somebody chooses an entry of a menu that stands at "" otherwise. Arrow keys and letters on
+ * the closed menu only look for an entry, which Enter takes: browsers report each entry on the way as chosen. */
+export function actOnChoice(menu, act) {
+  let looking = false;
+  const rest = () => {
+    looking = false;
+    menu.value = "";
+  };
+  const take = () => {
+    const { value } = menu;
+    rest();
+    if (value !== "") act(value);
+  };
+  menu.addEventListener("keydown", (event) => {
+    const { key, altKey, ctrlKey, metaKey } = event;
+    if (ctrlKey || metaKey || ["Alt", "Shift", "Tab"].includes(key)) return;
+    if (key === "Enter" && looking && menu.value !== "") {
+      event.preventDefault();
+      take();
+    } else if (altKey || ["Enter", " ", "Escape"].includes(key)) rest();
+    else looking = true;
+  });
+  menu.addEventListener("pointerdown", rest);
+  menu.addEventListener("blur", rest);
+  menu.addEventListener("change", () => !looking && take());
 }
