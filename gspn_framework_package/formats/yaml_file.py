@@ -57,7 +57,7 @@ class YamlDocument:
         self._limit = limit
         loader = None
         try:
-            self._check_depth(text)
+            self._check_size(text)
             loader = _Loader(text)
             self._root: Optional[yaml.Node] = loader.get_single_node()
             if self._root is None:
@@ -76,19 +76,30 @@ class YamlDocument:
             if loader is not None:
                 loader.dispose()
 
-    def _check_depth(self, text: Union[str, bytes]) -> None:
-        """Refuse deep nesting by the events of the text, before the nodes are composed: that
-        recurses, and in the C library ends the process."""
-        depth = 0
+    def _check_size(self, text: Union[str, bytes]) -> None:
+        """Refuse deep nesting and large texts by their events, before nodes are composed of them:
+        that takes longer, and recurses, which in the C library ends the process."""
+        depth = elements = 0
         events: Any = yaml.parse(text, Loader=_Loader)
         for event in events:
+            line = getattr(event.start_mark, "line", 0) + 1
+            elements += isinstance(event, yaml.NodeEvent)
+            if elements > self._limit:
+                raise self._too_large(line)
             if isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
                 depth += 1
                 if depth > MOST_LEVELS:
-                    line = getattr(event.start_mark, "line", 0) + 1
                     raise InputError("it is nested too deeply", file=self.file, line=line)
             elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
                 depth -= 1
+
+    def _too_large(self, line: int) -> InputError:
+        return InputError(
+            "it has more than %d elements" % self._limit,
+            file=self.file,
+            line=line,
+            hint="give a smaller part of it",
+        )
 
     def _not_yaml(self, error: yaml.MarkedYAMLError, last: int) -> InputError:
         mark = error.problem_mark or error.context_mark
@@ -132,9 +143,7 @@ class YamlDocument:
                         line=line,
                     ) from None
             if total > self._limit:
-                raise InputError(
-                    "it has more than %d elements" % self._limit, file=self.file, line=line
-                )
+                raise self._too_large(line)
             open_.discard(id(node))
             sizes[id(node)] = total
             return total

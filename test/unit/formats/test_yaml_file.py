@@ -80,7 +80,9 @@ def test_a_refusal_has_the_line(text: Union[str, bytes], line: int, said: str) -
 
 
 def test_the_reader_says_how_many_elements_there_may_be() -> None:
-    assert "more than 3 elements" in refusal("[1, 2, 3]", limit=3).message
+    error = refusal("[1, 2,\n3]", limit=3)
+    assert "more than 3 elements" in error.message and error.line == 2
+    assert "more than 5 elements" in refusal("[&a [1, 2], *a]", limit=5).message
     assert YamlDocument("[1, 2, 3]", limit=4).data == [1, 2, 3]
 
 
