@@ -150,7 +150,7 @@ class Folder:
         if name.endswith(LOG_ENDINGS):
             return "log"
         if name.endswith(".json"):
-            return "plan" if looks_like_plan(whole) else ""
+            return "plan" if name == PLAN_FILE or looks_like_plan(whole) else ""
         endings = tuple(ending for known in FORMATS.values() for ending in known.extensions)
         return "net" if name.endswith(endings) else ""
 

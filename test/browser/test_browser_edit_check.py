@@ -2,9 +2,13 @@
 saving, drafts, and two people on one file."""
 
 import json
+import zipfile
 
 import pytest
 
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.registry import read_net, write_net
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.project import Project
 
@@ -154,6 +158,55 @@ def test_each_edit_is_checked_and_the_witness_plays(open_editor, axe, tmp_path):
         assert data.startswith(begins) and len(data) > 500
         if format == "svg":
             assert b"New" in data and b"var(" not in data and b"<script" not in data
+
+
+def test_a_net_alone_is_opened_and_saved_as_a_plan(serve_folder, open_page, tmp_path):
+    """What a stranger has: a broken file, and a net of another tool."""
+    garden = Net(
+        [Place("Water", 2), Place("Look")],
+        [Transition("watered", timed=True, rate=2.0), Transition("again")],
+        [
+            Arc("Water", "watered"),
+            Arc("watered", "Look"),
+            Arc("Look", "again"),
+            Arc("again", "Water"),
+        ],
+        name="my garden: beds",
+    )
+    write_net(garden, tmp_path / "garden.pnml", "pnml")
+    (tmp_path / "broken.pnml").write_text('<pnml><net id="a"></pnml>')
+    page = open_page(serve_folder(tmp_path, edits=True).address, ready=False, expect_errors=True)
+    page.click("#opening button:has-text('broken.pnml')")
+    page.wait_for_selector("#opening-wrong:has-text('broken.pnml:1:')")
+    page.click("#opening button:has-text('garden.pnml')")
+    page.wait_for_selector("body[data-ready]")
+    page.click("#ed-open")
+    page.wait_for_selector("body[data-mode=EDIT][data-ready]")
+    page.wait_for_selector("#ed-banner:has-text('it is only a net')")
+    page.click("#ed-list li[data-key='place:Water']")
+    page.keyboard.press("+")
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#ed-save-name:focus")
+    assert page.input_value("#ed-save-name") == "my garden_ beds"
+    page.fill("#ed-save-name", "garden")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#subtitle:has-text('garden/plan.json')")
+    assert read_plan(str(tmp_path / "garden")).net.place("Water").tokens == 3
+
+    # and it goes back to the tools, and to other people
+    page.wait_for_selector(READY)
+    for format in ("pipe", "pnml", "pnpro", "tina", "zip"):
+        page.click("#ed-export")
+        page.select_option("#ed-export-format", format)
+        with page.expect_download() as download:
+            page.click("#dialog .primary")
+        path = tmp_path / download.value.suggested_filename
+        download.value.save_as(str(path))
+        if format == "zip":
+            with zipfile.ZipFile(str(path)) as whole:
+                assert any(name.endswith("plan.json") for name in whole.namelist())
+        else:
+            assert read_net(str(path)).place("Water").tokens == 3, format
 
 
 def test_two_people_on_one_file_lose_nothing(open_editor, folder):

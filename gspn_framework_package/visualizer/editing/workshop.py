@@ -98,9 +98,9 @@ class Workshop:
         """Why the document cannot be saved where it is; "" if it can."""
         parts = opened.parts
         if not parts.plan_file:
-            return "a net alone: save it as a plan, in a folder of its own"
+            return "it is only a net; save it as a plan, in a folder of its own"
         if parts.thesis:
-            return "an input file of the thesis: save it as a plan, in a folder of its own"
+            return "it is an input file of the thesis; save it as a plan, in a folder of its own"
         for file in parts.files:
             if not os.access(os.path.dirname(file), os.W_OK | os.X_OK):
                 return "nothing can be written in the folder of %s" % os.path.basename(file)

@@ -56,6 +56,16 @@ def test_the_folder_lists_nets_and_plans(served):
     ]
 
 
+def test_a_plan_file_is_listed_however_broken(served):
+    (served / "broken").mkdir()
+    (served / "broken" / "plan.json").write_text('{"plan": "x", ')
+    (served / "broken" / "other.json").write_text('{"plan": "x", ')
+    found = [e.path for e in Folder(str(served)).entries()]
+    assert "broken/plan.json" in found and "broken/other.json" not in found
+    with pytest.raises(GspnError, match="plan.json"):
+        Folder(str(served)).open("broken/plan.json")
+
+
 def test_a_plan_with_a_very_long_policy_is_listed(served):
     rows = [{"marking": [i % 2], "choose": {"u": 1}} for i in range(60_000)]
     actions = plan_of("net.xml")["actions"]

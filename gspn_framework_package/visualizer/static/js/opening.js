@@ -20,12 +20,24 @@ export async function openingScreen(hello) {
   const fresh = (await attempt(() => get("hello"))) || hello;
   const screen = $("opening");
   return new Promise((resolve) => {
+    const wrong = h("p", { id: "opening-wrong", class: "wrong", role: "alert", hidden: true });
+    // why a file cannot be opened stays on the screen until another one is tried
+    const tried = async (action) => {
+      wrong.hidden = true;
+      try {
+        await action();
+      } catch (error) {
+        wrong.textContent = error.message;
+        wrong.hidden = false;
+        wrong.scrollIntoView({ block: "nearest" });
+      }
+    };
     const open = (path) =>
-      attempt(async () =>
+      tried(async () =>
         resolve({ id: mayAct ? (await post("open", { path })).id : `file-${path}` }),
       );
     const upload = (files) =>
-      attempt(async () => {
+      tried(async () => {
         if (!files.length) return;
         const body = { files: await Promise.all([...files].map(encoded)) };
         resolve({ id: (await post("upload", body)).id });
@@ -125,6 +137,7 @@ export async function openingScreen(hello) {
           ),
           mayAct && h("div", { class: "card" }, h("h3", { text: "Your own" }), drop),
         ),
+        wrong,
       ),
     );
     screen.hidden = false;

@@ -27,6 +27,14 @@ function download(blob, name) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
+/** A name that a folder can have, for a plan or net of any name. */
+const folderName = (name) =>
+  name
+    .replace(/[^\p{L}\p{N}_ .+-]+/gu, "_")
+    .replace(/^[ .+-]+|[ .]+$/g, "")
+    .slice(0, 80)
+    .trim();
+
 const moment = (text) => {
   const at = new Date(typeof text === "number" ? text * 1000 : text);
   return Number.isNaN(at.getTime()) ? String(text) : at.toLocaleString();
@@ -189,17 +197,25 @@ export class Files {
   async saveAs() {
     const { mode } = this;
     const { state } = mode.document;
-    const name = h("input", { type: "text", id: "ed-save-name", autocomplete: "off" });
+    const name = h("input", {
+      type: "text",
+      id: "ed-save-name",
+      autocomplete: "off",
+      autofocus: true,
+      value: this.readOnly ? folderName(state.plan?.plan || state.net.name || "") : "",
+    });
     let found = null;
     await ask(
       "Save as a new plan",
-      h(
-        "div",
-        { class: "form" },
-        this.readOnly && h("p", { text: `Here it cannot be saved: ${this.readOnly}.` }),
-        h("label", { for: "ed-save-name", text: "Name of its folder" }),
-        name,
-      ),
+      [
+        this.readOnly && h("p", { text: `It cannot be saved here: ${this.readOnly}.` }),
+        h(
+          "div",
+          { class: "form" },
+          h("label", { for: "ed-save-name", text: "Name of its folder" }),
+          name,
+        ),
+      ],
       [
         ["Cancel", ""],
         ["Save", "save", "primary"],

@@ -9,7 +9,12 @@ export const mayEdit = (hello) =>
 
 /** Ask for a name and a template, and make the plan. Returns its key, or null. */
 export async function newPlan(hello) {
-  const name = h("input", { type: "text", id: "ed-new-name", autocomplete: "off", value: "" });
+  const name = h("input", {
+    type: "text",
+    id: "ed-new-name",
+    autocomplete: "off",
+    autofocus: true,
+  });
   const template = h(
     "select",
     { id: "ed-new-template" },
