@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -91,8 +92,10 @@ def layer_of(name):
     return parts[1] if len(parts) > 1 and parts[1] in LAYERS else None
 
 
+@lru_cache(maxsize=None)
 def imports_of(path, source=None):
-    """Return the full names of the modules that a file imports, wherever in the file."""
+    """Return the full names of the modules that a file imports, wherever in the file. Several tests ask
+    for those of every module."""
     package = name_of(path) if path.name == "__init__.py" else name_of(path).rpartition(".")[0]
     names = []
     for node in ast.walk(ast.parse(source if source is not None else path.read_text("utf-8"))):
@@ -178,6 +181,7 @@ def test_the_layer_check_lets_inward_imports_pass(module, line):
     assert outward_imports(PACKAGE / module, line) == []
 
 
+@pytest.mark.long
 def test_only_the_bench_verb_imports_the_benchmarks():
     benchmark = PACKAGE / "benchmark"
     importing = [
@@ -189,6 +193,7 @@ def test_only_the_bench_verb_imports_the_benchmarks():
     assert importing == [Path("cli", "bench.py")]
 
 
+@pytest.mark.long
 def test_no_two_classes_have_the_same_name():
     homes = {}
     for path in MODULES:
@@ -198,6 +203,7 @@ def test_no_two_classes_have_the_same_name():
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
 
 
+@pytest.mark.long
 def test_no_two_modules_import_each_other():
     modules = {name_of(path): path for path in MODULES if path.name != "__init__.py"}
     imported = {name: modules.keys() & set(imports_of(path)) for name, path in modules.items()}
@@ -233,6 +239,7 @@ def test_only_the_transport_touches_the_internals_of_rospy():
 MAP = (ROOT / "docs" / "developing.md").read_text("utf-8")
 
 
+@pytest.mark.long
 def test_the_drawing_of_the_layers_agrees_with_the_imports():
     drawn = {
         layer: set(below.split())

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -39,10 +40,10 @@ def literals(*nodes):
     }
 
 
-def second_vocabulary_in_python(source):
-    """Strings and enums of a module that name phases anew."""
+def second_vocabulary_in_python(nodes):
+    """Strings and enums among the nodes of a module that name phases anew."""
     found = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             found |= {node.value} & UNMISTAKABLE
         elif isinstance(node, ast.Compare):
@@ -102,7 +103,7 @@ def second_vocabulary_in_javascript(source):
     ],
 )
 def test_a_second_vocabulary_would_be_found_in_python(source):
-    assert second_vocabulary_in_python(source)
+    assert second_vocabulary_in_python(ast.walk(ast.parse(source)))
 
 
 @pytest.mark.parametrize(
@@ -111,20 +112,6 @@ def test_a_second_vocabulary_would_be_found_in_python(source):
 )
 def test_a_second_vocabulary_would_be_found_in_javascript(source):
     assert second_vocabulary_in_javascript(source)
-
-
-@pytest.mark.long
-def test_there_is_no_second_vocabulary():
-    found = {}
-    for path in [*PACKAGE.rglob("*.py"), *(PACKAGE / "visualizer" / "static").rglob("*.js")]:
-        if path == PACKAGE / "execution" / "phase.py":
-            continue
-        python = path.suffix == ".py"
-        look = second_vocabulary_in_python if python else second_vocabulary_in_javascript
-        again = look(path.read_text(encoding="utf-8"))
-        if again:
-            found[str(path.relative_to(PACKAGE))] = again
-    assert found == {}
 
 
 NOT_OURS = {"model name", "success: True"}
@@ -150,15 +137,37 @@ def test_a_branch_on_a_sentence_would_be_found():
         assert any(sentences(node) for node in ast.walk(ast.parse(source)))
 
 
-@pytest.mark.long
-def test_nothing_branches_on_a_sentence():
-    found = {}
+@lru_cache(maxsize=None)
+def found_in_python():
+    """The phases that modules of the package name anew, and the branches on sentences: both at once,
+    since reading the modules takes longer than looking."""
+    vocabulary, branches = {}, {}
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        name = str(path.relative_to(PACKAGE))
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        again = second_vocabulary_in_python(nodes)
+        if again and path != PACKAGE / "execution" / "phase.py":
+            vocabulary[name] = again
+        for node in nodes:
             again = sentences(node) - NOT_OURS - set(FAILURES)  # these are codes of the log
             if again:
-                found["%s:%d" % (path.relative_to(PACKAGE), node.lineno)] = again
+                branches["%s:%d" % (name, node.lineno)] = again
+    return vocabulary, branches
+
+
+@pytest.mark.long
+def test_there_is_no_second_vocabulary():
+    found = dict(found_in_python()[0])
+    for path in (PACKAGE / "visualizer" / "static").rglob("*.js"):
+        again = second_vocabulary_in_javascript(path.read_text(encoding="utf-8"))
+        if again:
+            found[str(path.relative_to(PACKAGE))] = again
     assert found == {}
+
+
+@pytest.mark.long
+def test_nothing_branches_on_a_sentence():
+    assert found_in_python()[1] == {}
 
 
 def test_the_style_sheet_knows_only_phases_that_there_are():
