@@ -3,7 +3,6 @@ for elsewhere, fails its test."""
 
 import json
 import os
-import shutil
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 from page_reading import resize
 from story_film import NoFilm, StoryFilm
 
+from gspn_framework_package.benchmark.page.rendering import CHROMIUM, FLAGS
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.serving import WebServer
@@ -22,13 +22,6 @@ sys.path.append(str(Path(__file__).parents[1] / "unit" / "visualizer"))
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
-CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser")) if p), None)
-FLAGS = [
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--disable-gpu",
-    "--force-device-scale-factor=1",
-]
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / ".workspace" / "screenshots"
 # ms that any condition may take: other jobs of run_tests run beside these, before the analyses,
@@ -62,7 +55,7 @@ def _film(request):
 @pytest.fixture(scope="session", name="browser")
 def _browser():
     if CHROMIUM is None:
-        pytest.fail("these tests need Chromium: apt install chromium")
+        pytest.fail("these tests need Chromium: apt install chromium-headless-shell")
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield browser

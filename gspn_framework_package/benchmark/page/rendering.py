@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from typing import Any, Dict, Iterator, Sequence
 
 import psutil
 
 from gspn_framework_package.benchmark.page.feed import served
 
-CHROMIUM = "/usr/bin/chromium"
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "chromium-browser"))),
+    None,
+)
+"""The program of the browser, None if there is none. The first is the same engine without windows,
+which takes a third less of the processor."""
+
 FLAGS = [
     "--no-sandbox",
     "--disable-dev-shm-usage",
