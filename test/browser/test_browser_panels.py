@@ -87,15 +87,15 @@ def test_questions_are_answered(show_net, open_page):
     analysed(page)
     page.wait_for_selector("#answers:has-text('By firing')")
     # the way there plays in the simulation: two tokens go to the sink, in four firings
-    sink = "() => window.gspn.model.board.marking[2]"
+    sink = "(tokens) => window.gspn.model.board.marking[2] === tokens"
     page.click("#answers button[aria-label='Next step']")
     page.wait_for_selector("#answers .sequence:has-text('1 of 4 fired')")
     page.click("#answers button:has-text('Play')")
     page.wait_for_selector("#answers .sequence:has-text('4 of 4 fired')")
-    page.wait_for_function("(%s)() === 2" % sink)
+    page.wait_for_function(sink, arg=2)
     page.click("#answers button[aria-label='Previous step']")
     page.wait_for_selector("#answers .sequence:has-text('3 of 4 fired, next fall')")
-    page.wait_for_function("(%s)() === 1" % sink)
+    page.wait_for_function(sink, arg=1)
     # from the marking on display, where one more firing is enough, also after the simulation went on
     page.click("summary:has-text('Settings')")
     page.select_option("#an-from", "marking")
@@ -103,10 +103,10 @@ def test_questions_are_answered(show_net, open_page):
     analysed(page)
     page.wait_for_selector("#answers .sequence:has-text('0 of 1 fired, next fall')")
     page.click("#reset")
-    page.wait_for_function("(%s)() === 0" % sink)
+    page.wait_for_function(sink, arg=0)
     page.click("#answers button[aria-label='Next step']")
     page.wait_for_selector("#answers .sequence:has-text('1 of 1 fired')")
-    page.wait_for_function("(%s)() === 2" % sink)
+    page.wait_for_function(sink, arg=2)
     page.select_option("#an-from", "initial")
     page.fill("#an-cover", "sink = 3")
     page.click("button:has-text('Coverable?')")
