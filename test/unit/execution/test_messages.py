@@ -260,6 +260,7 @@ def test_a_message_with_any_field_replaced_is_understood_or_refused(data: Any) -
 WORLD = running(True)
 
 
+@pytest.mark.long
 def test_a_hello_does_not_grow_with_the_team() -> None:
     sizes = []
     for robots in (3, 13):
@@ -271,6 +272,7 @@ def test_a_hello_does_not_grow_with_the_team() -> None:
     assert sizes[1] < sizes[0] + 20
 
 
+@pytest.mark.long
 def test_a_robot_that_is_often_silent_is_waited_for_longer() -> None:
     world = World(make_plan(TOKENS, 3, False, 0.5, 0.0, False), 1)
     world.mishaps = False

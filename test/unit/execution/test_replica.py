@@ -501,6 +501,7 @@ def test_a_robot_that_is_not_evicted_after_all_keeps_its_local_transitions() -> 
     world.check(settled=True)
 
 
+@pytest.mark.long
 def test_many_robots_that_want_the_next_slot_do_not_defeat_each_other() -> None:
     world = Team(
         make_plan(TOKENS, 24, True, 0.0, 0.0, False),

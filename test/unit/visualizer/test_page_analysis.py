@@ -159,6 +159,7 @@ print(json.dumps([resource.getrlimit(resource.RLIMIT_AS), resource.getrlimit(res
     assert found[1][0] != resource.RLIM_INFINITY and found[1][0] <= 60
 
 
+@pytest.mark.long
 def test_the_present_marking_is_that_which_is_shown_and_keeps_the_policy(ask):
     plan = read_plan("plans/patrol")
     client = ask(plan.net, plan)
@@ -177,6 +178,7 @@ def test_the_present_marking_is_that_which_is_shown_and_keeps_the_policy(ask):
     assert start(client, **{"from": "marking", "event": "x"}).status_code == 400
 
 
+@pytest.mark.long
 def test_a_plan_is_read_as_it_runs_or_as_its_net(ask):
     plan = read_plan("plans/rendezvous")
     client = ask(plan.net, plan)

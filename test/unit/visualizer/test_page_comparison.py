@@ -173,6 +173,7 @@ def test_a_plan_without_durations_has_no_model(started):
     }
 
 
+@pytest.mark.long
 def test_a_run_that_is_slower_than_planned_raises_the_alarm_on_the_page(started):
     fast = {"mean": 0.005, "distribution": "gamma", "shape": 20}
     client = started(durations={"a": fast, "b": fast})
