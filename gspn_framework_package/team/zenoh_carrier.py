@@ -98,6 +98,13 @@ class ZenohCarrier:
         self._activity = _json(activity)
         self._put(self._activity, "activity")
 
+    def is_watched(self) -> bool:
+        """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
+        with contextlib.suppress(self._zenoh.ZError):
+            status: Any = self._publisher("activity").matching_status
+            return bool(status.matching)
+        return False
+
     def close(self) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         self._session.close()
@@ -107,18 +114,20 @@ class ZenohCarrier:
         return self._gate.refusals()
 
     def _put(self, body: bytes, *rest: str) -> None:
-        key = key_of(self.run, self.robot, *rest)
-        publisher = self._publishers.get(key)
         with contextlib.suppress(self._zenoh.ZError):  # closed, or closing
-            if publisher is None:
-                publisher = self._publishers[key] = self._session.declare_publisher(
-                    key,
-                    congestion_control=self._zenoh.CongestionControl.DROP,
-                    priority=self._zenoh.Priority.DATA_HIGH,
-                    express=True,
-                    allowed_destination=self._zenoh.Locality.REMOTE,
-                )
-            publisher.put(body)
+            self._publisher(*rest).put(body)
+
+    def _publisher(self, *rest: str) -> zenoh.Publisher:
+        key = key_of(self.run, self.robot, *rest)
+        if key not in self._publishers:
+            self._publishers[key] = self._session.declare_publisher(
+                key,
+                congestion_control=self._zenoh.CongestionControl.DROP,
+                priority=self._zenoh.Priority.DATA_HIGH,
+                express=True,
+                allowed_destination=self._zenoh.Locality.REMOTE,
+            )
+        return self._publishers[key]
 
     # -- in, on Zenoh's threads --------------------------------------------------------------------
 

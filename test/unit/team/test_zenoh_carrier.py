@@ -230,11 +230,13 @@ def test_an_order_that_cannot_be_read_is_refused(secure, body):
 def test_a_watch_sees_what_fires_and_what_robots_did_before_it_began(hub):
     one = Robot(hub, "robot_1")
     one.carrier.tell_activity({"robot": "robot_1", "phase": "Executing"})
+    assert not one.carrier.is_watched()
     fired, done = [], []
     sights = Sights(lambda *seen: fired.append(seen), lambda *seen: done.append(seen))
     watch = hub.keep(ZenohWatch(hub.access("screen"), "run", sights))
     wait_for(lambda: watch.ask_activity() or done)
     assert done[0] == ("robot_1", {"robot": "robot_1", "phase": "Executing"})
+    wait_for(one.carrier.is_watched)
     wait_for(lambda: one.carrier.tell_firing({"slot": 3}) or fired)
     assert fired[0] == ("robot_1", {"slot": 3})
     one.carrier.tell_activity({"phase": "Waiting"})

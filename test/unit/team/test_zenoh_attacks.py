@@ -1,0 +1,159 @@
+"""A running team is attacked by somebody with the keys of a robot that is not in its plan: it goes
+on, and what its logs hold is valid and its own."""
+
+import json
+import time
+
+import pytest
+from zenoh_team import MEMBERS, Hub, make_keys, wait_for
+
+from gspn_framework_package.benchmark.plans import ring_plan
+from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import verify
+from gspn_framework_package.team.agent import PrintedVoice, make_agent
+from gspn_framework_package.team.carrier import Handlers, OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.gate import FASTEST
+from gspn_framework_package.team.host import HostOptions
+from gspn_framework_package.team.keys import NewMember
+from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
+from gspn_framework_package.team.zenoh_session import key_of
+
+ROBOTS = ("robot_1", "robot_2", "robot_3")
+THIEF = "robot_4"
+
+
+class RunningTeam:
+    """Robots that move for as long as they are let."""
+
+    def __init__(self, hub, folder):
+        self.carriers, self.hosts, self.logs = {}, {}, []
+        plan = ring_plan(3, len(ROBOTS), instant=True)
+        for robot in ROBOTS:
+            self.logs.append(str(folder / (robot + ".jsonl")))
+
+            def carry(host, robot=robot):
+                access = hub.access(robot)
+                self.carriers[robot] = ZenohCarrier(robot, "run", access, host.handlers)
+                return self.carriers[robot]
+
+            options = HostOptions("run", self.logs[-1])
+            voice = PrintedVoice(robot, quiet=True)
+            self.hosts[robot] = make_agent(plan, robot, options, voice, carry)
+        for host in self.hosts.values():
+            host.start(lambda robot: None)
+
+    def length(self):
+        return min(host.ask(host.view, 10.0).slot for host in self.hosts.values())
+
+    def goes_on(self):
+        """Wait until all robots have agreed on more."""
+        before = self.length()
+        wait_for(lambda: self.length() > before + 10, 30.0)
+
+    def refusals(self, robot):
+        return {(r.robot, r.why): r.times for r in self.carriers[robot].refusals()}
+
+    def close(self):
+        for host in self.hosts.values():
+            host.stop()
+        for host in self.hosts.values():
+            host.join(10.0)
+
+
+@pytest.fixture
+def hub(tmp_path):
+    made = Hub(make_keys(tmp_path / "keys", [*MEMBERS, NewMember(THIEF, "robot")]))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def team(hub, tmp_path):
+    running = RunningTeam(hub, tmp_path)
+    try:
+        running.goes_on()
+        yield running
+        running.goes_on()
+    finally:
+        running.close()
+    logs = [read_log(path) for path in running.logs]
+    assert verify(logs).violation is None
+    origins = {
+        entry["origin"][0]
+        for log in logs
+        for record in log.records
+        if record["kind"] == "slot"
+        for entry in record["entries"]
+        if "origin" in entry
+    }
+    assert origins <= {"", *ROBOTS}
+
+
+class Thief:
+    """Hears all that members may hear, and sends what it likes."""
+
+    def __init__(self, hub):
+        self.session = hub.session(THIEF)
+        self.heard = []
+        self._listening = self.session.declare_subscriber(
+            "gspn/run/**", lambda sample: self.heard.append(bytes(sample.payload))
+        )
+
+    def put(self, body, *names):
+        self.session.put(key_of("run", *names), body)
+
+
+def test_forged_and_replayed_votes_change_nothing(hub, team):
+    thief = Thief(hub)
+    wait_for(
+        lambda: any(
+            b'"kind":"accepted"' in body and b'"from":"robot_2"' in body
+            for body in list(thief.heard)
+        )
+    )
+    recorded = [body for body in list(thief.heard) if b'"from":"robot_2"' in body][-100:]
+
+    def named():
+        for body in recorded:
+            thief.put(body, "robot_2", "all")  # the router drops it
+            thief.put(body, "robot_2", "to", "robot_1")
+            thief.put(body, THIEF, "to", "robot_1")  # robot_1 refuses it
+        return (THIEF, "in the name of another robot") in team.refusals("robot_1")
+
+    wait_for(named)
+    team.goes_on()
+    assert {robot for robot, _ in team.refusals("robot_1")} == {THIEF}
+
+
+def test_a_flood_and_large_messages_do_not_stop_the_team(hub, team):
+    thief = Thief(hub)
+    body = json.dumps({"from": THIEF, "version": 2, "kind": "hello"}).encode()
+    thief.put(b"x" * 10_000_000, THIEF, "all")
+    ends = time.monotonic() + 60.0
+
+    def flooded():
+        for _ in range(2 * int(FASTEST)):
+            thief.put(body, THIEF, "all")
+        assert time.monotonic() < ends
+        return all((THIEF, "too many messages") in team.refusals(robot) for robot in ROBOTS)
+
+    wait_for(flooded, 60.0)
+    team.goes_on()
+
+
+def test_somebody_with_other_keys_joins_neither_the_run_nor_its_votes(hub, team):
+    """It uses the name of the run, and another plan of the same robots."""
+    heard = []
+    handlers = Handlers(heard.append, lambda request, operator: OperatorAnswer(False, ""))
+    stranger = hub.keep(ZenohCarrier(THIEF, "run", hub.access(THIEF), handlers))
+    wait_for(lambda: {"hello", "accept"} <= {message["kind"] for message in list(heard)})
+    hello = next(m for m in heard if m["kind"] == "hello")
+    greeting = {**hello, "log": "another", "team": "run|another plan"}
+    votes = [m for m in heard if m["kind"] == "accept"][:100]
+    for message in [greeting, *votes]:
+        stranger.send([Send(EVERYBODY, {**message, "from": THIEF})])
+    team.goes_on()
+    answer = team.hosts["robot_1"].handlers.command(OperatorRequest("status"), "")
+    status = json.loads(answer.message)
+    assert THIEF not in [robot["robot"] for robot in status["robots"]]
