@@ -9,11 +9,12 @@ from dataclasses import replace
 
 import pytest
 
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.formats.plan_json import plan_from_json
-from gspn_framework_package.model.errors import PlanError, RefusedError
+from gspn_framework_package.model.errors import ExecutionError, PlanError, RefusedError
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 ACTIONS = """
@@ -152,3 +153,29 @@ def test_a_large_policy_is_not_in_the_log_of_a_run_that_adopts_it(tmp_path) -> N
     assert verify([read]).violation is None
     adopted = list(replay(read))[-1].state.adopted
     assert len(adopted.plan["policy"]["rows"]) == 2_001
+
+
+def test_a_plan_that_was_given_up_is_not_adopted_later(tmp_path) -> None:
+    name = "acts_%d" % time.monotonic_ns()
+    (tmp_path / (name + ".py")).write_text(ACTIONS)
+    plan = _plan(tmp_path, {"ab": "AB", "ba": "BA"}, dict.fromkeys("AB", name + ".old"))
+    go_on, paused = threading.Event(), threading.Event()
+
+    class Slow(_Heard):
+        def on_step(self, slot, entries, firings, state):
+            go_on.wait(60)
+            if state.paused:
+                paused.set()
+
+    heard = Slow()
+    executor = StandaloneExecutor(plan, heard)
+    executor.start()
+    with pytest.raises(ExecutionError, match="not adopted within 0.1 s"):
+        executor.deploy(plan, timeout=0.1)
+    go_on.set()
+    executor.order(log_entries.Pause())  # taken up after what was asked before
+    assert paused.wait(30) and not heard.plans
+    executor.deploy(plan)
+    assert len(heard.plans) == 1
+    executor.stop()
+    executor.wait(10)
