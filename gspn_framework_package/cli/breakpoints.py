@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -40,11 +40,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("give names or --clear, not both")
     if args.plan:
         return _of_plan(args)
-    require_ros()
-    from gspn_framework_package.ros.operator_client import OperatorClient
-
     argument = json.dumps(args.names) if args.names or args.clear else ""
-    answers = OperatorClient().breakpoints(argument, args.run_name)
+    answers = team_client(args).breakpoints(argument, args.run_name)
     if args.json:
         told = {n: {"done": a.success, "message": a.message} if a else a for n, a in answers}
         print(json.dumps(told))

@@ -8,7 +8,7 @@ import os
 import time
 from typing import Any, Dict, List
 
-from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 
@@ -77,12 +77,9 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.standalone is not None:
         return _into_run(args, plan, mapping)
-    require_ros()
-    from gspn_framework_package.ros.operator_client import OperatorClient
-
     entry = stage_of(plan, mapping, _folder(args, plan))
     argument = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
-    client = OperatorClient()
+    client = team_client(args)
 
     def order(command: str, text: str = "") -> Any:
         return client.order(command, "", text, args.run_name)

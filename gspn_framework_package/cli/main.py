@@ -83,6 +83,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
         ".bench",
         "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
     ),
+    "agent": Verb(".agent", "be one robot of a team, without ROS"),
     "keys": Verb(".keys", "make, show and revoke the certificates of a team"),
     "router": Verb(".router", "pass messages on between robots that have no ROS master in common"),
     "status": Verb(".status", "show what every robot of a running team does and waits for"),

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from typing import Dict, NamedTuple, Tuple
 
-from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.cli.team_client import add_team_options, team_client
 
 
 class OrderVerb(NamedTuple):
@@ -48,11 +47,8 @@ class OrderVerb(NamedTuple):
 
     def run(self, args: argparse.Namespace) -> int:
         """Give the order; return 0 if the team carried it out, else 1."""
-        require_ros()
-        from gspn_framework_package.ros.operator_client import OperatorClient
-
         robot, argument = getattr(args, "robot", ""), getattr(args, "argument", "")
-        done, message = OperatorClient().order(self.command, robot or "", argument, args.run_name)
+        done, message = team_client(args).order(self.command, robot or "", argument, args.run_name)
         if args.json:
             print(json.dumps({"order": self.command, "done": done, "message": message}))
         else:
@@ -85,29 +81,3 @@ ORDERS: Dict[str, OrderVerb] = {
     "stop": OrderVerb("stop", "end the run of a team"),
 }
 """Verb -> order."""
-
-
-def add_team_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of every verb that talks to a team."""
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        default="",
-        metavar="NAME",
-        help="name of the run, if there are several",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-
-
-def require_ros() -> None:
-    """Check that ROS is available. :raises UsageError: there is no ROS in this shell."""
-    try:
-        import rospy  # noqa: F401
-
-        import gspn_framework_package.srv  # noqa: F401
-    except ImportError as error:
-        raise UsageError(
-            "this verb needs ROS (%s)" % error,
-            hint="source the workspace's setup.bash; ROS_MASTER_URI is %s"
-            % os.environ.get("ROS_MASTER_URI", "not set"),
-        ) from None

@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any, Dict, List, Optional, Sequence
 
-from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.cli.team_client import add_team_options, label_of, team_client
 from gspn_framework_package.execution.told_data import SHOWN_TASKS, cause_text, shown
 
 COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
@@ -28,12 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Query every node and print the answers."""
-    require_ros()
-    from gspn_framework_package.ros.operator_client import OperatorClient
-
     statuses = {
-        node.namespace: status
-        for node, status in OperatorClient().statuses(args.data).items()
+        label_of(at): status
+        for at, status in team_client(args).statuses(args.data).items()
         if status is None or args.run_name in ("", status["run"])
     }
     if args.json:

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import Any, Dict
 
-from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.execution.log_entries import make_submit, new_task_id
 from gspn_framework_package.model.errors import DataError, UsageError
 
@@ -41,11 +41,8 @@ def run(args: argparse.Namespace) -> int:
     """Submit the task; return 0 if the team has it, else 1."""
     task_id = args.id or new_task_id("submitted")
     task = make_submit(args.transition, task_id, read_data(args.data))
-    require_ros()
-    from gspn_framework_package.ros.operator_client import OperatorClient
-
     argument = json.dumps({"transition": task.transition, "id": task.id, "data": dict(task.data)})
-    done, message = OperatorClient().order("submit", "", argument, args.run_name)
+    done, message = team_client(args).order("submit", "", argument, args.run_name)
     if args.json:
         print(json.dumps({"order": "submit", "done": done, "message": message, "id": task_id}))
     else:

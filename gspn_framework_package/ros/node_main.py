@@ -35,6 +35,7 @@ from gspn_framework_package.ros.transport.registration import (
     published_topics,
     registered_together,
 )
+from gspn_framework_package.team.plan_examination import check_plan
 
 if TYPE_CHECKING:
     from gspn_framework_package.team.jobs import Job
@@ -99,32 +100,6 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
             hint="it has: %s; a robot that joins the running team needs ~place" % ", ".join(names),
         )
     return plan, options.robot
-
-
-def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
-    """Check a plan before it runs.
-
-    :param warn: receives one warning for each kind of finding.
-    :raises ExecutionError: the plan must not run.
-    """
-    from gspn_framework_package.analysis.preflight import check
-    from gspn_framework_package.analysis.preflight.report import Severity
-
-    report = check(plan)
-    warnings: Dict[str, List[str]] = {}
-    for item in report.items:
-        if item.severity is Severity.WARNING:
-            warnings.setdefault(item.check, []).append(item.text)
-    for kind, texts in warnings.items():
-        more = (
-            " (and %d more of this kind: see 'gspn check')" % (len(texts) - 1)
-            if len(texts) > 1
-            else ""
-        )
-        warn("%s: %s: %s%s" % (plan.name, kind, texts[0], more))
-    if report.refused:
-        reasons = [i.text for i in report.items if i.severity is Severity.REFUSED]
-        raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
 
 
 def refuse_taken(namespaces: List[str], run: str) -> None:

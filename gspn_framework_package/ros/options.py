@@ -11,6 +11,7 @@ from rospy.client import load_command_line_node_params
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.ros.transport.registration import master_proxy
+from gspn_framework_package.team.log_file import check_run_name, log_path
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience
 
 
@@ -72,9 +73,7 @@ class NodeOptions(NamedTuple):
 
     def log_file(self, robot: str) -> str:
         """The path of the log of ``robot``."""
-        home = os.environ.get("ROS_HOME") or os.path.join(os.path.expanduser("~"), ".ros")
-        folder = os.path.expanduser(self.log_dir) or os.path.join(home, "gspn")
-        return os.path.join(folder, self.run, robot + ".jsonl")
+        return log_path(self.log_dir, self.run, robot)
 
 
 def read_options(name: str = "~") -> NodeOptions:
@@ -148,6 +147,5 @@ def options_from(given: Dict[str, Any]) -> NodeOptions:
     options = NodeOptions(**fields)
     if not options.plan:
         raise UsageError("no plan was given", element="~plan", hint="its folder, or its file")
-    if os.sep in options.run or options.run in ("", ".", ".."):
-        raise UsageError("'%s' cannot be the name of a run" % options.run, element="~run")
+    check_run_name(options.run, "~run")
     return options

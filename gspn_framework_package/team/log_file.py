@@ -15,11 +15,32 @@ from gspn_framework_package.execution.event_log import (
     header,
     read_log,
 )
-from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 LOCK_TIME = 8.0
 """Seconds to wait for a log that is still locked by a node that is about to end."""
+
+
+def log_path(folder: str, run: str, robot: str) -> str:
+    """The path of the log of a robot.
+
+    :param folder: of the logs; by default ``~/.ros/gspn``.
+    :param run: name of the run; see :func:`check_run_name`.
+    """
+    home = os.environ.get("ROS_HOME") or os.path.join(os.path.expanduser("~"), ".ros")
+    folder = os.path.expanduser(folder) or os.path.join(home, "gspn")
+    return os.path.join(folder, run, robot + ".jsonl")
+
+
+def check_run_name(run: str, option: str) -> None:
+    """Refuse a name that is no name of a folder.
+
+    :param option: what the name was given with, for the message.
+    :raises UsageError: it cannot be the name of a run.
+    """
+    if os.sep in run or run in ("", ".", ".."):
+        raise UsageError("'%s' cannot be the name of a run" % run, element=option)
 
 
 def lock_log(path: str) -> BinaryIO:

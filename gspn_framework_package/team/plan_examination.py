@@ -1,13 +1,13 @@
-"""Whether a robot can follow another plan: its functions load, and its actions can be carried
-out."""
+"""Whether a robot may follow a plan: the check before a run; and for another plan during one,
+whether its functions load and its actions can be carried out."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Callable
+from typing import Callable, Dict, List
 
-from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.sides import ActionSide, EventSide
 
@@ -40,3 +40,29 @@ def why_not_followed(
         return str(error)
     except Exception as error:  # whatever it is, the robot cannot follow the plan
         return "%s: %s" % (type(error).__name__, error)
+
+
+def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
+    """Check a plan before it runs.
+
+    :param warn: receives one warning for each kind of finding.
+    :raises ExecutionError: the plan must not run.
+    """
+    from gspn_framework_package.analysis.preflight import check
+    from gspn_framework_package.analysis.preflight.report import Severity
+
+    report = check(plan)
+    warnings: Dict[str, List[str]] = {}
+    for item in report.items:
+        if item.severity is Severity.WARNING:
+            warnings.setdefault(item.check, []).append(item.text)
+    for kind, texts in warnings.items():
+        more = (
+            " (and %d more of this kind: see 'gspn check')" % (len(texts) - 1)
+            if len(texts) > 1
+            else ""
+        )
+        warn("%s: %s: %s%s" % (plan.name, kind, texts[0], more))
+    if report.refused:
+        reasons = [i.text for i in report.items if i.severity is Severity.REFUSED]
+        raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)

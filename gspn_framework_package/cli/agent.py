@@ -1,0 +1,124 @@
+"""``gspn agent``: one robot of a real team, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import threading
+from types import FrameType
+from typing import Optional
+
+from gspn_framework_package.cli.team_client import access_of, add_way
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan, Synchronisation
+
+LAST_WORDS = 5.0
+"""Seconds that an agent has to end when it is told to."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
+    parser.add_argument(
+        "--robot", required=True, metavar="NAME", help="which robot this is, as in the plan"
+    )
+    add_way(parser, "a router of the team: tls/HOST:7447 with keys, tcp/HOST:7447 without")
+    parser.add_argument(
+        "--listen",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="where other robots reach this one without a router",
+    )
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        default="run",
+        metavar="NAME",
+        help="name of the run (default: run); an agent that is started again under the same name "
+        "goes on where it was",
+    )
+    parser.add_argument(
+        "--log", metavar="FILE", help="the robot's log (default: ~/.ros/gspn/RUN/ROBOT.jsonl)"
+    )
+    parser.add_argument(
+        "--place",
+        default="",
+        metavar="PLACE",
+        help="where a robot that is not in the plan joins the running team",
+    )
+    parser.add_argument(
+        "--stay", action="store_true", help="keep running, and answer, when the run is over"
+    )
+    parser.add_argument(
+        "--allow-commands",
+        action="store_true",
+        help="let the plan run programs on this computer (actions with 'command')",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
+    parser.epilog = (
+        "Start one for each robot; 'gspn router' connects them, and 'gspn status --connect "
+        "ENDPOINT' and the orders reach them. Exit codes: 0 the run came to its end, 1 the plan "
+        "was refused, the run was stopped or failed, or nobody can be reached, 2 wrong input or "
+        "usage, 130 interrupted: the robot is still in the team."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check the plan, and be the robot until the run is over."""
+    from gspn_framework_package.team.agent import PrintedVoice, make_agent
+    from gspn_framework_package.team.host import HostOptions
+    from gspn_framework_package.team.plan_examination import check_plan
+    from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
+
+    plan = _plan_of(args)
+    access = access_of(args)
+    voice = PrintedVoice(args.robot, args.quiet)
+    check_plan(plan, voice.warn)
+    partial = plan.synchronisation is Synchronisation.PARTIAL
+    host = make_agent(
+        plan,
+        args.robot,
+        HostOptions(args.run_name, _log_of(args), args.place, args.stay),
+        voice,
+        lambda host: ZenohCarrier(args.robot, args.run_name, access, host.handlers, partial),
+        args.allow_commands,
+    )
+    over = threading.Event()
+    signal.signal(signal.SIGTERM, _interrupt)
+    host.start(lambda robot: over.set())
+    try:
+        over.wait()
+    finally:
+        host.stop()
+        host.join(LAST_WORDS)
+    return host.exit_code or 0
+
+
+def _interrupt(number: int, frame: Optional[FrameType]) -> None:
+    raise KeyboardInterrupt
+
+
+def _plan_of(args: argparse.Namespace) -> Plan:
+    plan = read_plan(args.plan)
+    names = [robot.name for robot in plan.robots]
+    if args.robot not in names + list(plan.witness) and not args.place:
+        raise UsageError(
+            "the plan has no robot '%s'" % args.robot,
+            element="--robot",
+            hint="it has: %s; a robot that joins the running team needs --place" % ", ".join(names),
+        )
+    if not args.connect and not args.listen:
+        raise UsageError(
+            "how are the other robots reached?", element="--connect", hint="tcp/HOST:7447"
+        )
+    return plan
+
+
+def _log_of(args: argparse.Namespace) -> str:
+    from gspn_framework_package.team.log_file import check_run_name, log_path
+
+    check_run_name(args.run_name, "--run")
+    return os.path.abspath(args.log) if args.log else log_path("", args.run_name, args.robot)

@@ -1,0 +1,102 @@
+"""How the verbs for operators reach a team: through ROS, or through a router."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import TYPE_CHECKING, Any, Dict, Mapping, Optional, Protocol, Sequence, Tuple
+
+from gspn_framework_package.model.errors import UsageError
+
+if TYPE_CHECKING:
+    from gspn_framework_package.team.zenoh_session import TeamAccess
+
+
+class TeamClient(Protocol):
+    """What the verbs ask of a team."""
+
+    def statuses(self, data: bool = False) -> Mapping[Any, Optional[Dict[str, Any]]]:
+        """The status of every robot, with or without ``data``; None for one without a valid
+        answer."""
+
+    def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
+        """Give an order; returns whether it was carried out, and the answer.
+
+        :raises ExecutionError: nobody answers, or robots of several runs do.
+        """
+
+    def breakpoints(self, argument: str, run: str = "") -> Sequence[Tuple[str, Any]]:
+        """Show or set the breakpoints of every robot of a run; returns pairs of where a robot is
+        and its answer, None if it gives none."""
+
+
+def add_team_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of every verb that talks to a team."""
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        default="",
+        metavar="NAME",
+        help="name of the run, if there are several",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_way(parser, "ask the robots at this router instead of those on ROS: tls/HOST:7447")
+
+
+def add_way(parser: argparse.ArgumentParser, connect: str) -> None:
+    """Declare the options that say how a team without ROS is reached.
+
+    :param connect: the help of ``--connect``.
+    """
+    parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help=connect)
+    parser.add_argument(
+        "--keys", default="", metavar="DIR", help="your keys, from 'gspn keys'; with --connect"
+    )
+
+
+def team_client(args: argparse.Namespace) -> TeamClient:
+    """The client that the options of a verb ask for.
+
+    :raises GspnError: the team cannot be reached that way.
+    """
+    if args.keys and not args.connect:
+        raise UsageError("--keys says nothing without --connect")
+    if args.connect:
+        from gspn_framework_package.team.zenoh_operator import ZenohOperator
+
+        return ZenohOperator(access_of(args))
+    require_ros()
+    from gspn_framework_package.ros.operator_client import OperatorClient
+
+    return OperatorClient()
+
+
+def access_of(args: argparse.Namespace) -> TeamAccess:
+    """The endpoints and keys that the options of a verb name.
+
+    :raises GspnError: the keys cannot be used.
+    """
+    from gspn_framework_package.team.keys import read_keys
+    from gspn_framework_package.team.zenoh_session import TeamAccess
+
+    keys = read_keys(args.keys) if args.keys else None
+    return TeamAccess(tuple(args.connect), tuple(getattr(args, "listen", ())), keys)
+
+
+def label_of(address: Any) -> str:
+    """A short name for where a robot is reached: its namespace on ROS, else its own name."""
+    return str(getattr(address, "namespace", None) or address.robot)
+
+
+def require_ros() -> None:
+    """Check that ROS is available. :raises UsageError: there is no ROS in this shell."""
+    try:
+        import rospy  # noqa: F401
+
+        import gspn_framework_package.srv  # noqa: F401
+    except ImportError as error:
+        raise UsageError(
+            "this verb needs ROS (%s)" % error,
+            hint="source the workspace's setup.bash; ROS_MASTER_URI is %s"
+            % os.environ.get("ROS_MASTER_URI", "not set"),
+        ) from None
