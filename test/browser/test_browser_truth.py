@@ -237,7 +237,7 @@ def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_inve
         "() => window.gspn.model.board.n === 9000 && window.gspn.model.base?.n < 9000 && !window.gspn.model.fetching"
     )
     lanes = page.evaluate("() => Object.fromEntries(window.gspn.page.line.segments(8, 18))")
-    assert lanes["robot_2"]["parts"] == [[8, 18, 0, "done"]]
+    assert lanes["robot_2"]["parts"] == [[8, 18, "here", "done"]]
     known = page.evaluate("() => window.gspn.model.base.t")
     first = lanes["robot_1"]["parts"][0]
     assert first[0] >= known - Dense.STEP and first[1] - first[0] <= 2 * Dense.STEP
