@@ -2,7 +2,8 @@
 
 Lines are ``{"progress": ...}``, ``{"part": keys of the report}`` and at the end, if it failed,
 ``{"error": message}``. The process limits its own processor time, memory and states; its parent
-kills it when it takes too long.
+kills it when it takes too long. What computes policies, simulates and predicts is imported when it
+is asked for: most of the time of a small analysis is that of the imports.
 """
 
 from __future__ import annotations
@@ -18,18 +19,9 @@ from typing import Any, Dict, List, Optional, Union
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.decisions.optimise import optimise
-from gspn_framework_package.analysis.decisions.report import MOST_CHOICES
 from gspn_framework_package.analysis.limits import Limits
-from gspn_framework_package.analysis.monitoring.prediction import (
-    Span,
-    expected_paces,
-    growth,
-    predict,
-)
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.report import INFINITE, Questions, report
-from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_short_json
 from gspn_framework_package.model.errors import GspnError, UsageError
@@ -107,6 +99,9 @@ def _analyse(request: Dict[str, Any]) -> None:
 
 def _optimise(request: Dict[str, Any], progress: Any) -> None:
     """Compute a policy, and report it: the new plan on its own, since it may be large."""
+    from gspn_framework_package.analysis.decisions.optimise import optimise
+    from gspn_framework_package.analysis.decisions.report import MOST_CHOICES
+
     plan = plan_from_json(request["plan"])
     asked = request_of(request["optimise"], plan, _limits(request))
     simulated = simulated_of(request["optimise"])
@@ -144,6 +139,8 @@ def _limits(request: Dict[str, Any]) -> Limits:
 
 def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:
     """Simulate many runs and return the estimates, with confidence intervals."""
+    from gspn_framework_package.analysis.simulation import simulate
+
     if not isinstance(asked, dict):
         raise UsageError("'simulate' is an object")
     replications = _number(asked, "replications", 1000.0)
@@ -169,6 +166,13 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
 def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:
     """Predict how often each place is visited, and how the number of firings grows with time: see
     :mod:`~gspn_framework_package.visualizer.live_comparison`."""
+    from gspn_framework_package.analysis.monitoring.prediction import (
+        Span,
+        expected_paces,
+        growth,
+        predict,
+    )
+
     if not isinstance(subject, Plan) or not isinstance(asked, dict):
         raise UsageError("only a run of a plan can be predicted")
     time = _number(asked, "time")
