@@ -577,6 +577,77 @@ def test_the_goal_of_an_action_has_the_fields_of_its_type(editor, axe, picture):
     assert action("Rest room")["message"]["speed"] == "fast"
 
 
+def test_a_subnet_and_data_that_is_kept(open_editor, tmp_path, picture):
+    """Keys inside actions: the files, parameters and resources of other plans, fields of results."""
+    pytest.importorskip("std_srvs.srv")
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    dock = {
+        "plan": "dock",
+        "net": {
+            "places": [{"name": "Approach"}, {"name": "Docked"}, {"name": "Plug", "tokens": 1}],
+            "transitions": [{"name": "docked", "timed": True, "rate": 1}],
+            "arcs": [
+                {"from": "Approach", "to": "docked"},
+                {"from": "docked", "to": "Docked"},
+                {"from": "docked", "to": "Plug"},
+                {"from": "Plug", "to": "docked"},
+            ],
+        },
+        "actions": {"Approach": None, "Docked": None},
+        "resource_places": ["Plug"],
+        "parameters": {"station": "here"},
+    }
+    (folder / "dock.json").write_text(json.dumps(dock))
+    of_one_place = ("on_failure", "timeout", "outcomes", "chance", "routing")
+    plan = {key: value for key, value in PLAN.items() if key not in of_one_place}
+    (folder / "plan.json").write_text(json.dumps(plan))
+    page = open_editor(folder)
+    choose(page, "place:Sort")
+    path = "plan.actions.Sort"
+    control(page, path + ".kind").select_option(label="another plan (subnet)")
+    page.wait_for_selector("#ed-properties [data-key='plan.actions.Sort palette']")
+    control(page, path + " palette").select_option(label="dock.json")
+    settle(page)
+    control(page, path + ".with add").fill("station")
+    page.keyboard.press("Enter")
+    enter(page, path + ".with.station", "left")
+    offered = "(input) => [...input.list.options].map(({ value }) => value)"
+    assert control(page, path + ".with add").evaluate(offered) == ["station"]
+    assert control(page, path + ".share add").evaluate(offered) == ["Plug"]
+    control(page, path + ".share add").fill("Plug")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert state(page)["plan"]["actions"]["Sort"] == {
+        "plan": "dock.json",
+        "entry": "Approach",
+        "exit": "Docked",
+        "with": {"station": "left"},
+        "share": {"Plug": "Charger"},
+    }
+    picture(page, "edit_subnet")
+    # what a service returns is kept as data: its fields are offered
+    choose(page, "place:Fetch")
+    control(page, "plan.actions.Fetch.kind").select_option(label="a call of a service")
+    settle(page)
+    enter(page, "plan.actions.Fetch.service", "look")
+    enter(page, "plan.actions.Fetch.type", "std_srvs/Trigger")
+    page.wait_for_selector("#ed-properties .message:has-text('It has no fields')")
+    control(page, "plan.actions.Fetch.keep add").fill("shelf")
+    page.keyboard.press("Enter")
+    settle(page)
+    field = "plan.actions.Fetch.keep.shelf"
+    assert control(page, field).evaluate(offered) == ["success", "message"]
+    enter(page, field, "message")
+    assert state(page)["plan"]["actions"]["Fetch"]["keep"] == {"shelf": "message"}
+    # and the subnet opens from its form
+    page.keyboard.press("Control+s")
+    page.wait_for_function("() => !gspn.edit.document.dirty")
+    choose(page, "place:Sort")
+    control(page, path + " open").click()
+    page.wait_for_selector("#ed-crumbs strong:has-text('dock.json')")
+
+
 def test_the_policy_as_a_table(editor, axe, picture):
     page = editor
     before = state(page)

@@ -3,6 +3,7 @@
 import { h } from "../dom.js";
 import { valueField } from "./data_form.js";
 import { messageHint, messagesOf, pathsOf } from "./message_form.js";
+import { nodeKey } from "./net_edits.js";
 import { problemOf } from "./schema.js";
 import { NAMES, actionHints, group, objectForm } from "./schema_form.js";
 
@@ -98,6 +99,7 @@ export function actionField(form, lens, title, schema) {
       objectForm(form, kinds.get(kind), object, title, {
         inside: hints(form, kind, object.get(), lens.name),
       }),
+    kind === "plan" && opener(form, lens, value),
     form.verdict(whole),
   );
 }
@@ -182,15 +184,16 @@ function hints(form, kind, value, place) {
     };
   }
   if (kind === "plan") {
-    const inside = plans.find(({ file }) => file === value.plan)?.places ?? [];
+    const known = plans.find(({ file }) => file === value.plan);
+    const inside = known?.places ?? [];
     return {
-      plan: { names: () => plans.map(({ file }) => file) },
+      plan: { names: () => plans.map(({ file }) => file), title: "File of the plan" },
       entry: { names: () => inside },
       exit: { names: () => inside },
-      with: { data: true },
+      with: { data: true, names: () => known?.parameters ?? [] },
       share: {
         each: { items: NAMES.resources },
-        names: () => inside,
+        names: () => known?.resources ?? [],
         start: (state) => NAMES.resources(state)[0] ?? "",
       },
     };
@@ -211,6 +214,17 @@ function hints(form, kind, value, place) {
     outcomes,
     keep: { ...keep, each: { names: () => pathsOf(messages.received) } },
   };
+}
+
+/** The button that opens the file of a subnet, once that is in the plan. */
+function opener(form, lens, value) {
+  const key = nodeKey("place", lens.name);
+  if (!value.plan || lens.get()?.plan !== value.plan) return null;
+  return h(
+    "div",
+    { class: "buttons" },
+    form.button(`${lens.key} open`, `Open ${value.plan}`, () => form.mode.actions.openSubnet(key)),
+  );
 }
 
 function commandField(form, lens, title) {

@@ -98,7 +98,8 @@ const placeCondition = (text, state) => {
 };
 
 /** pattern of a lens -> {keys: names of the entries of a map, items: names of a list or a text, start: value of a new
- * entry, draw: a form of its own, check: what else may be wrong, open: names beside these are allowed}. */
+ * entry, draw: a form of its own, check: what else may be wrong, open: names beside these are allowed, title: what the
+ * key is called here}. */
 export const HINTS = {
   "plan.resource_places": { items: NAMES.places },
   "plan.spawn": { items: NAMES.actionPlaces, twice: true },
@@ -390,7 +391,7 @@ export function objectForm(form, schema, lens, title, hint = {}) {
           form,
           part,
           lens.at(key, { drop: true }),
-          wordOf(key),
+          hint.inside?.[key]?.title ?? wordOf(key),
           hint.inside?.[key] ?? {},
           (schema.required ?? []).includes(key),
         ),
