@@ -246,7 +246,7 @@ def chosen(page):
     return page.evaluate("() => [...window.gspn.edit.selection]")
 
 
-def test_several_are_chosen_arranged_and_copied_by_keys(edit):
+def test_several_are_chosen_arranged_and_copied_by_keys(edit, axe):
     page = edit({"one": ONE, "home": SUB}, "home")
     dirty = "() => window.gspn.edit.document.dirty"
     page.focus("#ed-list")
@@ -286,6 +286,8 @@ def test_several_are_chosen_arranged_and_copied_by_keys(edit):
     before = page.evaluate("() => window.gspn.edit.canvas.camera.now.x")
     key(page, "ArrowRight", "Shift+ArrowRight")
     assert page.evaluate("() => window.gspn.edit.canvas.camera.now.x") == before - 360
+    key(page, "Control+a")
+    axe(page, "the properties of several")
 
 
 SUB = {

@@ -209,7 +209,7 @@ def test_a_net_alone_is_opened_and_saved_as_a_plan(serve_folder, open_page, tmp_
             assert read_net(str(path)).place("Water").tokens == 3, format
 
 
-def test_two_people_on_one_file_lose_nothing(open_editor, folder):
+def test_two_people_on_one_file_lose_nothing(open_editor, axe, folder):
     mine = open_editor(expect_errors=True)  # a conflict is an answer with an error status
     theirs = open_editor()
     edit(mine, "Rename", [[["plan", "plan"], "mine"]])
@@ -223,6 +223,7 @@ def test_two_people_on_one_file_lose_nothing(open_editor, folder):
     # the second one sees what would be overwritten, and cancels: nothing is written
     mine.keyboard.press("Control+s")
     mine.wait_for_selector("#ed-conflict .diff-changed:has-text('place Fuel, tokens: 7 → 5')")
+    axe(mine, "a conflict")
     mine.click("#dialog button:has-text('Cancel')")
     assert json.loads((folder / "plan.json").read_text()) == saved
     mine.wait_for_selector("#ed-diff-title:has-text('From theirs to yours: 2 changes')")
@@ -242,7 +243,7 @@ def test_two_people_on_one_file_lose_nothing(open_editor, folder):
     assert json.loads((folder / "plan.json").read_text())["plan"] == "mine"
 
 
-def test_a_draft_is_kept_and_offered(open_editor, folder):
+def test_a_draft_is_kept_and_offered(open_editor, axe, folder):
     page = open_editor()
     before = (folder / "plan.json").read_text()
     edit(page, "Rename", [[["plan", "plan"], "drafted"]])
@@ -251,6 +252,7 @@ def test_a_draft_is_kept_and_offered(open_editor, folder):
     assert (folder / "plan.json").read_text() == before
     page = open_editor()
     page.wait_for_selector("#ed-banner:has-text('was not saved')")
+    axe(page, "a draft that is offered")
     page.click("#ed-draft-compare")
     page.wait_for_selector("#ed-changes:has-text('plan: round → drafted')")
     page.click("#ed-draft-continue")

@@ -314,10 +314,10 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     page.wait_for_selector("#ed-properties .wrong:has-text('Not in the plan yet')")
     assert state(page)["plan"]["actions"]["Sort"] == "actions.sort"
     enter(page, key + ".service", "shelf")
-    enter(page, key + ".type", "std_srvs/SetBool")
+    enter(page, key + ".type", "shelf_msgs/Put")  # not installed: any fields can be given
     assert state(page)["plan"]["actions"]["Sort"] == {
         "service": "shelf",
-        "type": "std_srvs/SetBool",
+        "type": "shelf_msgs/Put",
     }
     control(page, key + ".request add").fill("data")
     page.keyboard.press("Enter")
@@ -327,7 +327,7 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     control(page, key + ".outcomes.aborted").select_option(label="plug_in")
     assert state(page)["plan"]["actions"]["Sort"] == {
         "service": "shelf",
-        "type": "std_srvs/SetBool",
+        "type": "shelf_msgs/Put",
         "request": {"data": {"from": "task.pose"}},
         "outcomes": {"aborted": "plug_in"},
     }

@@ -97,6 +97,7 @@ export class Camera {
         from.y + (to.y - from.y) * e,
       );
       if (f < 1) requestAnimationFrame(tick);
+      else this.flight = null;
     };
     requestAnimationFrame(tick);
   }
