@@ -310,8 +310,9 @@ def _change_policy(data: Dict[str, Any], mapping: Dict[str, str], source: random
 def _rename(data: Dict[str, Any], mapping: Dict[str, str], source: random.Random) -> None:
     """Another name for a place or transition, with a mapping or (seldom) without."""
     nodes = [n["name"] for n in (*data["net"]["places"], *data["net"]["transitions"])]
-    if source.random() < 0.5:  # results of running actions name transitions
-        old = source.choice([t["name"] for t in data["net"]["transitions"]])
+    transitions = [t["name"] for t in data["net"]["transitions"]]
+    if source.random() < 0.5 and transitions:  # results of running actions name transitions
+        old = source.choice(transitions)
     else:
         old = source.choice(nodes)
     if old == "full":  # also a word of the format
@@ -392,6 +393,8 @@ def _change_resources(data: Dict[str, Any], mapping: Dict[str, str], source: ran
         first = next((a for a, b in mapping.items() if b == gone), gone)
         if source.random() < 0.7:
             mapping[first] = ""
+        return
+    if not net["transitions"]:
         return
     place = "pool%d" % source.randrange(1000)
     net["places"].append({"name": place, "tokens": source.randint(1, 3)})

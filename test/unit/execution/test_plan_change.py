@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import random
 from dataclasses import replace
 
 import pytest
 
 from gspn_framework_package.execution import log_entries, plan_change
+from gspn_framework_package.execution.agreement_simulation.plans import another_plan
 from gspn_framework_package.execution.event_log import EventLog, header, replay
 from gspn_framework_package.execution.firing import Fault, StartAction
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import Tasks
@@ -380,3 +383,10 @@ def test_in_a_standalone_run_the_executor_alone_looks_at_the_plan() -> None:
     run.vote([""])
     assert not run.faults(run.adopt())
     run.check()
+
+
+def test_the_simulation_changes_a_plan_without_transitions_too():
+    net = {"places": [{"name": "A", "tokens": 1}], "transitions": [], "arcs": []}
+    plan = plan_from_json({"net": net, "actions": {"A": "os.getcwd"}, "robots": {"r1": "A"}})
+    for seed in range(30):
+        assert another_plan(plan, random.Random(seed))[0].action_places
