@@ -11,6 +11,7 @@ from gspn_framework_package.ros.node_services import NodeServices
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.robot_actions import RobotActions
 from gspn_framework_package.ros.voice import RosVoice
+from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.host import HostOptions, ReplicaHost
 from gspn_framework_package.team.jobs import Job
 
@@ -49,11 +50,11 @@ class ExecutionNode:
             host.warn,
         )
         services = NodeServices(host, namespace)
-        link = TopicLink if plan.synchronisation is Synchronisation.FULL else ServiceLink
-        quiet = 3 * host.heartbeat
-        carrier = link(robot, options.run, namespace, host.receive, host.serve, quiet)
-        carrier.serve_at(services.uri)
-        host.connect(carrier, self._actions, [services.close])
+        host.connect(
+            _carrier(host, plan, namespace, options, services.uri),
+            self._actions,
+            [services.close],
+        )
 
     @property
     def jobs(self) -> Dict[str, Job]:
@@ -96,3 +97,18 @@ class ExecutionNode:
     def join(self, timeout: Optional[float] = None) -> None:
         """See :class:`ReplicaHost`."""
         self._host.join(timeout)
+
+
+def _carrier(
+    host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions, service_uri: str
+) -> Carrier:
+    if options.transport == "zenoh":
+        # imported here, since a team on ROS needs none of its libraries
+        from gspn_framework_package.ros.zenoh_transport import zenoh_transport
+
+        return zenoh_transport(host, plan, namespace, options)
+    kind = TopicLink if plan.synchronisation is Synchronisation.FULL else ServiceLink
+    quiet = 3 * host.heartbeat
+    link = kind(host.robot, options.run, namespace, host.receive, host.serve, quiet)
+    link.serve_at(service_uri)
+    return link

@@ -14,6 +14,8 @@ from gspn_framework_package.ros.transport.registration import master_proxy
 from gspn_framework_package.team.log_file import check_run_name, log_path
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience
 
+TRANSPORTS = ("ros", "zenoh")
+
 
 class NodeOptions(NamedTuple):
     """The private parameters of an execution node, by name."""
@@ -48,6 +50,12 @@ class NodeOptions(NamedTuple):
     """Whether the plan may run programs on this computer (actions with ``command``)."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
+    transport: str = "ros"
+    """What carries the messages between the robots: ``ros``, or ``zenoh`` (see ``router``)."""
+    router: str = ""
+    """With ``zenoh``: endpoints of routers, or of robots that listen, separated by spaces."""
+    keys: str = ""
+    """With ``zenoh``: the folder of this robot's keys; "": the team has none."""
     stay: bool = False
     """Whether the node keeps running, and answers, when the run is over."""
     max_connections: int = 32
@@ -148,4 +156,20 @@ def options_from(given: Dict[str, Any]) -> NodeOptions:
     if not options.plan:
         raise UsageError("no plan was given", element="~plan", hint="its folder, or its file")
     check_run_name(options.run, "~run")
+    if options.transport not in TRANSPORTS:
+        raise UsageError(
+            "there is no transport '%s'" % options.transport,
+            element="~transport",
+            hint="there are: %s" % ", ".join(TRANSPORTS),
+        )
+    if options.transport == "zenoh" and not options.router:
+        raise UsageError(
+            "the transport zenoh needs a router", element="~router", hint="tls/HOST:7447"
+        )
+    if options.transport == "ros" and (options.router or options.keys):
+        raise UsageError(
+            "a router and keys say nothing with the transport ros",
+            element="~transport",
+            hint="transport:=zenoh",
+        )
     return options

@@ -115,3 +115,17 @@ def test_a_file_is_looked_for_where_roslaunch_was_started_too(tmp_path, monkeypa
         launched_file("plans/other", "~plan")
     for part in ("~plan", "plans/other", str(node), str(shell), '"$PWD/plans/other"'):
         assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"transport": "pigeon"}, "no transport 'pigeon'"),
+        ({"transport": "zenoh"}, "needs a router"),
+        ({"router": "tcp/x:1"}, "say nothing with the transport ros"),
+        ({"keys": "keys"}, "say nothing with the transport ros"),
+    ],
+)
+def test_a_transport_that_makes_no_sense_is_refused(given, says):
+    with pytest.raises(UsageError, match=says):
+        options_from({"plan": "p", **given})

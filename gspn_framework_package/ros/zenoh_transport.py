@@ -1,0 +1,74 @@
+"""A robot with ROS whose team is reached over Zenoh: its own master need not know the others."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List
+
+from gspn_framework_package.execution.agreement.interface import Send
+from gspn_framework_package.model.plan import Plan, Synchronisation
+from gspn_framework_package.ros.facts import RosFacts
+from gspn_framework_package.ros.options import NodeOptions
+from gspn_framework_package.team.carrier import Carrier
+from gspn_framework_package.team.host import ReplicaHost
+from gspn_framework_package.team.keys import read_keys
+from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
+from gspn_framework_package.team.zenoh_session import TeamAccess
+
+
+class ToldOnRos(RosFacts):
+    """A carrier whose facts are published on ROS as well (see :class:`Carrier`).
+
+    :param carrier: carries the messages, and publishes the facts for the others.
+    :param namespace: absolute namespace of the robot.
+    """
+
+    def __init__(self, carrier: Carrier, namespace: str) -> None:
+        super().__init__(namespace)
+        self._carrier = carrier
+
+    @property
+    def sent(self) -> int:
+        """See :class:`Carrier`."""
+        return self._carrier.sent
+
+    @sent.setter
+    def sent(self, value: int) -> None:
+        self._carrier.sent = value
+
+    def send(self, sends: List[Send]) -> None:
+        """See :class:`Carrier`."""
+        self._carrier.send(sends)
+
+    def tell_firing(self, fields: Dict[str, Any]) -> None:
+        """See :class:`Carrier`."""
+        super().tell_firing(fields)
+        self._carrier.tell_firing(fields)
+
+    def is_watched(self) -> bool:
+        """See :class:`Carrier`."""
+        return super().is_watched() or self._carrier.is_watched()
+
+    def tell_activity(self, activity: Dict[str, Any]) -> None:
+        """See :class:`Carrier`."""
+        super().tell_activity(activity)
+        self._carrier.tell_activity(activity)
+
+    def close(self) -> None:
+        """See :class:`Carrier`."""
+        self._carrier.close()
+
+
+def zenoh_transport(
+    host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions
+) -> ToldOnRos:
+    """The carrier of a robot with ``transport`` zenoh.
+
+    :param plan: the plan with which the robot begins.
+    :param namespace: absolute namespace of the robot.
+    :raises GspnError: the keys cannot be used, or nobody can be reached.
+    """
+    keys = read_keys(options.keys) if options.keys else None
+    access = TeamAccess(tuple(options.router.split()), (), keys)
+    partial = plan.synchronisation is Synchronisation.PARTIAL
+    carrier = ZenohCarrier(host.robot, host.run, access, host.handlers, partial)
+    return ToldOnRos(carrier, namespace)
