@@ -9,10 +9,11 @@ from typing import Any, Dict, List, NamedTuple, NoReturn, Optional, Tuple
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.team.carrier import sender_of
 
-FASTEST = 4000.0
-"""Messages a second that are taken from one robot. A leader at its fastest sends fewer."""
+FASTEST = 3000.0
+"""Messages a second that are taken from one robot. A leader at its fastest sends fewer. One that
+goes on sending more is not heard at all until it is slower."""
 
-BURST = 4000.0
+BURST = 3000.0
 """Messages that are taken at once from a robot that was quiet."""
 
 _MOST_SENDERS = 1000
@@ -60,7 +61,7 @@ class MessageGate:
             tokens, before = self._buckets.get(robot, (BURST, now))
             tokens = min(BURST, tokens + (now - before) * FASTEST)
             let_in = tokens >= 1.0
-            self._buckets[robot] = (tokens - let_in, now)
+            self._buckets[robot] = (max(-BURST, tokens - 1.0), now)
         if not let_in:
             self.refuse(robot, "too many messages")
         return let_in

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 MOST_WAITING = 16
 """Orders, and questions, that a robot answers at the same time; more are refused."""
 
+_MOST_KEYS = 10_000
+
 
 class ZenohCarrier:
     """One robot's session; a :class:`~gspn_framework_package.team.carrier.Carrier`.
@@ -62,6 +64,7 @@ class ZenohCarrier:
         self._room = {"orders": MOST_WAITING, "status": MOST_WAITING}
         self._lock = threading.Lock()
         self._activity = b"{}"
+        self._senders: Dict[str, str] = {}
         self._publishers: Dict[str, zenoh.Publisher] = {}
         self._zenoh = zenoh_library()
         self._session = open_session(access)
@@ -132,8 +135,12 @@ class ZenohCarrier:
     # -- in, on Zenoh's threads --------------------------------------------------------------------
 
     def _on_message(self, sample: zenoh.Sample) -> None:
-        names = names_in(str(sample.key_expr))
-        robot = names[1] if len(names) > 1 else ""
+        key = str(sample.key_expr)
+        robot = self._senders.get(key)
+        if robot is None:
+            robot = names_in(key)[1]
+            if len(self._senders) < _MOST_KEYS:
+                self._senders[key] = robot
         if not self._gate.admits(robot, len(sample.payload), time.monotonic()):
             return
         message = self._gate.read(robot, bytes(sample.payload))
