@@ -5,15 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import time
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Tuple
 
 from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
-
-POLL = 0.2
-"""Seconds between two questions for the votes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,27 +73,21 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.standalone is not None:
         return _into_run(args, plan, mapping)
-    entry = stage_of(plan, mapping, _folder(args, plan))
-    argument = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
+    from gspn_framework_package.team.deploy_team import DeployTeam
+
     client = team_client(args)
 
-    def order(command: str, text: str = "") -> Any:
+    def order(command: str, text: str) -> Tuple[bool, str]:
         return client.order(command, "", text, args.run_name)
 
-    done, message = order("stage", json.dumps(argument, separators=(",", ":")))
-    stage = 0
-    if done:
-        stage, message = _votes(client, args, entry.digest)
-        done = not message
-        if not done and stage:
-            order("unstage", str(stage))
-        elif done and not args.stage_only:
-            done, message = order("adopt", str(stage))
-            if not done:
-                order("unstage", str(stage))
-        elif done:
-            message = "every robot can follow the plan; it is staged as number %d" % stage
-    return _told(args, done, message, stage=stage)
+    def statuses() -> List[Dict[str, Any]]:
+        return [s for s in client.statuses().values() if s and args.run_name in ("", s["run"])]
+
+    entry = stage_of(plan, mapping, _folder(args, plan))
+    outcome = DeployTeam(order, statuses, wait=args.wait).deploy(entry, args.stage_only)
+    return _told(
+        args, outcome.done, outcome.message, stage=outcome.stage, votes=dict(outcome.votes)
+    )
 
 
 def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> int:
@@ -117,7 +107,7 @@ def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> 
     return _told(args, answer["done"], answer["message"], process=run.process)
 
 
-def _told(args: argparse.Namespace, done: bool, message: str, **more: int) -> int:
+def _told(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
     """Print how it went; returns the exit code."""
     if args.json:
         print(json.dumps({"order": "deploy", "done": done, "message": message, **more}))
@@ -143,27 +133,3 @@ def _folder(args: argparse.Namespace, plan: Plan) -> str:
     if args.folder is None:
         return os.path.abspath(plan.folder) if plan.folder else ""
     return os.path.abspath(args.folder) if args.folder else ""
-
-
-def _votes(client: Any, args: argparse.Namespace, digest: str) -> Any:
-    """Wait until every member has looked at the plan: (the number of the stage, why it cannot be
-    adopted; "" if it can)."""
-    deadline = time.monotonic() + args.wait
-    stage, missing = 0, ["anybody"]
-    while time.monotonic() < deadline:
-        statuses = [s for s in client.statuses().values() if s and args.run_name in ("", s["run"])]
-        # the robot with the longest log has heard of the most votes
-        newest = max(statuses, key=lambda s: s["log_length"], default=None)
-        staged = newest.get("staged") if newest else None
-        if staged is not None and staged["digest"] == digest:
-            stage, votes = staged["stage"], staged["votes"]
-            refused = ["%s: %s" % (robot, why) for robot, why in votes.items() if why]
-            if refused:
-                return stage, "; ".join(refused)
-            missing = [robot for robot, why in votes.items() if why is None]
-            if not missing:
-                return stage, ""
-        elif stage:
-            return stage, "another plan was staged, or this one was given up"
-        time.sleep(POLL)
-    return stage, "no word within %g s of: %s" % (args.wait, ", ".join(missing))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
-from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.visualizer.hub import Hub
 
 Fields = Mapping[str, Any]
@@ -36,6 +37,18 @@ class Activity:
         """The plan with this number, which the run shown went on under (see
         :mod:`~gspn_framework_package.visualizer.board`); None if there is none."""
         return None
+
+    def deploy(
+        self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
+    ) -> DeployOutcome:
+        """Have the run go on under another plan; it may take a while. An activity that can do this
+        lists ``deploy`` among the commands that it offers.
+
+        :param mapping: names of the present net -> their names in ``plan``.
+        :param tell: is told of the votes whenever they change.
+        :raises GspnError: the plan is refused.
+        """
+        raise RefusedError("no plan can be deployed here", hint="start a run first")
 
     def begin(self, hub: Hub) -> None:
         """Start feeding ``hub``, which begins a new epoch."""

@@ -18,6 +18,7 @@ from typing import Any, Dict, Optional, Sequence
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.optimise_form import request_of
 from gspn_framework_package.visualizer.optimised import Optimised, proposed_name, save_beside
@@ -232,6 +233,14 @@ class AnalysisJobs:
         if found is None:
             raise InputError("there is no policy of that analysis (any more)")
         return found
+
+    def plan_of(self, key: str) -> Plan:
+        """The plan that a job was given. :raises InputError: there is no such job, or it was given
+        a net."""
+        plan = self._job(key).document.plan
+        if plan is None:
+            raise InputError("that is the analysis of a net and not of a plan")
+        return plan
 
     def latest(self, session: str) -> Optional[str]:
         """The key of the latest job of an open net that has computed a policy, if there is one."""

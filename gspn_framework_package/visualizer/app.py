@@ -21,6 +21,7 @@ from werkzeug.exceptions import HTTPException
 from gspn_framework_package import __version__
 from gspn_framework_package.formats.plan_json import SCHEMA_FILE
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
+from gspn_framework_package.visualizer import deploying
 from gspn_framework_package.visualizer.activity import whole_number
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
@@ -276,6 +277,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         return {"name": os.path.basename(path), "path": project.path_of(path)}
 
     editing.add_routes(app, project, _body)
+    deploying.add_routes(app, project, jobs, _body)
     return app
 
 

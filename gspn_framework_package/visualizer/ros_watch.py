@@ -19,6 +19,7 @@ from typing import (
     Dict,
     FrozenSet,
     List,
+    Mapping,
     Optional,
     Sequence,
     Set,
@@ -32,10 +33,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
+from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution.breakpoints import Breakpoints
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.plan_change import NewNames
+from gspn_framework_package.execution.plan_change import NewNames, stage_of
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -50,6 +52,7 @@ from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.ros.voice import diagnostic_array
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.team.addressing import read_status
+from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
 from gspn_framework_package.visualizer.activity import (
     Activity,
     Fields,
@@ -179,7 +182,7 @@ class RosWatch(Activity):
             "stalled": "",
             "fault": False,
         }
-        info = {"commands": sorted(self.commands), "says": "a team of robots on ROS"}
+        info = {"commands": sorted([*self.commands, "deploy"]), "says": "a team of robots on ROS"}
         hub.restart(self.mode, self._follower.board(self._status), info)
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._comparison = LiveComparison(
@@ -486,11 +489,11 @@ class RosWatch(Activity):
             return [there[self._turn % len(there)]] if there else []
         return namespaces
 
-    def _ask(self, namespaces: List[str]) -> List[Answer]:
+    def _ask(self, namespaces: List[str], calls: Optional[ServiceCalls] = None) -> List[Answer]:
         """The robots' answers about the team, without those that come too late."""
         answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
         request = CommandRequest(command="status", argument="brief", run=self._run)
-        asked = [self._call(n, request, self._asking, answers) for n in namespaces]
+        asked = [self._call(n, request, calls or self._asking, answers) for n in namespaces]
         found = []
         give_up = time.monotonic() + ANSWER_TIME + 0.2
         try:
@@ -720,6 +723,32 @@ class RosWatch(Activity):
         if refusals or not asked:
             raise RefusedError("; ".join(refusals) or "no robot of the run has been heard of yet")
         return {"message": "robots halt at: %s" % found.told}
+
+    def deploy(
+        self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
+    ) -> DeployOutcome:
+        """See :class:`Activity`. The robots find its functions where those of their plan are."""
+        report = check(plan)
+        if report.refused:
+            raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
+        calls = ServiceCalls(ANSWER_TIME)
+
+        def order(command: str, text: str) -> Tuple[bool, str]:
+            try:
+                return True, str(self._order((command, "", text))["message"])
+            except RefusedError as error:
+                return False, str(error)
+
+        def statuses() -> List[Dict[str, Any]]:
+            found = self._ask(sorted(self._names), calls)
+            return [status for _, status in found if status["run"] == self._run]
+
+        try:
+            return DeployTeam(order, statuses, tell).deploy(stage_of(plan, mapping))
+        except MASTER_ERRORS as error:
+            raise RefusedError("the ROS master does not answer (%s)" % error) from None
+        finally:
+            calls.close()
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
         """The namespaces of the run's robots, in the order to try them: first the robot concerned

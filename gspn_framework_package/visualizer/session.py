@@ -101,7 +101,6 @@ class Session:
 
         :raises GspnError: the command cannot be executed; the message gives the reason.
         """
-        meant = text_field(fields, "run", "")
         if name == "layout":
             return self._lay_out()
         self.touched = True
@@ -109,6 +108,14 @@ class Session:
             return self._start(fields)
         if name == "simulate":
             return self._simulate()
+        return self.activity_meant(fields).command(name, fields)
+
+    def activity_meant(self, fields: Fields) -> Activity:
+        """The activity that an order is for.
+
+        :raises RefusedError: the order names another run than the one that is shown.
+        """
+        meant = text_field(fields, "run", "")
         with self._lock:
             shown = str(self.hub.status().get("run") or "")
             if meant not in ("", shown):
@@ -119,8 +126,7 @@ class Session:
                         "the page shows run '%s'" % shown if shown else "the page shows no run",
                     )
                 )
-            activity = self.activity
-        return activity.command(name, fields)
+            return self.activity
 
     def _lay_out(self) -> Dict[str, Any]:
         if not self._layout.acquire(blocking=False):

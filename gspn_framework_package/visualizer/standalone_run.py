@@ -8,9 +8,10 @@ import re
 import threading
 import time
 import uuid
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.analysis.preflight.while_running import why_refused
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.execution.event_log import EventLogWriter, header
@@ -18,8 +19,9 @@ from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import RobotState, TeamState
-from gspn_framework_package.model.errors import ExecutionError, LogError, RefusedError
+from gspn_framework_package.model.errors import ExecutionError, GspnError, LogError, RefusedError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.visualizer.activity import (
     Activity,
     Fields,
@@ -38,6 +40,9 @@ from gspn_framework_package.visualizer.team_events import TeamEvents
 
 RUNS = "runs"
 """The subfolder of the served folder that holds the recorded runs."""
+
+SERVER = "this server"
+"""Who votes on a plan for a standalone run."""
 
 STOP_SECONDS = 5.0
 """Seconds that a run has to react to an order to stop; after that it is abandoned."""
@@ -104,6 +109,22 @@ class StandaloneRun(Activity, Listener):
         """See :class:`Activity`."""
         return self._events.plans.get(number)
 
+    def deploy(
+        self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
+    ) -> DeployOutcome:
+        """See :class:`Activity`."""
+        if self._told_end:
+            raise RefusedError("the run is over")
+        report = check(plan, standalone=True)
+        if report.refused:
+            raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
+        tell({SERVER: None})
+        try:
+            self._executor.deploy(plan, mapping, check=lambda here: why_refused(here, True))
+        except GspnError as error:
+            return DeployOutcome(False, str(error), votes={SERVER: str(error)})
+        return DeployOutcome(True, "the run follows the plan '%s'" % plan.name, votes={SERVER: ""})
+
     def _record(self, runs: str) -> None:
         """Begin an event log: a new file, named after the run."""
         self.run, self.path = _new_file(runs, self.run)
@@ -131,7 +152,7 @@ class StandaloneRun(Activity, Listener):
         self._hub = hub
         self._feedback = Feedback(hub)
         info: Dict[str, Any] = {
-            "commands": sorted(self.commands),
+            "commands": sorted([*self.commands, "deploy"]),
             "says": "%s runs on this server" % self._plan.name,
         }
         if self.path is not None:

@@ -95,7 +95,8 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
         fields = body()
         new, old = _document(fields, "to"), fields.get("from")
         if old == "running":
-            plan = project.session(key()).document.plan
+            session = project.session(key())
+            plan = session.document_at(session.hub.board().plan).plan
             if plan is None:
                 raise InputError("what runs there is not a plan")
             given = asked({"document": new})

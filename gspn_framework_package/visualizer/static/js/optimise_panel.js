@@ -3,6 +3,7 @@
 
 import { $, h, announce, ask, attempt, toast } from "./dom.js";
 import { get, post } from "./api.js";
+import { deployToARun } from "./deploy.js";
 import { BackgroundJob } from "./jobs.js";
 import { OptimiseForm } from "./optimise_form.js";
 import { ChoiceList, ChoicePainter, OptimiseViews, markingText } from "./optimise_views.js";
@@ -296,6 +297,13 @@ export class OptimisePanel extends EventTarget {
             href: `/api/analysis/${report.key}/plan`,
             download: "plan_optimised.json",
             text: "Download",
+          }),
+          h("button", {
+            id: "op-deploy",
+            text: "Deploy to the team…",
+            title: this.refusal || "Have the running team follow the plan with this policy",
+            disabled: Boolean(this.refusal),
+            onclick: () => attempt(() => deployToARun({ job: report.key }, session.id)),
           }),
           h("button", { id: "op-discard", text: "Discard", onclick: () => this.discard(true) }),
         ),

@@ -2,6 +2,7 @@
 
 import { $, h, ask, attempt, toast } from "../dom.js";
 import { post } from "../api.js";
+import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
 import { pngOf, svgOf } from "./picture.js";
 
@@ -57,6 +58,12 @@ export class Files {
     });
     mode.button("file", { id: "ed-save-as", label: "Save as…", onclick: () => this.saveAs() });
     mode.button("file", { id: "ed-export", label: "Export…", onclick: () => this.exportDialog() });
+    mode.button("file", {
+      id: "ed-deploy",
+      label: "Deploy to the team…",
+      title: "Have a running team go on under this plan, as it is saved",
+      onclick: () => attempt(() => this.deploy()),
+    });
     this.note = h("span", { id: "ed-draft-state", class: "muted" });
     $("ed-group-file").append(this.note);
     this.changed = () => this.later();
@@ -106,6 +113,12 @@ export class Files {
   }
 
   // -- saving --------------------------------------------------------------------------------------
+
+  /** Deploy the saved plan to a run that goes on. */
+  async deploy() {
+    if (this.mode.document.dirty) throw new Error("save the changes first, then deploy the plan");
+    await deployToARun({ path: this.mode.id.slice("file-".length) }, this.mode.id);
+  }
 
   /** Save the document. Resolves to whether it was saved. */
   save() {

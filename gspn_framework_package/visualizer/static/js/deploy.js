@@ -1,0 +1,125 @@
+// Deploying: what another plan would change in a running team, the question, the votes, and the outcome.
+
+import { h, ask, plural } from "./dom.js";
+import { get, post } from "./api.js";
+import { changeList } from "./edit/diff_view.js";
+
+const POLL = 250; // ms between two questions for the votes
+const DROPPED = "\u0000"; // an option that no name can be: the tokens of a resource place are dropped
+
+/** The choices for what became of the names that the new plan does not have, and `read()`: the mapping. */
+function mappingForm({ gone, names }) {
+  if (!gone.length) return { element: null, read: () => ({}) };
+  const fields = gone.map(({ name, kind }, index) => {
+    const select = h(
+      "select",
+      { id: `dp-map-${index}`, "data-name": name },
+      h("option", { value: "", text: "is no more" }),
+      kind === "resource place" && h("option", { value: DROPPED, text: "drop its tokens" }),
+      (names[kind] || []).map((to) => h("option", { value: to, text: `is now ${to}` })),
+    );
+    return { name, select, row: [h("label", { for: select.id, text: `${kind} ${name}` }), select] };
+  });
+  const read = () =>
+    Object.fromEntries(
+      fields
+        .filter(({ select }) => select.value)
+        .map(({ name, select }) => [name, select.value === DROPPED ? "" : select.value]),
+    );
+  const element = h(
+    "section",
+    { "aria-label": "Names that are no more" },
+    h("p", { text: "The new plan does not have these names. What became of them?" }),
+    h(
+      "div",
+      { class: "form", id: "dp-map" },
+      fields.map(({ row }) => row),
+    ),
+  );
+  return { element, read };
+}
+
+/** The votes in words. */
+function voteList(votes) {
+  const said = { null: "looks at the plan …", "": "can follow it" };
+  return h(
+    "ul",
+    { id: "dp-votes", class: "ed-changes" },
+    Object.entries(votes).map(([who, why]) =>
+      h("li", {
+        class: why === "" ? "diff-added" : why === null ? "" : "diff-removed",
+        text: `${who}: ${said[why] ?? why}`,
+      }),
+    ),
+  );
+}
+
+/** Show how the deployment goes until it is over; resolves to whether the run follows the plan. */
+async function follow(id, plan) {
+  const state = h("p", { id: "dp-state", role: "status", text: "The members look at the plan …" });
+  const votes = h("div", {}, voteList({}));
+  const closed = { now: false };
+  const dialog = ask(`Deploying “${plan}”`, [state, votes], [["Close", "", "primary"]]);
+  dialog.then(() => {
+    closed.now = true;
+  });
+  let found = { state: "looking" };
+  while (found.state === "looking" && !closed.now) {
+    try {
+      found = await get("deploy", { id });
+      votes.replaceChildren(voteList(found.votes || {}));
+    } catch (error) {
+      found = { state: "refused", says: error.message };
+    }
+    if (found.state === "looking") await new Promise((resolve) => setTimeout(resolve, POLL));
+  }
+  const done = found.state === "done";
+  state.className = done ? "" : "wrong";
+  state.textContent = done
+    ? `Deployed: ${found.says}.`
+    : `Not deployed; the run goes on as it did: ${found.says}.`;
+  await dialog;
+  return done;
+}
+
+/** Deploy a plan to the run of the session `id`. `what`: {path} or {job}; `run`: the name of the run that is meant. */
+async function deployTo(id, what, run) {
+  const look = await post("deploy/look", what, { id });
+  const { element, read } = mappingForm(look);
+  const begin = () => post("deploy", { ...what, map: read(), run }, { id });
+  const answer = await ask(
+    `Deploy “${look.plan}” to the team?`,
+    [
+      h("p", {
+        text:
+          `The run “${run || look.present}” follows “${look.present}” now. ` +
+          "Its robots look at the new plan; if all can follow it, they go on under it without stopping.",
+      }),
+      h("h3", { text: plural(look.changes.length, "change") }),
+      changeList(look.changes),
+      element,
+    ],
+    [
+      ["Cancel", ""],
+      ["Deploy to the team", "deploy", "primary"],
+    ],
+    begin,
+  );
+  return answer === "deploy" && follow(id, look.plan);
+}
+
+/** Deploy a plan to a run that this server shows: that of the session `id`, if there is one; otherwise asks which. */
+export async function deployToARun(what, id) {
+  const { runs } = await get("deploy/targets");
+  if (!runs.length)
+    throw new Error("no run is shown that could take the plan: start one, then deploy to it");
+  let target = runs.find((each) => each.id === id) || runs[0];
+  if (runs.length > 1 && target.id !== id) {
+    const chosen = await ask("Deploy to which run?", h("p", { text: "Several runs go on." }), [
+      ["Cancel", ""],
+      ...runs.map((each) => [each.run || each.title, each.id]),
+    ]);
+    target = runs.find((each) => each.id === chosen);
+  }
+  return Boolean(target) && deployTo(target.id, what, target.run);
+}

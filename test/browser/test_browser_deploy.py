@@ -1,0 +1,58 @@
+"""A plan that is edited and deployed to a run of this server, with the mouse."""
+
+import json
+
+ACTIONS = "def work(is_cancelled):\n    is_cancelled.wait(0.2)\n"
+
+
+def round_of(places, name):
+    arcs = []
+    for place, following in zip(places, places[1:] + places[:1]):
+        arcs += [
+            {"from": place, "to": "leave_" + place},
+            {"from": "leave_" + place, "to": following},
+        ]
+    return {
+        "plan": name,
+        "net": {
+            "places": [{"name": p, "tokens": int(p == places[0])} for p in places],
+            "transitions": [{"name": "leave_" + p, "timed": True} for p in places],
+            "arcs": arcs,
+        },
+        "actions": dict.fromkeys(places, "actions.work"),
+        "robots": {"r": places[0]},
+    }
+
+
+def test_an_edited_plan_is_deployed_to_the_run(serve_folder, open_page, tmp_path):
+    (tmp_path / "actions.py").write_text(ACTIONS)
+    for name, places in (("three", "ABC"), ("four", "AXCD")):
+        (tmp_path / (name + ".json")).write_text(json.dumps(round_of(places, name)))
+    site = serve_folder(tmp_path, edits=True)
+    live = open_page(site.address + "#file-three.json")
+    live.click("#start")
+    live.click("dialog button:has-text('Start')")
+    live.wait_for_function(
+        "() => window.gspn.model.mode === 'LIVE' && window.gspn.model.head.n > 3"
+    )
+    page = open_page(site.address + "#file-four.json&edit", ready=False)
+    page.click("#ed-deploy")
+    page.wait_for_selector("dialog h2:has-text('Deploy “four” to the team?')")
+    assert "place X" in page.inner_text("dialog .ed-changes")
+    page.click("dialog button:has-text('Cancel')")
+    page.click("#ed-deploy")
+    page.select_option("#dp-map select[data-name='B']", "X")
+    page.select_option("#dp-map select[data-name='leave_B']", "leave_X")
+    page.click("dialog button:has-text('Deploy to the team')")
+    page.wait_for_selector("#dp-state:has-text('Deployed: the run follows the plan')")
+    assert "this server: can follow it" in page.inner_text("#dp-votes")
+    live.wait_for_function("() => window.gspn.page.view.scene.name === 'four'")
+    live.wait_for_function("() => window.gspn.model.board.plan === 1")
+    assert live.evaluate("() => window.gspn.page.list.model.scene.places.map((p) => p.name)") == [
+        *"AXCD"
+    ]
+    live.wait_for_function("() => document.querySelector('#log').innerText.includes('leave_D')")
+    site.session("file-three.json").command("stop", {})
+    page.click("dialog button:has-text('Close')")
+    page.click("#ed-deploy")
+    page.wait_for_selector("text=no run is shown that could take the plan")
