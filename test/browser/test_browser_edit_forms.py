@@ -319,6 +319,7 @@ def test_properties_of_what_is_selected(editor, axe, picture):
         "service": "shelf",
         "type": "shelf_msgs/Put",
     }
+    page.wait_for_selector("#ed-properties .message :text('Any fields can be given here')")
     control(page, key + ".request add").fill("data")
     page.keyboard.press("Enter")
     control(page, key + ".request.data kind").select_option(label="from data")
