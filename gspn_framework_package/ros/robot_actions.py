@@ -5,21 +5,24 @@ from __future__ import annotations
 
 from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple
 
+import rospy
+
 from gspn_framework_package.execution.agreement.interface import ActionDone, AttemptFailed
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.local_kinds import refuse_commands
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros import action_kinds
 from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
-from gspn_framework_package.ros.action_kinds import jobs, live_types
-from gspn_framework_package.ros.action_runner import ActionRunner, open_jobs
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServer, PlaceServers
+from gspn_framework_package.ros.transport.registration import registered_together
 from gspn_framework_package.team.job_runner import AttemptEnd, JobRunner
 from gspn_framework_package.team.jobs import Job
+from gspn_framework_package.team.patience import earliest
 
 ALLOW = "~allow_commands, allow_commands:=true"
 
@@ -62,7 +65,7 @@ class RobotActions:
         served = set(self._servers.names) if self._servers else set()
         self.foreign_servers = sorted({t.server for t in targets.values()} - served)
         self.jobs = {} if self._witness else jobs_of(plan, robot, namespace, options)
-        caller = ActionCaller(
+        self._caller = ActionCaller(
             robot,
             targets,
             plan.timeout,
@@ -76,7 +79,7 @@ class RobotActions:
             warn,
         )
         open_jobs(self.jobs)
-        runner = JobRunner(
+        self._runner = JobRunner(
             self.jobs,
             plan.timeout,
             enqueue,
@@ -85,7 +88,6 @@ class RobotActions:
             plan.cancel_grace,
             warn,
         )
-        self._runner = ActionRunner(caller, runner, self.jobs)
 
     def _own_servers(self) -> Optional[Mapping[str, PlaceServer]]:
         """The servers in this process that receive goals directly."""
@@ -105,22 +107,28 @@ class RobotActions:
 
     def start(self, command: StartAction, now: float) -> None:
         """See :class:`ActionSide`."""
-        self._runner.start(command, now)
+        self.cancel()
+        if command.place in self.jobs:
+            self._runner.start(command, now)
+        else:
+            self._caller.start(command, now)
 
     def cancel(self) -> None:
         """See :class:`ActionSide`."""
+        self._caller.cancel()
         self._runner.cancel()
 
     def doing(self) -> str:
         """See :class:`ActionSide`."""
-        return self._runner.doing()
+        return self._caller.doing() or self._runner.doing()
 
     def poll(self, now: float) -> Optional[float]:
         """See :class:`ActionSide`."""
-        return self._runner.poll(now)
+        return earliest(self._caller.poll(now), self._runner.poll(now))
 
     def close(self) -> None:
         """See :class:`ActionSide`."""
+        self._caller.close()
         self._runner.close()
 
     def why_not(self, plan: Plan, present: Plan) -> str:
@@ -141,9 +149,12 @@ class RobotActions:
             return
         if self._servers is not None:
             self._servers.follow(plan)
-        self.jobs = jobs_of(plan, self._robot, self._namespace, self._options)
         targets = action_targets(plan, self._robot, self._namespace)
-        self._runner.follow(plan, targets, self.jobs, self._own_servers())
+        jobs = jobs_of(plan, self._robot, self._namespace, self._options)
+        open_jobs(jobs)
+        self.jobs = jobs
+        self._runner.follow(jobs, plan.timeout)
+        self._caller.follow(targets, plan.timeout, self._own_servers())
 
     def _ended(self, ended: ActionEnded) -> None:
         attempt = ended.identity.age
@@ -163,13 +174,26 @@ def jobs_of(plan: Plan, robot: str, namespace: str, options: NodeOptions) -> Dic
     """
     if not options.allow_commands:
         refuse_commands(plan, ALLOW)
-    found = jobs(plan, robot, namespace)
-    types = live_types() if found and options.check else {}
+    found = action_kinds.jobs(plan, robot, namespace)
+    types = action_kinds.live_types() if found and options.check else {}
     for place, job in found.items():
         clash = job.clash(types) if options.check else None
         if clash:
             raise ExecutionError(clash, file=plan.file, element="action of '%s'" % place)
     return found
+
+
+def open_jobs(jobs: Mapping[str, Job]) -> None:
+    """Register with the master what jobs need before they begin.
+
+    :raises ExecutionError: a topic has two types in this process.
+    """
+    with registered_together():
+        for place, job in jobs.items():
+            try:
+                job.open()
+            except rospy.ROSException as error:
+                raise ExecutionError(str(error), element="action of '%s'" % place) from None
 
 
 def _functions(plan: Plan, robot: str) -> Set[Tuple[str, str]]:

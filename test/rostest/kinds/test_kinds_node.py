@@ -35,7 +35,7 @@ from gspn_framework_package.model.action import (
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.plan import RobotSpec
 from gspn_framework_package.ros.action_kinds import jobs, look_at_actions
-from gspn_framework_package.ros.action_runner import open_jobs
+from gspn_framework_package.ros.robot_actions import open_jobs
 from gspn_framework_package.ros.transport.registration import topic_types
 from gspn_framework_package.team.job_runner import JobRunner
 
