@@ -74,7 +74,11 @@ class Router:
         except GspnError as error:
             return "the allow-list stays as it was: %s" % error
         self._session.close()
-        self._session = self._open()
+        try:
+            self._session = self._open()
+        except GspnError as error:
+            self._seen = (-1, -1)  # once more the next time
+            return "the router is down: %s" % error
         return "the allow-list was replaced: %s may take part" % self.members
 
     def close(self) -> None:

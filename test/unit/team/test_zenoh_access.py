@@ -7,7 +7,7 @@ import pytest
 from zenoh_team import Hub, copy_keys, free_port, make_keys, wait_for
 
 from gspn_framework_package.model.errors import ExecutionError, KeysError, UsageError
-from gspn_framework_package.team import keys, zenoh_session
+from gspn_framework_package.team import keys, router, zenoh_session
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.router import Router
 from gspn_framework_package.team.zenoh_session import LARGEST_MESSAGE, TeamAccess, key_of, names_in
@@ -157,6 +157,19 @@ def test_a_router_keeps_its_list_if_the_new_one_cannot_be_read(hub):
     listener.hears(hub.session("robot_1"), key_of("run", "robot_1", "all"), b"1")
 
 
+def test_a_router_that_cannot_listen_again_tries_once_more(hub, monkeypatch):
+    def refuse(access):
+        raise ExecutionError("the port is taken")
+
+    keys.revoke(hub.folder, "robot_3")
+    with monkeypatch.context() as patched:
+        patched.setattr(router, "open_session", refuse)
+        assert "the router is down: the port is taken" in hub.router.follow_keys()
+    assert "5 may take part" in hub.router.follow_keys()
+    listener = Listener(hub)
+    listener.hears(hub.session("robot_1"), key_of("run", "robot_1", "all"), b"1")
+
+
 def test_a_router_takes_the_keys_of_a_router_alone(tmp_path):
     folder = make_keys(tmp_path / "keys")
     with pytest.raises(UsageError, match="keys of robot 'robot_1', not of a router"):
@@ -193,3 +206,46 @@ def test_any_name_fits_into_a_key(name):
     assert str(zenoh.KeyExpr(key)) == key
     assert "*" not in key
     assert names_in(key) == ["run", name, "to", "other"]
+
+
+def test_a_name_is_checked_where_it_comes_in_and_believed_behind_the_next_router(hub):
+    keys.add_members(hub.folder, [NewMember("far", "router", ("127.0.0.1",))], 30)
+    hub.router.follow_keys()
+    endpoint = "tls/127.0.0.1:%d" % free_port()
+    far = hub.keep(Router([endpoint], [hub.endpoint], os.path.join(hub.folder, "far")))
+    assert far.members == 7
+    listener = Listener(hub)
+    own = keys.read_keys(os.path.join(hub.folder, "robot_1"))
+    distant = hub.keep(zenoh_session.open_session(TeamAccess((endpoint,), (), own)))
+    listener.hears(distant, key_of("run", "robot_1", "all"), b"1")
+    distant.put(key_of("run", "robot_3", "all"), b"forged")
+    listener.hears(distant, key_of("run", "robot_1", "all"), b"2")
+    assert {text for _, text in listener.got} == {b"1", b"2"}
+
+
+def test_robots_without_a_router_check_each_other(tmp_path):
+    folder = make_keys(
+        tmp_path / "keys",
+        [NewMember("robot_1", "robot", ("127.0.0.1",)), NewMember("robot_2", "robot")],
+    )
+    endpoint, got = "tls/127.0.0.1:%d" % free_port(), []
+    first, second = (keys.read_keys(os.path.join(folder, name)) for name in ("robot_1", "robot_2"))
+    listens = zenoh_session.open_session(TeamAccess((), (endpoint,), first))
+    connects = zenoh_session.open_session(TeamAccess((endpoint,), (), second))
+    try:
+        subscribed = listens.declare_subscriber(
+            "gspn/**", lambda sample: got.append(bytes(sample.payload))
+        )
+
+        def arrived(text):
+            connects.put(key_of("run", "robot_1", "all"), b"forged")
+            connects.put(key_of("run", "robot_2", "all"), text)
+            return text in got
+
+        wait_for(lambda: arrived(b"1"))
+        wait_for(lambda: arrived(b"2"))
+        assert set(got) == {b"1", b"2"}
+        subscribed.undeclare()
+    finally:
+        connects.close()
+        listens.close()
