@@ -2,32 +2,20 @@
 
 import json
 
+from deployed_log import round_of
+
 ACTIONS = "def work(is_cancelled):\n    is_cancelled.wait(0.2)\n"
 
 
-def round_of(places, name):
-    arcs = []
-    for place, following in zip(places, places[1:] + places[:1]):
-        arcs += [
-            {"from": place, "to": "leave_" + place},
-            {"from": "leave_" + place, "to": following},
-        ]
-    return {
-        "plan": name,
-        "net": {
-            "places": [{"name": p, "tokens": int(p == places[0])} for p in places],
-            "transitions": [{"name": "leave_" + p, "timed": True} for p in places],
-            "arcs": arcs,
-        },
-        "actions": dict.fromkeys(places, "actions.work"),
-        "robots": {"r": places[0]},
-    }
+def plan(places, name):
+    actions = dict.fromkeys(places, "actions.work")
+    return {"plan": name, "net": round_of(places), "actions": actions, "robots": {"r": places[0]}}
 
 
 def test_an_edited_plan_is_deployed_to_the_run(serve_folder, open_page, tmp_path):
     (tmp_path / "actions.py").write_text(ACTIONS)
     for name, places in (("three", "ABC"), ("four", "AXCD")):
-        (tmp_path / (name + ".json")).write_text(json.dumps(round_of(places, name)))
+        (tmp_path / (name + ".json")).write_text(json.dumps(plan(places, name)))
     site = serve_folder(tmp_path, edits=True)
     live = open_page(site.address + "#file-three.json")
     live.click("#start")

@@ -14,25 +14,26 @@ NAMES = {"C": "X", "leave_C": "leave_X"}
 """What C is called from the second plan on."""
 
 
-def patrol(places, name):
-    """A plan for two robots that go round; the transition from place P is called leave_P."""
+def round_of(places, robots=1):
+    """The net of a round, as JSON: the transition from place P is called leave_P; the robots begin
+    in the first place."""
     arcs = []
     for place, following in zip(places, places[1:] + places[:1]):
         arcs += [
             {"from": place, "to": "leave_" + place},
             {"from": "leave_" + place, "to": following},
         ]
-    return plan_from_json(
-        {
-            "plan": name,
-            "net": {
-                "places": [{"name": p, "tokens": 2 * (p == places[0])} for p in places],
-                "transitions": [{"name": "leave_" + p, "timed": True} for p in places],
-                "arcs": arcs,
-            },
-            "actions": dict.fromkeys(places, "actions.work"),
-        }
-    )
+    return {
+        "places": [{"name": p, "tokens": robots * (p == places[0])} for p in places],
+        "transitions": [{"name": "leave_" + p, "timed": True} for p in places],
+        "arcs": arcs,
+    }
+
+
+def patrol(places, name):
+    """A plan for two robots that go round."""
+    actions = dict.fromkeys(places, "actions.work")
+    return plan_from_json({"plan": name, "net": round_of(places, 2), "actions": actions})
 
 
 def write_deployed_log(path, between=40):

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from deployed_log import round_of
 from page_client import PageClient
 from waiting import wait_for
 
@@ -17,19 +18,9 @@ def wait(is_cancelled):
 
 
 def plan(places, name, action="actions.wait", **more):
-    arcs = []
-    for place, following in zip(places, places[1:] + places[:1]):
-        arcs += [
-            {"from": place, "to": "leave_" + place},
-            {"from": "leave_" + place, "to": following},
-        ]
     return {
         "plan": name,
-        "net": {
-            "places": [{"name": p, "tokens": int(p == places[0])} for p in places],
-            "transitions": [{"name": "leave_" + p, "timed": True} for p in places],
-            "arcs": arcs,
-        },
+        "net": round_of(places),
         "actions": dict.fromkeys(places, action),
         "robots": {"r": places[0]},
         **more,
