@@ -558,7 +558,9 @@ def test_the_goal_of_an_action_has_the_fields_of_its_type(editor, axe, picture):
     control(page, path + ".message.poses.0 source").click()
     assert action("Sort")["message"] == {"poses": [{"from": "task.id"}, {"position": {"y": 4}}]}
     choose(page, "place:Rest room")
-    page.wait_for_selector("#ed-properties .message code:has-text('PoseWithCovariance')")
+    page.wait_for_selector(
+        "#ed-properties .message:has(code:has-text('PoseWithCovariance')) .typed-part"
+    )
     unfold(page, "properties")
     field = "plan.actions.Rest room.message.covariance"
     enter(page, field, "1 2")
