@@ -410,6 +410,7 @@ class ReplicaHost(Worker):
         before = self.plan
         plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
         self._narrator.tell("follows the plan '%s'" % plan.name)
+        self._breakpoints.follow(plan)
         if not self._witness:
             self._actions.follow(plan)
         if plan.events != before.events or plan.submissions != before.submissions:
