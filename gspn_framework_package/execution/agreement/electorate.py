@@ -15,6 +15,9 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.ledger import Item, Ledger
 from gspn_framework_package.execution.team_state import RobotState
 
+NAMESAKE = 4
+"""Heartbeats after which a process of our name that is not heard any more does not count."""
+
 
 class Electorate:
     """Answers from the log, from what was heard, and from what operators asserted."""
@@ -26,6 +29,15 @@ class Electorate:
         self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
 
     # -- the others --------------------------------------------------------------------------------
+
+    def has_namesake(self) -> bool:
+        """Whether another process of our name is in the team, and we are not."""
+        state = self.state
+        return (
+            not state.active
+            and state.namesake_heard is not None
+            and state.now < state.namesake_heard + NAMESAKE * self.config.pace.heartbeat
+        )
 
     def members(self) -> List[str]:
         """The members whose votes count in the open slot, in the order of the log."""

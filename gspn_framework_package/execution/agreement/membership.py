@@ -592,6 +592,8 @@ class Membership:
         if message.team != self.config.tag or not isinstance(body, Hello):
             return
         same = message.log == state.log_id
+        if not same and body.active and not state.active:
+            state.namesake_heard = state.now
         if message.incarnation > state.incarnation and (same or (body.active and state.active)):
             self._halt("another process runs as %s, and started later" % self.config.name)
         elif state.superseded_at is not None and not same:

@@ -300,6 +300,10 @@ class Replica:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
         return self.electorate.may_vote()
 
+    def has_namesake(self) -> bool:
+        """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
+        return self.electorate.has_namesake()
+
     def is_settled(self) -> bool:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
         return self.electorate.is_settled()

@@ -140,6 +140,8 @@ class ReplicaState:
     """When another log was let in under our name (s)."""
     rival_since: Optional[float] = _owned("membership")
     """Since when we have heard another process of our name after that (s)."""
+    namesake_heard: Optional[float] = _owned("membership")
+    """When we, not in the team, last heard a process of our name that is (s)."""
 
     # -- who the others are ------------------------------------------------------------------------
 

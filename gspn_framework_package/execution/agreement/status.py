@@ -55,6 +55,8 @@ class Status:
         state, electorate = self.state, self.electorate
         if state.halted is not None:
             return "halted: " + state.halted
+        if electorate.has_namesake():
+            return "not in the team: another process runs as %s, and is" % self.config.name
         if state.ledger.length == 0:
             return "waits for somebody of the team"
         if not state.active and not state.joining and not state.amnesic:

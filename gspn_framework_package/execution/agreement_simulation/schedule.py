@@ -127,7 +127,8 @@ class ScheduleResult(NamedTuple):
     """The result of a run: sizes, the injected faults, and the ``logs`` for the checker.
 
     ``blocked``: the team permanently lacks a quorum, since robots whose votes it needs lost their
-    logs, or left while cut off.
+    logs, or left while cut off; or a process waits for ever, as another one of its name is the
+    whole team.
     """
 
     steps: int
@@ -618,15 +619,13 @@ class _Run:
                 )
 
     def _is_blocked(self) -> bool:
-        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum. A
-        robot that a spare is to replace does not vote for the spare."""
+        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum, or
+        a spare of the team that could let it in."""
         nodes = self.world.alive()
+        if any(self.world.stands_by(node) for node in nodes):
+            return True
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
-        voters = [
-            n.name
-            for n in nodes
-            if n.replica is not None and n.replica.may_vote() and not n.superseded
-        ]
+        voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
         lost = self.lost_logs or (self.left and self.kind != "leave")
         return bool(lost) and not is_quorum(voters, best.state.members())
 

@@ -694,6 +694,15 @@ class World:
                 return False
         return len(ends) <= 1
 
+    def stands_by(self, node: SimulatedNode) -> bool:
+        """Whether a process waits for ever, as it should: another one of its name is the whole
+        team, so that nobody can let it in, and it says so."""
+        replica = node.replica
+        if replica is None or not replica.has_namesake():
+            return False
+        others = [n.replica for n in self.alive() if n.name == node.name and n is not node]
+        return any(o is not None and o.active and o.members() == [node.name] for o in others)
+
     @staticmethod
     def _owes_a_vote(replica: Replica) -> bool:
         """Whether a replica that takes part has not said what it thinks of a staged plan."""

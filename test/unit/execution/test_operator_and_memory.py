@@ -309,6 +309,23 @@ def test_the_log_is_learned_from_the_only_one_that_has_it_though_it_was_once_evi
 
 
 @pytest.mark.parametrize("partial", [False, True])
+def test_a_spare_of_a_robot_that_is_the_whole_team_says_why_it_waits(partial: bool) -> None:
+    world = team(TOKENS, 2, partial)
+    spare = world.add_spare(world.nodes["r2"])
+    world.operator(log_entries.Leave("r1"), world.nodes["r1"])
+    world.run(world.now + 1)
+    world.remove(world.nodes["r1"])
+    spare.start()
+    world.run(world.now + 1)
+    assert world.replica("r2").is_settled()
+    assert spare.replica is not None
+    assert "another process runs as r2" in spare.replica.waits_for()
+    world.nodes["r2"].crash()
+    world.run(world.now + 2)
+    assert "another process" not in spare.replica.waits_for()
+
+
+@pytest.mark.parametrize("partial", [False, True])
 def test_a_spare_takes_the_place_and_the_first_one_halts_when_it_is_back(partial: bool) -> None:
     world = team(TOKENS, 3, partial)
     spare = world.add_spare(world.nodes["r3"])
