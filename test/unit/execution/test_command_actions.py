@@ -109,7 +109,9 @@ def test_the_environment_says_who_and_where_and_there_is_no_input():
 def test_children_that_stay_do_not_keep_it_waiting(tmp_path):
     pid_file = tmp_path / "pid"
     try:
-        result = do("sh", "-c", "yes & echo $! > %s; echo 5 >&2; exit 0" % pid_file)
+        # which does not end when nobody reads what it writes any more
+        talks_on = "(trap '' PIPE; while :; do echo y; done) 2>/dev/null"
+        result = do("sh", "-c", "%s & echo $! > %s; echo 5 >&2; exit 0" % (talks_on, pid_file))
         assert result == ("", {})
         assert is_alive(int(pid_file.read_text()))
     finally:
