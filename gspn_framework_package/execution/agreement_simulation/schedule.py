@@ -207,7 +207,7 @@ class _Run:
 
     def _count(self, fault: str) -> None:
         self.faults[fault] = self.faults.get(fault, 0) + 1
-        if self.deploys and fault not in ("adopt", "unstage", "another plan adopted"):
+        if self.deploys and fault not in ("adopt", "unstage"):
             replicas = [node.replica for node in self.world.alive()]
             if any(r is not None and r.ledger.state.staged is not None for r in replicas):
                 fault += " while a plan is staged"
@@ -560,7 +560,7 @@ class _Run:
             world.same_state()
         ledgers = [n.replica.ledger for n in world.alive() if n.replica is not None]
         if any(ledger.state.adopted is not None for ledger in ledgers):
-            self._count("another plan adopted")
+            self.faults["another plan adopted"] = 1
         if settled and not world.given_up and self.kind != "power":
             lost = world.lost_tasks()
             if lost:
