@@ -61,13 +61,20 @@ class SiteTeam:
             if node in self.site.nodes
         ]
         if not self.edges and not self.due:
-            raise UsageError("robots can neither drive nor work there", file=path)
+            raise InputError(
+                "robots have nothing to do: no edge leads away from where they start, and no task "
+                "is there",
+                file=path,
+                element=self.start[0][0],
+                hint="give another 'start', tasks, or edges",
+            )
         self.docks = [dock for dock in tasks.docks if dock in self.site.nodes]
         for robot, part in self._sites.items():
             if tasks.battery and not any(dock in part.nodes for dock in self.docks):
                 raise UsageError(
                     "no robot%s can get from its start to a dock" % _of_type(robot), file=path
                 )
+        self._note_traps()
         self.rows = self._policy_rows(all_edges)
         self.states = self._states(all_edges)
 
@@ -112,16 +119,7 @@ class SiteTeam:
     def _reached(self, robot: str) -> SiteMap:
         """The part of the map that robots of a type can get to."""
         site = self._open[robot]
-        leaving: Dict[str, List[str]] = {}
-        for edge in site.edges:
-            leaving.setdefault(edge.source, []).append(edge.target)
-        front = list(self._homes[robot])
-        found = set(front)
-        while front:
-            for target in leaving.get(front.pop(), ()):
-                if target not in found:
-                    found.add(target)
-                    front.append(target)
+        found = _reachable(site, self._homes[robot])
         return site._replace(
             nodes={name: node for name, node in site.nodes.items() if name in found},
             edges=[e for e in site.edges if e.source in found and e.target in found],
@@ -146,6 +144,23 @@ class SiteTeam:
             nodes={name: node for name, node in site.nodes.items() if name in nodes},
             edges=[edge for edge in site.edges if (edge.source, edge.target) in edges],
         )
+
+    def _note_traps(self) -> None:
+        """Say from which tasks and docks robots never get to another one again."""
+        traps: Dict[str, List[str]] = {}
+        for part in self._sites.values():
+            wanted = [n for n in dict.fromkeys(n for _, n in self.due) if n in part.nodes]
+            wanted += [dock for dock in self.docks if dock in part.nodes and dock not in wanted]
+            for node in wanted:
+                found = _reachable(part, [node])
+                lost = [other for other in wanted if other not in found]
+                if lost:
+                    traps.setdefault(_some(lost), []).append(node)
+        for lost_ones, nodes in traps.items():
+            self.notes.append(
+                "no way leads back from %s to %s, where a task or a dock is"
+                % (_some(nodes), lost_ones)
+            )
 
     def seconds(self, edge: MapEdge) -> float:
         """How long an edge takes, on average (s)."""
@@ -237,6 +252,21 @@ class SiteTeam:
                     ", and the nodes " + _some(nodes) if nodes else "",
                 )
             )
+
+
+def _reachable(site: SiteMap, starts: Sequence[str]) -> Set[str]:
+    """The nodes to which ways lead from ``starts``, and these."""
+    leaving: Dict[str, List[str]] = {}
+    for edge in site.edges:
+        leaving.setdefault(edge.source, []).append(edge.target)
+    front = list(starts)
+    found = set(front)
+    while front:
+        for target in leaving.get(front.pop(), ()):
+            if target not in found:
+                found.add(target)
+                front.append(target)
+    return found
 
 
 def named(*parts: str) -> str:

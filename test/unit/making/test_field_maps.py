@@ -272,10 +272,19 @@ def test_robots_of_several_types_keep_to_their_part_of_the_map(tmp_path: Path) -
     assert "Finished_Look_far_tall" in fired and "Finished_Look_far_short" in fired
 
 
+def test_a_way_that_leads_nowhere_back_is_noted(tmp_path: Path) -> None:
+    look = {"tasks": {"Look": {"at": ["A", "B"], "seconds": 1.0}}}
+    assert built(tmp_path, two({}), look).notes[-1] == (
+        "no way leads back from B to A, where a task or a dock is"
+    )
+    both = two({}, nodes=[entry("A", 0.0, {"node": "B"}), entry("B", 4.0, {"node": "A"})])
+    assert built(tmp_path, both, look).notes == []
+
+
 def test_conditions_are_said_in_the_tasks(tmp_path: Path) -> None:
     farm = two({"restrictions_planning": "~side_a"})
     assert built(tmp_path, farm, {"conditions": {"side_a": False}}).notes == []
-    with pytest.raises(InputError, match="can neither drive nor work"):
+    with pytest.raises(InputError, match="robots have nothing to do: no edge leads away"):
         built(tmp_path, farm, {"conditions": {"side_a": True}})
 
 
