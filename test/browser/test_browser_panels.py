@@ -212,6 +212,8 @@ def test_home_states_say_which_counters_they_are_told_without(show_net, open_pag
     )
     page = open_page(show_net(net).address)
     page.keyboard.press("3")
+    page.click("summary:has-text('Settings')")
+    page.fill("#an-limit", "2000")  # the counter has no bound
     page.click("button:has-text('State space')")
     analysed(page)
     page.wait_for_selector("dt:has-text('Reversible') + dd:has-text('no (without failures: yes)')")
