@@ -293,8 +293,11 @@ class Consensus:
             return
         if body.frozen:
             state.frozen_by = body.ballot
-        if not self.electorate.may_vote():  # others learn what we know, but our vote does not count
-            self._answer_prepare(message, body, vote=False)
+        if not self.electorate.may_vote():
+            # others learn what we know, but our vote does not count; and where another process
+            # took our place, only that one knows of its local transitions
+            if not self.electorate.is_replaced():
+                self._answer_prepare(message, body, vote=False)
             return
         self._promise(body.ballot)
         attempt = state.attempt

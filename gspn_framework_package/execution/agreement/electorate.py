@@ -46,6 +46,10 @@ class Electorate:
             known = self._members = (ledger, ledger.length, ledger.state.members())
         return known[2]
 
+    def is_replaced(self) -> bool:
+        """Whether another process of our name was let in, as far as we know."""
+        return self.state.superseded_at is not None or self.has_namesake()
+
     def others(self) -> List[str]:
         """The members without us."""
         return [m for m in self.members() if m != self.config.name]
