@@ -549,7 +549,7 @@ def test_the_goal_of_an_action_has_the_fields_of_its_type(editor, axe, picture):
           "Rest room": { publish: "pose", type: "geometry_msgs/PoseWithCovariance" } } } }))"""
     )
     choose(page, "place:Sort")
-    page.wait_for_selector("#ed-properties .message .typed-part")
+    page.wait_for_selector("#ed-properties .message:has(code:has-text('PoseArray')) .typed-part")
     unfold(page, "properties")
     control(page, path + ".message.poses add").click()
     control(page, path + ".message.poses add").click()
