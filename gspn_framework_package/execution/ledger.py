@@ -94,6 +94,14 @@ class Ledger:
         """The number of the next slot."""
         return self.state.next_slot
 
+    def entrance(self, transition: str) -> Optional[int]:
+        """The number of the transition by which tasks come in now; None if they do not.
+
+        :param transition: its name, in this plan or an earlier one.
+        """
+        t = self.game.net.transition_index.get(self.state.present_name(transition))
+        return t if t in self.game.submissions else None
+
     def is_news(self, origin: Origin) -> bool:
         """Whether an entry of this origin is newer than all entries of that robot in the log."""
         known = self.seen.get(origin.robot)

@@ -216,6 +216,11 @@ class TeamState:
         """The data of the team: full name -> value."""
         return {"team." + name: value for name, value in self.data.items()}
 
+    def present_name(self, name: str) -> str:
+        """The name that a place or transition of an earlier plan has in the present one. What was
+        under way when the team adopted it still uses the old one."""
+        return self.renamed.get(name, name)
+
     def is_known(self, t: int, task: str) -> bool:
         """Whether a task with this id has come by transition ``t``."""
         return task in self.known.get(t, ())

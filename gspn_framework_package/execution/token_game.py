@@ -149,7 +149,7 @@ class _Reducer(Turn):
         elif isinstance(entry, log_entries.Done):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None:
-                self._done(robot, self._now(entry.result), entry.data)
+                self._done(robot, self.state.present_name(entry.result), entry.data)
         elif isinstance(entry, log_entries.Failed):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None and robot.attempt == entry.attempt:
@@ -157,17 +157,17 @@ class _Reducer(Turn):
         elif isinstance(entry, log_entries.Retry):
             self._retry(entry.robot)
         elif isinstance(entry, log_entries.Fire):
-            self._environment(self._now(entry.transition))
+            self._environment(self.state.present_name(entry.transition))
         elif isinstance(entry, log_entries.Interrupt):
-            self._event(entry._replace(transition=self._now(entry.transition)))
+            self._event(entry._replace(transition=self.state.present_name(entry.transition)))
         elif isinstance(entry, log_entries.Submit):
-            self._submit(entry._replace(transition=self._now(entry.transition)))
+            self._submit(entry._replace(transition=self.state.present_name(entry.transition)))
         elif isinstance(entry, log_entries.Join):
-            self._join(entry._replace(place=self._now(entry.place)))
+            self._join(entry._replace(place=self.state.present_name(entry.place)))
         elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
             self._depart(entry)
         elif isinstance(entry, log_entries.SetPlace):
-            self._set_place(entry._replace(place=self._now(entry.place)))
+            self._set_place(entry._replace(place=self.state.present_name(entry.place)))
         elif isinstance(entry, (log_entries.Pause, log_entries.Resume)):
             self._pause(entry.robot, isinstance(entry, log_entries.Pause))
         elif isinstance(entry, log_entries.Stop):
@@ -266,11 +266,6 @@ class _Reducer(Turn):
             del known[oldest]
 
     # -- a new plan --------------------------------------------------------------------------------
-
-    def _now(self, name: str) -> str:
-        """The name that a place or transition of an earlier plan has in the present one. What was
-        under way when the team adopted it still uses the old one."""
-        return self.state.renamed.get(name, name)
 
     def _stage(self, entry: log_entries.StagePlan) -> None:
         self.state.stages += 1

@@ -116,8 +116,8 @@ class LocalRobot:
             return None
         if (entry.incarnation, entry.visit) != (at.incarnation, at.visit):
             return None
-        renamed = self.state.ledger.state.renamed
-        found = self._transitions.find(at.place, renamed.get(entry.result, entry.result))
+        team = self.state.ledger.state
+        found = self._transitions.find(at.place, team.present_name(entry.result))
         if found is None:
             return None
         transition, target = found

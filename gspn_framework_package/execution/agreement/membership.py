@@ -463,7 +463,7 @@ class Membership:
         """Where we start when we join; "" where nothing says it."""
         name, ledger = self.config.name, self.state.ledger
         plan, place = ledger.game.plan, self.config.place
-        if ledger.state.renamed.get(place, place) in plan.action_places:
+        if ledger.state.present_name(place) in plan.action_places:
             return place
         if ledger.state.adopted is not None:  # the names of the first plan may mean nothing now
             return home_of(plan, name)

@@ -131,9 +131,8 @@ class Reactions:
         :param order_id: the operator's order that gave it, answered once the team has the task.
         """
         state = self.state
-        game, renamed = state.ledger.game, state.ledger.state.renamed
-        task = task._replace(transition=renamed.get(task.transition, task.transition))
-        if game.net.transition_index.get(task.transition) not in game.submissions:
+        task = task._replace(transition=state.ledger.state.present_name(task.transition))
+        if state.ledger.entrance(task.transition) is None:
             return "no tasks come in by '%s'" % task.transition
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
@@ -162,7 +161,7 @@ class Reactions:
         for key in [key for key in state.offered if self._has(key)]:
             del state.offered[key]
             self._answer(key, self._orders.pop(key, []))
-        for key in [key for key in state.offered if self._entrance(key[0]) is None]:
+        for key in [key for key in state.offered if state.ledger.entrance(key[0]) is None]:
             del state.offered[key]
             why = "no tasks come in by '%s' any more" % key[0]
             self.outbox.fault("task %s is not taken: %s" % (key[1], why))
@@ -184,15 +183,9 @@ class Reactions:
     def _has(self, key: Tuple[str, str]) -> bool:
         """Whether the team has a task."""
         transition, task = key
-        t = self._entrance(transition)
-        return t is not None and self.state.ledger.state.is_known(t, task)
-
-    def _entrance(self, transition: str) -> Optional[int]:
-        """The number of a transition by which tasks come in now; None if they do not."""
         ledger = self.state.ledger
-        name = ledger.state.renamed.get(transition, transition)
-        t = ledger.game.net.transition_index.get(name)
-        return t if t in ledger.game.submissions else None
+        t = ledger.entrance(transition)
+        return t is not None and ledger.state.is_known(t, task)
 
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
         """Tell operators that the team has their task."""

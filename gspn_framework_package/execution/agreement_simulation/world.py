@@ -297,16 +297,9 @@ def _robot_events(plan: Plan) -> List[str]:
     return [t for t, e in plan.events.items() if t not in plan.submissions and e.after is None]
 
 
-def _entrance(task: log_entries.Submit, ledger: Ledger) -> Optional[int]:
-    """The number of the transition by which a task comes in now; None if it cannot."""
-    name = ledger.state.renamed.get(task.transition, task.transition)
-    t = ledger.game.net.transition_index.get(name)
-    return t if t in ledger.game.submissions else None
-
-
 def _is_missing(task: log_entries.Submit, ledger: Ledger) -> bool:
     """Whether a team that should have a task does not."""
-    t = _entrance(task, ledger)
+    t = ledger.entrance(task.transition)
     return t is not None and not ledger.state.is_known(t, task.id)
 
 
@@ -553,7 +546,7 @@ class World:
         life, disk, replica = node.life, node.disk, node.replica
         awake = not (node.suspended or node.halted) and disk is not None and replica is not None
         over = replica is not None and replica.ledger.state.ended is not None
-        taken = replica is not None and _entrance(task, replica.ledger) is not None
+        taken = replica is not None and replica.ledger.entrance(task.transition) is not None
         node.give(interface.TaskCame(task))
         if awake and not over and taken and node.life == life and disk is not None:
             self.reached.append((disk, task))
