@@ -14,11 +14,13 @@ from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
-from gspn_framework_package.team.addressing import read_status, robots_of_run, whom_to_order
+from gspn_framework_package.team.addressing import (
+    PATIENCE,
+    read_status,
+    robots_of_run,
+    whom_to_order,
+)
 from gspn_framework_package.team.commands import ORDER_TIME
-
-PATIENCE = 2.0
-"""Seconds within which a node must answer a plain question."""
 
 
 class NodeAddress(NamedTuple):

@@ -31,10 +31,6 @@ class ToldOnRos(RosFacts):
         """See :class:`Carrier`."""
         return self._carrier.sent
 
-    @sent.setter
-    def sent(self, value: int) -> None:
-        self._carrier.sent = value
-
     def send(self, sends: List[Send]) -> None:
         """See :class:`Carrier`."""
         self._carrier.send(sends)

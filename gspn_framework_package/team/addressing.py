@@ -9,6 +9,9 @@ from gspn_framework_package.team.carrier import json_object
 
 Address = TypeVar("Address")
 
+PATIENCE = 2.0
+"""Seconds within which a robot must answer a plain question."""
+
 _STATUS_FIELDS = {
     "robot",
     "run",

@@ -50,12 +50,11 @@ class Handlers(NamedTuple):
 
 
 class Carrier(Protocol):
-    """Carries the messages of one robot. The host's worker thread calls all methods.
+    """Carries the messages of one robot. The host's worker thread calls all methods."""
 
-    :ivar sent: how many messages the robot has sent; one to several robots counts once.
-    """
-
-    sent: int
+    @property
+    def sent(self) -> int:
+        """How many messages the robot has sent; one to several robots counts once."""
 
     def send(self, sends: List[Send]) -> None:
         """Send protocol messages to the robots that they name; does not wait for anybody."""

@@ -7,7 +7,12 @@ import time
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.team.addressing import read_status, robots_of_run, whom_to_order
+from gspn_framework_package.team.addressing import (
+    PATIENCE,
+    read_status,
+    robots_of_run,
+    whom_to_order,
+)
 from gspn_framework_package.team.carrier import OperatorAnswer
 from gspn_framework_package.team.commands import ORDER_TIME
 from gspn_framework_package.team.gate import json_object_of
@@ -18,9 +23,6 @@ from gspn_framework_package.team.zenoh_session import (
     open_session,
     zenoh_library,
 )
-
-PATIENCE = 2.0
-"""Seconds within which a robot must answer a plain question."""
 
 _ATTEMPT = 0.3
 """Seconds after which robots that nobody has heard of yet are looked for again."""
