@@ -17,37 +17,12 @@ from std_msgs.msg import String
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
+from meeting import PLAN, WORK
 from waiting import wait_for
 
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.msg import Agreement
-
-PLAN = {
-    "net": {
-        "places": [{"name": "Look", "tokens": 2}, {"name": "Wait"}, {"name": "Home"}],
-        "transitions": [{"name": "seen"}, {"name": "meet"}],
-        "arcs": [
-            {"from": "Look", "to": "seen"},
-            {"from": "seen", "to": "Wait"},
-            {"from": "Wait", "to": "meet", "weight": 2},
-            {"from": "meet", "to": "Home", "weight": 2},
-        ],
-    },
-    "actions": {"Look": "work.look", "Wait": None, "Home": None},
-    "robots": {"robot_1": "Look", "robot_2": "Look"},
-    "until": "Home >= 2",
-}
-WORK = """
-import os
-
-GATE = os.path.join(os.path.dirname(__file__), "open")
-
-
-def look(is_cancelled):
-    while not os.path.exists(GATE) and not is_cancelled.wait(0.02):
-        pass
-"""
 
 
 class CarriersTest(unittest.TestCase):

@@ -4,56 +4,21 @@ import json
 import os
 import subprocess
 import sys
-import time
 
 import pytest
+from meeting import PLAN, WORK
+from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
-
-LOOK = """
-import os
-
-GATE = os.path.join(os.path.dirname(__file__), "open")
-
-
-def look(is_cancelled):
-    while not os.path.exists(GATE) and not is_cancelled.wait(0.02):
-        pass
-"""
 
 
 @pytest.fixture
 def plan(tmp_path):
-    fields = {
-        "net": {
-            "places": [{"name": "Look", "tokens": 2}, {"name": "Wait"}, {"name": "Home"}],
-            "transitions": [{"name": "seen"}, {"name": "meet"}],
-            "arcs": [
-                {"from": "Look", "to": "seen"},
-                {"from": "seen", "to": "Wait"},
-                {"from": "Wait", "to": "meet", "weight": 2},
-                {"from": "meet", "to": "Home", "weight": 2},
-            ],
-        },
-        "actions": {"Look": "work.look", "Wait": None, "Home": None},
-        "robots": {"robot_1": "Look", "robot_2": "Look"},
-        "until": "Home >= 2",
-    }
     folder = tmp_path / "meeting"
     folder.mkdir()
-    (folder / "plan.json").write_text(json.dumps(fields))
-    (folder / "work.py").write_text(LOOK)
+    (folder / "plan.json").write_text(json.dumps(PLAN))
+    (folder / "work.py").write_text(WORK)
     return folder
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + 60
-    while True:
-        found = condition()
-        if found:
-            return found
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
 
 
 def test_processes_without_ros_are_a_team(plan, tmp_path, capsys):
@@ -78,8 +43,8 @@ def test_processes_without_ros_are_a_team(plan, tmp_path, capsys):
             agents.append(subprocess.Popen([*command, *words], env=environment))
             if option == "--listen":
                 log = tmp_path / "home" / "gspn" / "monday" / "robot_1.jsonl"
-                wait_for(log.exists, "the first agent")
-        told = wait_for(statuses, "both agents")
+                wait_for(log.exists, 60, "the first agent")
+        told = wait_for(statuses, 60, "both agents")
         assert {status["robot"] for status in told.values()} == set(way) == set(told)
         assert main(["set-place", "robot_1", "Wait", "--connect", endpoint]) == 0
         assert capsys.readouterr().out.startswith("done")
