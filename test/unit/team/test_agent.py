@@ -131,6 +131,15 @@ class Team:
     def status(self, robot):
         return json.loads(self.ask(robot, "status").message)
 
+    def wait_for_all(self):
+        """Wait until every robot is in the team, and sees a quorum."""
+
+        def all_are_in():
+            statuses = [self.status(robot) for robot in self.hosts]
+            return all(status["active"] and status["quorum"] for status in statuses)
+
+        self.wait_for(all_are_in, "the team")
+
     def wait_for(self, condition, what):
         deadline = time.monotonic() + 30
         while not condition():
@@ -177,7 +186,7 @@ def test_robots_without_ros_run_a_plan_together(write, team, capfd, synchronisat
 def test_a_robot_answers_an_operator(write, team):
     plan = write()
     team.start(plan, "robot_1", "robot_2")
-    team.wait_for(lambda: team.status("robot_1")["quorum"], "the team")
+    team.wait_for_all()
     assert team.ask("robot_1", "pause").success
     team.wait_for(lambda: team.status("robot_2")["paused"], "the pause")
     assert team.ask("robot_2", "dance").message.startswith("there is no command 'dance'")
@@ -233,7 +242,7 @@ def test_another_plan_is_followed_without_a_stop(write, team):
 
 def test_a_plan_that_needs_ros_is_not_followed(write, team):
     team.start(write(), "robot_1", "robot_2")
-    team.wait_for(lambda: team.status("robot_1")["quorum"], "the team")
+    team.wait_for_all()
     service = {"service": "/x", "type": "std_srvs/Trigger"}
     new = write(actions={"Look": "work.look", "Wait": service, "Home": None})
     given = {"plan": stage_of(new, {}).plan, "map": {}, "folder": new.folder}

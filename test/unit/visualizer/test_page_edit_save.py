@@ -229,7 +229,9 @@ def same_document(a, b):
         net = document["net"]
         nodes = sorted(
             json.dumps(
-                {**n, "position": [round(float(x), 3) for x in n["position"]]}, sort_keys=True
+                # 0.0 is added since -0.0 equals 0.0, but is written in another way
+                {**n, "position": [round(float(x), 3) + 0.0 for x in n["position"]]},
+                sort_keys=True,
             )
             for n in [*net["places"], *net["transitions"]]
         )
