@@ -31,7 +31,7 @@ from gspn_framework_package.srv import (
     SetPlace,
     SetPlaceRequest,
 )
-from gspn_framework_package.team.carrier import json_object
+from gspn_framework_package.team.gate import json_object
 
 TOPIC = "/gspn_agreement"
 

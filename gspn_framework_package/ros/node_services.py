@@ -26,8 +26,9 @@ from gspn_framework_package.srv import (
     SetPlaceRequest,
     SetPlaceResponse,
 )
-from gspn_framework_package.team.carrier import OperatorRequest, json_object, marking_fields
+from gspn_framework_package.team.carrier import OperatorRequest, marking_fields
 from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask
+from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.worker import Worker
 
 

@@ -12,7 +12,7 @@ not invent any. A carrier that knows which robot sent a message drops one that n
 from __future__ import annotations
 
 import json
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Protocol, Tuple
 
 from gspn_framework_package.execution.agreement.interface import Fired, Message, Send
 from gspn_framework_package.model.net import Marking, Net
@@ -115,15 +115,6 @@ def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
 def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
     """A marking as two lists, place names and counts, with every place of the net."""
     return [place.name for place in net.places], list(marking)
-
-
-def json_object(text: str) -> Optional[Dict[str, Any]]:
-    """The JSON object in a text from an untrusted sender; None if there is none."""
-    try:
-        value = json.loads(text) if text else None
-    except (ValueError, RecursionError):
-        return None
-    return value if isinstance(value, dict) else None
 
 
 def sender_of(message: Message) -> str:

@@ -9,7 +9,8 @@ from typing import Any, Callable, Optional
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.plan_change import digest_of
 from gspn_framework_package.model.errors import DataError, ExecutionError, GspnError, LogError
-from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest, json_object
+from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.worker import Answer, Worker
 
 ANSWER_TIME = 2.0

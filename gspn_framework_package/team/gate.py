@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from typing import Any, Dict, List, NamedTuple, NoReturn, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, NoReturn, Optional, Tuple, Union
 
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.team.carrier import sender_of
@@ -68,7 +68,7 @@ class MessageGate:
 
     def read(self, robot: str, body: bytes) -> Optional[Message]:
         """The message in a body; None if it is refused."""
-        message = json_object_of(body)
+        message = json_object(body)
         if message is None:
             self.refuse(robot, "not a JSON object")
             return None
@@ -104,10 +104,10 @@ def _no_number(text: str) -> NoReturn:
 _DECODER = json.JSONDecoder(parse_int=_number, parse_constant=_no_number)
 
 
-def json_object_of(body: bytes) -> Optional[Dict[str, Any]]:
-    """The JSON object in bytes of an untrusted sender; None if there is none."""
+def json_object(body: Union[str, bytes]) -> Optional[Dict[str, Any]]:
+    """The JSON object in a text of an untrusted sender; None if there is none."""
     try:
-        value = _DECODER.decode(body.decode("utf-8"))
+        value = _DECODER.decode(body if isinstance(body, str) else body.decode("utf-8"))
     except (ValueError, RecursionError):
         return None
     return value if isinstance(value, dict) else None

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Dict, List
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.team.carrier import Handlers, OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.gate import MessageGate, NotTaken, json_object_of
+from gspn_framework_package.team.gate import MessageGate, NotTaken, json_object
 from gspn_framework_package.team.zenoh_session import (
     LARGEST_MESSAGE,
     TeamAccess,
@@ -172,7 +172,7 @@ class ZenohCarrier:
         payload = query.payload
         if payload is None or len(payload) > LARGEST_MESSAGE:
             return {}
-        return json_object_of(bytes(payload)) or {}
+        return json_object(bytes(payload)) or {}
 
     def _answer(self, query: zenoh.Query, request: OperatorRequest, *rest: str) -> None:
         """Answer on a thread of its own, because it may take seconds.

@@ -15,7 +15,7 @@ from gspn_framework_package.team.addressing import (
 )
 from gspn_framework_package.team.carrier import OperatorAnswer
 from gspn_framework_package.team.commands import ORDER_TIME
-from gspn_framework_package.team.gate import json_object_of
+from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
@@ -133,7 +133,7 @@ class ZenohOperator:
             if sample is None:
                 continue
             names = names_in(str(sample.key_expr))
-            answer = json_object_of(bytes(sample.payload))
+            answer = json_object(bytes(sample.payload))
             if answer is None or not {"success", "message"} <= set(answer):
                 continue
             answers[RobotAddress(*names[:2])] = OperatorAnswer(

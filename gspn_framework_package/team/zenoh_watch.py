@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING, Any, Callable, Dict, NamedTuple
 
-from gspn_framework_package.team.gate import json_object_of
+from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.zenoh_session import (
     LARGEST_MESSAGE,
     TeamAccess,
@@ -78,6 +78,6 @@ class ZenohWatch:
         robot = names_in(str(sample.key_expr))[1]
         fields = None
         if len(sample.payload) <= LARGEST_MESSAGE:
-            fields = json_object_of(bytes(sample.payload))
+            fields = json_object(bytes(sample.payload))
         if fields is not None:
             to(robot, fields)

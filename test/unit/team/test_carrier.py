@@ -7,7 +7,7 @@ import pytest
 from gspn_framework_package.execution.agreement.interface import Fired
 from gspn_framework_package.execution.firing import Firing, Move
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.team.carrier import firing_fields, json_object, sender_of
+from gspn_framework_package.team.carrier import firing_fields, sender_of
 
 
 def fired():
@@ -30,11 +30,6 @@ def test_a_firing_names_the_robots_that_it_moved_and_the_whole_marking():
     assert (fields["robots"], fields["robot_places"]) == (["robot_1"], ["Hall"])  # one left the net
     assert fields["places"] == [place.name for place in plan.net.places]
     assert fields["counts"] == list(range(len(plan.net.places)))
-
-
-@pytest.mark.parametrize("text", ["", "[]", "7", "{", "[" * 100_000])
-def test_what_is_no_json_object_is_none(text):
-    assert json_object(text) is None
 
 
 def test_the_sender_of_a_message():
