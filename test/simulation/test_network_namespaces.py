@@ -8,10 +8,13 @@ import pytest
 from gspn_framework_package.benchmark.netns import rules
 
 pytest.importorskip("rospy", reason="ROS is not here")
+from gspn_framework_package.benchmark.netns.gateways import Gateways
 from gspn_framework_package.benchmark.netns.main import why_not
 from gspn_framework_package.benchmark.netns.network import Network, why_impossible
-from gspn_framework_package.benchmark.netns.scenarios import DELAY, minority, mute
+from gspn_framework_package.benchmark.netns.scenarios import minority, mute, router_killed
 from gspn_framework_package.model.errors import ExecutionError
+
+DELAY = 0.05
 
 
 def test_a_partition_cuts_between_groups_both_ways_and_not_within():
@@ -40,6 +43,33 @@ def test_cuts_are_real_and_heal(network):
     network.verify()
     network.heal()
     assert network.travel_time("x", "y") is not None
+
+
+def test_lost_packets_are_drawn_and_cuts_stay_whole():
+    text = rules.ruleset(rules.one_way(["a"], ["b"]), 0.3)
+    assert text.index('oifname "b" drop') < text.index("numgen random mod 1000 < 300 drop")
+    assert "numgen" not in rules.ruleset(frozenset())
+
+
+def test_hosts_get_out_of_their_gateway_and_nobody_gets_in():
+    reason = why_impossible()
+    if reason:
+        pytest.skip("not possible here: " + reason)
+    two = Gateways({"nat_a": ["one"], "nat_b": ["two", "three"]})
+    with Network(["router", "nat_a", "nat_b"], gateways=two) as network:
+        network.verify()
+        assert network.travel_time("one", "router") is not None
+        assert network.travel_time("router", "one", 0.2) is None
+        assert network.travel_time("one", "two", 0.2) is None
+        assert network.travel_time("two", "three") is not None
+        network.cut(rules.partition([["router", "nat_a"], ["nat_b"]]))
+        assert network.travel_time("two", "router", 0.2) is None
+        network.verify()
+        network.heal()
+        before = network.address("nat_b")
+        network.move("nat_b")
+        assert network.address("nat_b") != before
+        network.verify()
 
 
 def test_verify_notices_a_cut_that_is_none(network):
@@ -77,4 +107,13 @@ def test_a_team_stays_consistent(scenario, mode):
         pytest.skip("not possible here: " + reason)
     numbers = scenario(mode, hold=3.0)  # raises where the team does what it must not
     assert numbers["cut"] >= 3.0
+    assert numbers["slots"] > 10
+
+
+def test_a_team_finds_its_router_again():
+    reason = why_not(transport="zenoh")
+    if reason:
+        pytest.skip("not possible here: " + reason)
+    numbers = router_killed("full", hold=2.0)
+    assert numbers["away"] >= 2.0
     assert numbers["slots"] > 10

@@ -6,13 +6,14 @@ import shutil
 import tempfile
 import time
 from dataclasses import replace
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.log_tail import LogTail
+from gspn_framework_package.benchmark.netns.gateways import Gateways
 from gspn_framework_package.benchmark.netns.logs import AgreedHistory, check_history
 from gspn_framework_package.benchmark.netns.network import Network
 from gspn_framework_package.benchmark.netns.rules import Cuts, one_way, partition
-from gspn_framework_package.benchmark.netns.team import MASTER, NamespaceTeam
+from gspn_framework_package.benchmark.netns.team import MASTER, TEAMS, NamespaceTeam
 from gspn_framework_package.benchmark.plans import tokens_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
@@ -50,6 +51,9 @@ class PartitionExperiment:
     :param plan: what the team executes; by default three robots execute the net of thesis
         Figure 6.1.
     :param others: more nodes of the network, for programs that are no robots.
+    :param transport: ``ros`` or ``zenoh``.
+    :param loss: share of the packets that are lost.
+    :param behind: robots that are behind a gateway, for each gateway.
     """
 
     def __init__(
@@ -60,6 +64,9 @@ class PartitionExperiment:
         delay: float = 0.0,
         plan: Optional[Plan] = None,
         others: Sequence[str] = (),
+        transport: str = "ros",
+        loss: float = 0.0,
+        behind: Optional[Mapping[str, Sequence[str]]] = None,
     ) -> None:
         self.partial = mode == "partial"
         self.began = self.cut_at = self.healed_at = 0.0
@@ -68,9 +75,12 @@ class PartitionExperiment:
         plan = replace(plan, synchronisation=Synchronisation(mode), timing=Timing(evict_after, 0.0))
         self.robots = [robot.name for robot in plan.robots]
         self._places = plan.action_places
-        self.network = Network([MASTER, *self.robots, *others], delay)
+        gateways = Gateways(behind or {})
+        hosts = set(gateways.hosts)
+        public = [*(robot for robot in self.robots if robot not in hosts), *gateways.behind]
+        self.network = Network([MASTER, *public, *others], delay, loss, gateways)
         self.folder = tempfile.mkdtemp(prefix="gspn_netns_")
-        self._team = NamespaceTeam(self.network, plan, self.folder)
+        self.team: NamespaceTeam = TEAMS[transport](self.network, plan, self.folder)
 
     def __enter__(self) -> PartitionExperiment:
         try:
@@ -78,7 +88,7 @@ class PartitionExperiment:
             try:
                 self.network.verify()
                 self.began = time.monotonic()
-                self._team.__enter__()
+                self.team.__enter__()
             except BaseException:
                 self.network.__exit__()
                 raise
@@ -89,7 +99,7 @@ class PartitionExperiment:
 
     def __exit__(self, kind: Any, *_: Any) -> None:
         try:
-            self._team.__exit__()
+            self.team.__exit__()
         finally:
             self.network.__exit__()
             if kind is None or not issubclass(kind, Exception):  # no failure, or interrupted
@@ -98,17 +108,17 @@ class PartitionExperiment:
     def run_beside(self, node: str, words: Sequence[str]) -> None:
         """Start a program in the namespace of a node that is no robot; it must stay until the team
         ends."""
-        self._team.start(node, words)
+        self.team.programs.start(node, words, "", self.team.environment(node))
 
     def said(self, node: str) -> str:
         """What a node has printed."""
-        return self._team.output(node)
+        return self.team.programs.output(node)
 
     # -- what the logs say -------------------------------------------------------------------------
 
     def read(self) -> Dict[str, LogTail]:
         """The robots' logs by name, as far as they have been written."""
-        return self._team.read()
+        return self.team.programs.read()
 
     def moves(self, robot: str, begin: float, end: float = float("inf")) -> int:
         """The number of moves of a robot between two times."""
@@ -185,8 +195,16 @@ class PartitionExperiment:
         """Cut the traffic of these pairs of nodes, and only that."""
         self.read()
         self.network.cut(cuts)
-        self.cut_at = self.healed_at = time.monotonic()
+        self.begin_fault()
         self.network.verify()
+
+    def begin_fault(self) -> None:
+        """A fault begins now."""
+        self.cut_at = self.healed_at = time.monotonic()
+
+    def end_fault(self) -> None:
+        """The fault ends now."""
+        self.healed_at = time.monotonic()
 
     def hold(self, seconds: float) -> None:
         """Leave the network as it is until ``seconds`` after the cut."""
@@ -194,7 +212,7 @@ class PartitionExperiment:
 
     def heal(self) -> None:
         """Let everything through again."""
-        self.healed_at = time.monotonic()
+        self.end_fault()
         self.network.heal()
         self.network.verify()
 
@@ -241,7 +259,7 @@ class PartitionExperiment:
         problem = ["not asked"]
 
         def paused() -> bool:
-            problem[0] = self._team.order(self.robots[0], "pause")
+            problem[0] = self.team.order(self.robots[0], "pause")
             return not problem[0]
 
         try:
@@ -258,8 +276,8 @@ class PartitionExperiment:
             return self._alike() and time.monotonic() - last[1] >= quiet
 
         self.wait(at_rest, "all logs to end alike")
-        self._team.end()
-        return check_history([self._team.logs[r].path for r in self.robots])
+        self.team.end()
+        return check_history([self.team.logs[r].path for r in self.robots])
 
     def _alike(self) -> bool:
         return len({(log.length, log.hash) for log in self.read().values()}) == 1

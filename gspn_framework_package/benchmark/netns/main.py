@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 import time
@@ -12,22 +13,23 @@ from typing import Any, Dict, List, Optional, Sequence
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
 from gspn_framework_package.benchmark.netns.network import why_impossible
 from gspn_framework_package.benchmark.netns.scenarios import (
-    DELAY,
     HOLD,
     NEED_DELAY,
+    OF_TRANSPORT,
     SCENARIOS,
     TAKE_HOLD,
 )
-from gspn_framework_package.benchmark.netns.team import why_no_ros
+from gspn_framework_package.benchmark.netns.team import TEAMS, why_no_ros, why_no_zenoh
 from gspn_framework_package.model.errors import GspnError
 
 MODES = ("full", "partial")
+PROBE_DELAY = 0.05
 
 
-def why_not(scenarios: Sequence[str] = ()) -> str:
+def why_not(scenarios: Sequence[str] = (), transport: str = "ros") -> str:
     """Why these scenarios cannot run on this machine; "" if they can."""
-    delay = DELAY if NEED_DELAY & set(scenarios) else 0.0
-    return why_no_ros() or why_impossible(delay)
+    delay = PROBE_DELAY if NEED_DELAY & set(scenarios) else 0.0
+    return (why_no_ros() if transport == "ros" else why_no_zenoh()) or why_impossible(delay)
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -35,13 +37,20 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     not possible here, or wrong usage."""
     parser = argparse.ArgumentParser(
         prog="benchmark.netns",
-        description="Cuts and slows the network of a robot team, each node in its own network "
+        description="Cuts and slows the network of a robot team, each robot in its own network "
         "namespace (needs root).",
         epilog="Exit codes: 0 all as it must be, 1 not so, 2 not possible on this machine, or "
         "wrong usage.",
     )
     parser.add_argument(
         "--scenario", action="append", choices=list(SCENARIOS), help="only this one (repeatable)"
+    )
+    parser.add_argument(
+        "--transport",
+        choices=list(TEAMS),
+        default="ros",
+        help="what carries the messages: ros, with a master in the middle (default), or zenoh, "
+        "with a router, mutual TLS and robots without ROS",
     )
     parser.add_argument("--mode", action="append", choices=MODES, help="only this synchronisation")
     parser.add_argument(
@@ -55,8 +64,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     args = parser.parse_args(arguments)
     if args.hold < 2:
         parser.error("--hold must be at least 2 seconds")
-    scenarios = args.scenario or list(SCENARIOS)
-    reason = why_not(scenarios)
+    possible = OF_TRANSPORT[args.transport]
+    scenarios = args.scenario or possible
+    for name in scenarios:
+        if name not in possible:
+            parser.error("there is no scenario '%s' on %s" % (name, args.transport))
+    reason = why_not(scenarios, args.transport)
     if reason:
         print("not possible here: %s" % reason, file=sys.stderr)
         return 2
@@ -72,7 +85,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                     file=sys.stderr,
                     flush=True,
                 )
-                results.append(_run(name, mode, args.hold))
+                results.append(_run(name, mode, args.hold, args.transport))
                 print("%(outcome)s, %(seconds).0f s" % results[-1], file=sys.stderr)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -87,11 +100,13 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     return 0 if all(r["outcome"] == "ok" for r in results) else 1
 
 
-def _run(name: str, mode: str, hold: float) -> Dict[str, Any]:
+def _run(name: str, mode: str, hold: float, transport: str) -> Dict[str, Any]:
     begin = time.monotonic()
     result: Dict[str, Any] = {"scenario": name, "mode": mode, "outcome": "ok"}
+    result["load"] = os.getloadavg()[0]
+    given: Dict[str, Any] = {"hold": hold} if name in TAKE_HOLD else {}
     try:
-        result.update(SCENARIOS[name](mode, hold) if name in TAKE_HOLD else SCENARIOS[name](mode))
+        result.update(SCENARIOS[name](mode, transport=transport, **given))
     except GspnError as error:
         result.update(outcome="FAILED", why=str(error))
     return dict(result, seconds=time.monotonic() - begin)
@@ -105,4 +120,4 @@ def _line(result: Dict[str, Any]) -> str:
         "%s %s" % (key.replace("_", " "), "%.3g" % value if isinstance(value, float) else value)
         for key, value in numbers.items()
     )
-    return "%-12s %-8s %-7s %s" % (result["scenario"], result["mode"], result["outcome"], told)
+    return "%-13s %-8s %-7s %s" % (result["scenario"], result["mode"], result["outcome"], told)

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import Any, Dict, Iterator, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.netns import relay
+from gspn_framework_package.benchmark.netns.gateways import Gateways
 from gspn_framework_package.benchmark.netns.rules import Cuts, ruleset
 from gspn_framework_package.model.errors import ExecutionError
 
@@ -39,24 +40,35 @@ class Network:
 
     :param nodes: names, at most 15 characters each.
     :param delay: time (s) that a frame takes from any node to any other.
+    :param loss: share (0 to below 1) of the frames that are lost on the way from any node to any
+        other.
+    :param gateways: which of the nodes are gateways, and which hosts are behind them.
     :raises ExecutionError: this machine does not allow it.
     """
 
-    def __init__(self, nodes: Sequence[str], delay: float = 0.0) -> None:
+    def __init__(
+        self,
+        nodes: Sequence[str],
+        delay: float = 0.0,
+        loss: float = 0.0,
+        gateways: Optional[Gateways] = None,
+    ) -> None:
         self.nodes = list(nodes)
-        self.delay = delay
+        self.delay, self.loss = delay, loss
+        self.gateways = gateways if gateways is not None else Gateways({})
         self.cuts: Cuts = frozenset()
         self._prefix = "%s%d-%d-" % (PREFIX, os.getpid(), next(_numbers))
         self._hub = self._prefix + "hub"
         self._addresses = {name: SUBNET + str(number) for number, name in enumerate(nodes, 1)}
+        self._addresses.update(self.gateways.addresses())
         self._relay: Optional[relay.Relay] = None
 
     def address(self, node: str) -> str:
-        """IPv4 address of a node."""
+        """IPv4 address of a node or host."""
         return self._addresses[node]
 
     def namespace(self, node: str) -> str:
-        """Name of a node's namespace."""
+        """Name of the namespace of a node or host."""
         return self._prefix + node
 
     def __enter__(self) -> Network:
@@ -72,7 +84,7 @@ class Network:
         self._remove()
 
     def _build(self) -> None:
-        for namespace in [self._hub] + [self.namespace(n) for n in self.nodes]:
+        for namespace in self._namespaces():
             _run("ip", "netns", "add", namespace)
             _run("ip", "-n", namespace, "link", "set", "lo", "up")
         _run("ip", "-n", self._hub, "link", "add", "name", "bridge", "type", "bridge")
@@ -84,26 +96,41 @@ class Network:
         for node in self.nodes:
             here = self.namespace(node)
             if not self.delay:
-                _run(
-                    "ip",
-                    "-n",
-                    self._hub,
-                    "link",
-                    "add",
-                    "name",
-                    node,
-                    "type",
-                    "veth",
-                    "peer",
-                    "name",
-                    "eth0",
-                    "netns",
-                    here,
-                )
+                _run("ip", "-n", self._hub, *_veth(node, here))
             _run("ip", "-n", self._hub, "link", "set", "dev", node, "master", "bridge", "up")
             _run("ip", "-n", here, "addr", "add", self.address(node) + "/24", "dev", "eth0")
             _run("ip", "-n", here, "link", "set", "eth0", "up")
+        self._build_gateways()
         self.cut(frozenset())
+
+    def _build_gateways(self) -> None:
+        """Attach the hosts to their gateways, and have these translate addresses."""
+        for gateway in self.gateways.behind:
+            there = self.namespace(gateway)
+            for words in self.gateways.commands(gateway):
+                _run("ip", "-n", there, *words)
+            for host in self.gateways.behind[gateway]:
+                here = self.namespace(host)
+                _run("ip", "-n", there, *_veth(host, here))
+                _run("ip", "-n", there, "link", "set", "dev", host, "master", "lan", "up")
+                for words in self.gateways.host_commands(host):
+                    _run("ip", "-n", here, *words)
+            _run("ip", "netns", "exec", there, "sysctl", "-qw", "net.ipv4.ip_forward=1")
+            _run("ip", "netns", "exec", there, "nft", "-f", "-", given=self.gateways.ruleset())
+
+    def move(self, gateway: str) -> None:
+        """Give a gateway another address, as providers do: what it translated so far is
+        forgotten."""
+        there = self.namespace(gateway)
+        old = self._addresses[gateway]
+        first, last = old.rsplit(".", 1)
+        new = "%s.%d" % (first, int(last) + 100 if int(last) <= 100 else int(last) - 100)
+        _run("ip", "-n", there, "addr", "del", old + "/24", "dev", "eth0")
+        _run("ip", "-n", there, "addr", "add", new + "/24", "dev", "eth0")
+        self._addresses[gateway] = new
+
+    def _namespaces(self) -> List[str]:
+        return [self.namespace(n) for n in (*self.nodes, *self.gateways.hosts)] + [self._hub]
 
     def _taps(self, node: str) -> Any:
         try:
@@ -117,14 +144,14 @@ class Network:
             ) from None
 
     def _remove(self) -> None:
-        remove_namespaces([self.namespace(n) for n in self.nodes] + [self._hub])
+        remove_namespaces(self._namespaces())
         if self._relay is not None:
             self._relay.close()
             self._relay = None
 
     def cut(self, cuts: Cuts) -> None:
         """From now on, block the traffic of these pairs, and let all other traffic through."""
-        _run("ip", "netns", "exec", self._hub, "nft", "-f", "-", given=ruleset(cuts))
+        _run("ip", "netns", "exec", self._hub, "nft", "-f", "-", given=ruleset(cuts, self.loss))
         self.cuts = cuts
 
     def heal(self) -> None:
@@ -147,7 +174,10 @@ class Network:
                 socket.AF_INET, socket.SOCK_DGRAM
             ) as sender:
                 sent = time.monotonic()
-                sender.sendto(b"probe", (self.address(target), PROBE_PORT))
+                try:
+                    sender.sendto(b"probe", (self.address(target), PROBE_PORT))
+                except OSError:  # there is no way to a host behind a gateway
+                    return None
             try:
                 receiver.recv(16)
             except socket.timeout:
@@ -155,22 +185,47 @@ class Network:
             return time.monotonic() - sent
 
     def verify(self) -> None:
-        """Check that the cut traffic, and only that, is blocked.
+        """Check that the cut traffic, and only that, is blocked, and that the hosts behind a
+        gateway reach the nodes, and are not reached from there.
 
         :raises ExecutionError: some cut traffic gets through, or other traffic does not.
         """
-        for source in self.nodes:
-            for target in self.nodes:
-                if source == target:
+        places = (*self.nodes, *self.gateways.hosts)
+        for source in places:
+            for target in places:
+                if source == target or self.gateways.of(target) == source:
                     continue
-                cut = (source, target) in self.cuts
-                patience = 0.05 + 4 * self.delay if cut else ARRIVAL
-                arrived = self.travel_time(source, target, patience) is not None
+                cut = not self._passes(source, target)
+                arrived = self._arrives(source, target, cut)
                 if arrived == cut:
                     raise ExecutionError(
                         "a datagram from %s to %s %s"
                         % (source, target, "arrived" if arrived else "was lost")
                     )
+
+    def _passes(self, source: str, target: str) -> bool:
+        """Whether anything may get from one place to another."""
+        way_out, way_in = self.gateways.of(source), self.gateways.of(target)
+        if way_in:
+            return way_in == way_out
+        return way_out == target or (way_out or source, target) not in self.cuts
+
+    def _arrives(self, source: str, target: str, cut: bool) -> bool:
+        """Whether a datagram arrives; one is enough where some are lost."""
+        for _ in range(3 if cut and self.loss else 40 if self.loss else 1):
+            patience = 0.05 + 4 * self.delay
+            if not cut and not self.loss:
+                patience = ARRIVAL
+            if self.travel_time(source, target, patience) is not None:
+                return True
+        return False
+
+
+def _veth(name: str, there: str) -> List[str]:
+    """The words that make a cable from here, where its end is called ``name``, to ``eth0`` in the
+    namespace ``there``."""
+    ends = ["type", "veth", "peer", "name", "eth0", "netns", there]
+    return ["link", "add", "name", name, *ends]
 
 
 def why_impossible(delay: float = 0.0) -> str:

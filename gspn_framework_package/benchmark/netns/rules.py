@@ -30,9 +30,12 @@ def partition(groups: Sequence[Sequence[str]]) -> Cuts:
     return frozenset().union(*pairs)
 
 
-def ruleset(cuts: Cuts) -> str:
+def ruleset(cuts: Cuts, loss: float = 0.0) -> str:
     """The input of ``nft -f -`` that replaces, in one transaction, the earlier cuts. Each node's
-    bridge port has the node's name; everything from port to port is dropped, ARP included."""
+    bridge port has the node's name; everything from port to port is dropped, ARP included.
+
+    :param loss: share of the IP packets that are dropped at random, in steps of a thousandth.
+    """
     lines = [
         "add table bridge " + TABLE,
         "delete table bridge " + TABLE,
@@ -41,4 +44,6 @@ def ruleset(cuts: Cuts) -> str:
     ]
     lines.append("    type filter hook forward priority 0; policy accept;")
     lines += ['    iifname "%s" oifname "%s" drop' % pair for pair in sorted(cuts)]
+    if loss:
+        lines.append("    ether type ip numgen random mod 1000 < %d drop" % round(1000 * loss))
     return "\n".join(lines + ["  }", "}", ""])

@@ -1,4 +1,5 @@
-"""A ROS master and the execution nodes of a team, each in its own namespace of a network."""
+"""The robots of a team and what is between them, each in its own namespace of a network: nodes with
+a ROS master, or agents with a router."""
 
 from __future__ import annotations
 
@@ -6,31 +7,34 @@ import importlib.util
 import json
 import os
 import shutil
-import signal
-import socket
-import subprocess
 import sys
-import time
-from typing import Any, Dict, List, Sequence
+from typing import Any, Dict, List
 
 from gspn_framework_package.benchmark.log_tail import LogTail
-from gspn_framework_package.benchmark.netns.network import Network, inside
+from gspn_framework_package.benchmark.netns.network import Network
+from gspn_framework_package.benchmark.netns.programs import Programs, ros_environment
 from gspn_framework_package.formats.plan_json import plan_to_json
-from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.keys import NewMember, make_team
 
 MASTER = "master"
-"""The name of the master's node in the network; the robots' nodes have the robots' names."""
+"""The name of the node in the middle, with the master or the router; the robots' nodes have the
+robots' names."""
 
 MASTER_PORT = 11311
+ROUTER_PORT = 7447
 RUN = "lab"
+OPERATOR = "ann"
 _PACKAGE = "gspn_framework_package"
-_ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
-_NODE = """
+NODE = """
 from gspn_framework_package.ros import node_main
 from gspn_framework_package.ros.transport import node_process
 node_process.exit_with(node_main.run_execution_node())
 """
+"""A program for ``python3 -c``: a robot with ROS."""
+
+GSPN = (sys.executable, "-m", _PACKAGE)
+"""The command ``gspn``."""
 
 
 def why_no_ros() -> str:
@@ -47,34 +51,39 @@ def why_no_ros() -> str:
     return ""
 
 
-class NamespaceTeam:
-    """The nodes of a team; they end with the ``with`` block.
+def why_no_zenoh() -> str:
+    """Why no team can run on Zenoh with keys here; "" if one can."""
+    for module, package in (("zenoh", "eclipse-zenoh"), ("cryptography", "cryptography")):
+        if importlib.util.find_spec(module) is None:
+            return "there is no Python module %s (pip install %s)" % (module, package)
+    return ""
 
-    :param network: has a node ``master`` and one for each robot of the plan.
-    :param folder: for the plan, the logs, and the output of the nodes.
+
+class NamespaceTeam:
+    """The robots of a team, which end with the ``with`` block.
+
+    :param network: has a node :data:`MASTER` and a place for each robot of the plan.
+    :param folder: for the plan, the logs, and the output of the programs.
     """
 
     def __init__(self, network: Network, plan: Plan, folder: str) -> None:
-        self._network, self._plan, self._folder = network, plan, folder
         self.robots = [robot.name for robot in plan.robots]
-        self.logs = {
-            name: LogTail(os.path.join(folder, RUN, name + ".jsonl")) for name in self.robots
-        }
-        self._processes: Dict[str, Any] = {}
+        paths = {name: os.path.join(folder, RUN, name + ".jsonl") for name in self.robots}
+        self.programs = Programs(network, folder, paths)
+        self._network, self._plan, self._folder = network, plan, folder
+
+    @property
+    def logs(self) -> Dict[str, LogTail]:
+        """The logs of the robots, as far as they were read."""
+        return self.programs.logs
 
     def __enter__(self) -> NamespaceTeam:
         with open(os.path.join(self._folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(self._plan), file)
         try:
-            self.start(MASTER, ["rosmaster", "--core", "-p", str(MASTER_PORT)])
-            self._await_master()
-            for name in self.robots:
-                told = {"plan": self._folder, "robot": name, "run": RUN, "log_dir": self._folder}
-                words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in told.items()]
-                self.start(
-                    name,
-                    [sys.executable, "-c", _NODE, "__ns:=/" + name, "__name:=executor", *words],
-                )
+            self.start_middle()
+            for robot in self.robots:
+                self.start_robot(robot)
         except BaseException:
             self.end()
             raise
@@ -83,102 +92,97 @@ class NamespaceTeam:
     def __exit__(self, *_: Any) -> None:
         self.end()
 
-    def read(self) -> Dict[str, LogTail]:
-        """All logs, as far as they have been written.
+    def end(self) -> None:
+        """End the other programs, then the robots, then what is in the middle."""
+        self.programs.end(self.robots, [MASTER])
 
-        :raises ExecutionError: a node has ended.
-        """
-        for name, process in self._processes.items():
-            if process.poll() is not None:
-                raise ExecutionError(
-                    "%s ended with %s: %s" % (name, process.returncode, self._said(name))
-                )
-        for log in self.logs.values():
-            log.read()
-        return self.logs
+    def start_middle(self) -> None:
+        """Start what the robots meet at, and wait until it is there."""
+        raise NotImplementedError
+
+    def start_robot(self, robot: str) -> None:
+        """Start a robot."""
+        raise NotImplementedError
 
     def order(self, robot: str, command: str) -> str:
-        """Give the team an operator's command through a robot, from that robot's own namespace;
-        returns "" if it was carried out, otherwise why not."""
-        words = self._network.command(
-            robot, ["rosservice", "call", "/%s/command" % robot, "{command: %s}" % command]
+        """Give the team an operator's command through a robot; returns "" if it was carried out,
+        otherwise why not."""
+        raise NotImplementedError
+
+    def environment(self, node: str) -> Dict[str, str]:
+        """What the environment of a node's programs needs."""
+        return {}
+
+
+class MasterTeam(NamespaceTeam):
+    """Robots with ROS, and one master."""
+
+    def start_middle(self) -> None:
+        """See :class:`NamespaceTeam`."""
+        self.programs.start(
+            MASTER, ["rosmaster", "--core", "-p", str(MASTER_PORT)], "", self.environment(MASTER)
         )
-        try:
-            done = subprocess.run(
-                words,
-                env=self._environment(robot),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                timeout=20,
-            )
-        except subprocess.TimeoutExpired:
-            return "no answer"
-        return "" if "success: True" in done.stdout else done.stdout.strip()
+        self.programs.await_port(MASTER, MASTER_PORT)
 
-    def end(self) -> None:
-        """End the other programs, then the robots in order, then the master; kill those that do not
-        end within 5 s."""
-        others = [name for name in self._processes if name not in (MASTER, *self.robots)]
-        for names in (others, self.robots, [MASTER]):
-            running = [self._processes[name] for name in names if name in self._processes]
-            for process in running:
-                if process.poll() is None:
-                    process.send_signal(signal.SIGTERM)
-            deadline = time.monotonic() + 5
-            for process in running:
-                try:
-                    process.wait(max(0.1, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
-        for log in self.logs.values():
-            log.read()
+    def start_robot(self, robot: str) -> None:
+        """See :class:`NamespaceTeam`."""
+        told = {"plan": self._folder, "robot": robot, "run": RUN, "log_dir": self._folder}
+        words = node_words(robot, told)
+        self.programs.start(robot, words, "", self.environment(robot))
 
-    def start(self, node: str, words: Sequence[str]) -> None:
-        """Start a program in the namespace of a node; it must run until the team ends."""
-        with open(self._output_file(node), "wb") as output:
-            self._processes[node] = subprocess.Popen(
-                self._network.command(node, words),
-                env=self._environment(node),
-                cwd=self._folder,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+    def order(self, robot: str, command: str) -> str:
+        """See :class:`NamespaceTeam`; the call comes from that robot's own namespace."""
+        words = ["rosservice", "call", "/%s/command" % robot, "{command: %s}" % command]
+        _, said = self.programs.ask(robot, words, self.environment(robot))
+        return "" if "success: True" in said else said
 
-    def _await_master(self) -> None:
-        deadline = time.monotonic() + 20
-        while True:
-            with inside(self._network.namespace(MASTER)), socket.socket() as probe:
-                if probe.connect_ex((self._network.address(MASTER), MASTER_PORT)) == 0:
-                    return
-            if time.monotonic() > deadline or self._processes[MASTER].poll() is not None:
-                raise ExecutionError("the ROS master did not start: " + self._said(MASTER))
-            time.sleep(0.05)
+    def environment(self, node: str) -> Dict[str, str]:
+        """See :class:`NamespaceTeam`."""
+        own, master = self._network.address(node), self._network.address(MASTER)
+        return ros_environment(own, master, MASTER_PORT, self._folder)
 
-    def _environment(self, node: str) -> Dict[str, str]:
-        environment = dict(os.environ)
-        for name in ("ROS_HOSTNAME", "ROS_NAMESPACE"):
-            environment.pop(name, None)
-        paths: List[str] = [_ROOT, environment.get("PYTHONPATH", "")]
-        return dict(
-            environment,
-            ROS_IP=self._network.address(node),
-            ROS_MASTER_URI="http://%s:%d" % (self._network.address(MASTER), MASTER_PORT),
-            ROS_HOME=self._folder,
-            ROS_LOG_DIR=os.path.join(self._folder, "log"),
-            PYTHONPATH=os.pathsep.join(filter(None, paths)),
-        )
 
-    def output(self, node: str) -> str:
-        """What the program of a node has printed."""
-        with open(self._output_file(node), encoding="utf-8", errors="replace") as file:
-            return file.read()
+class RouterTeam(NamespaceTeam):
+    """Robots without ROS and one router, with keys: mutual TLS."""
 
-    def _output_file(self, node: str) -> str:
-        return os.path.join(self._folder, node + ".txt")
+    def start_middle(self) -> None:
+        """See :class:`NamespaceTeam`."""
+        keys = os.path.join(self._folder, "keys")
+        if not os.path.exists(keys):
+            members = [NewMember(robot, "robot") for robot in self.robots]
+            members.append(NewMember(OPERATOR, "operator"))
+            members.append(NewMember(MASTER, "router", (self._network.address(MASTER),)))
+            make_team(keys, members, 1)
+        listen = ["--listen", "tls/0.0.0.0:%d" % ROUTER_PORT]
+        self.programs.start(MASTER, [*GSPN, "router", *listen, *self._keys(MASTER)])
+        self.programs.await_port(MASTER, ROUTER_PORT)
 
-    def _said(self, node: str) -> str:
-        return " / ".join(line.strip() for line in self.output(node).splitlines()[-3:])
+    def start_robot(self, robot: str) -> None:
+        """See :class:`NamespaceTeam`."""
+        words = ["agent", self._folder, "--robot", robot, "--run", RUN, "--log"]
+        self.programs.start(robot, [*GSPN, *words, self.logs[robot].path, *self._way(robot)])
+
+    def order(self, robot: str, command: str) -> str:
+        """See :class:`NamespaceTeam`; the operator is where the router is."""
+        code, said = self.programs.ask(MASTER, [*GSPN, command, *self._way(OPERATOR)])
+        return "" if code == 0 else said or "it failed"
+
+    def _way(self, member: str) -> List[str]:
+        endpoint = "tls/%s:%d" % (self._network.address(MASTER), ROUTER_PORT)
+        return ["--connect", endpoint, *self._keys(member)]
+
+    def _keys(self, member: str) -> List[str]:
+        return ["--keys", os.path.join(self._folder, "keys", member)]
+
+
+def node_words(robot: str, parameters: Dict[str, Any]) -> List[str]:
+    """The command line of a robot with ROS.
+
+    :param parameters: private parameters of its node.
+    """
+    words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in parameters.items()]
+    return [sys.executable, "-c", NODE, "__ns:=/" + robot, "__name:=executor", *words]
+
+
+TEAMS = {"ros": MasterTeam, "zenoh": RouterTeam}
+"""The kind of team for each transport."""
