@@ -27,6 +27,7 @@ from gspn_framework_package.model.plan import (
     RobotSpec,
     Synchronisation,
     Timing,
+    Transport,
     too_many_robots,
 )
 from gspn_framework_package.model.policy import Policy, PolicyScope
@@ -184,6 +185,7 @@ def plan_from_json(
         robots=robots if robots is not None else deal_robots(net, resources),
         spawn=tuple(data.get("spawn", ())),
         synchronisation=Synchronisation(data.get("synchronisation", "full")),
+        transport=Transport(data.get("transport", "ros")),
         seed=data.get("seed", 0),
         strict=data.get("strict", False),
         on_failure={p: _failure_rule(r) for p, r in data.get("on_failure", {}).items()},
@@ -336,6 +338,8 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
             "witnesses": list(plan.witness),
         },
     }
+    if plan.transport is not Transport.ROS:
+        data["transport"] = plan.transport.value
     if plan.until is not None:
         data["until"] = plan.until
     if plan.events:

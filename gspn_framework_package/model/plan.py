@@ -55,6 +55,15 @@ class Synchronisation(enum.Enum):
     """A robot makes moves that concern nobody else locally; the rest is agreed through services."""
 
 
+class Transport(enum.Enum):
+    """What carries the messages between robots."""
+
+    ROS = "ros"
+    """Topics and services of one ROS master."""
+    ZENOH = "zenoh"
+    """Zenoh: robots need neither a common master nor ROS."""
+
+
 class FailureKind(enum.Enum):
     """What to do when an action does not succeed."""
 
@@ -127,6 +136,8 @@ class Plan:
     :ivar robots: the robots of the team.
     :ivar spawn: the places where the robots of a larger team start, cyclically.
     :ivar synchronisation: how much the robots share with each other.
+    :ivar transport: what carries the messages between robots that are not told otherwise at their
+        start. Not part of :meth:`hash`.
     :ivar seed: seed of the policy's random draws.
     :ivar strict: whether a marking without a policy row is a fault.
     :ivar on_failure: place or ``'*'`` -> failure rule.
@@ -168,6 +179,7 @@ class Plan:
     robots: Tuple[RobotSpec, ...] = ()
     spawn: Tuple[str, ...] = ()
     synchronisation: Synchronisation = Synchronisation.FULL
+    transport: Transport = Transport.ROS
     seed: int = 0
     strict: bool = False
     on_failure: Mapping[str, FailureRule] = field(default_factory=dict)

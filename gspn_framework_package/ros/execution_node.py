@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List, Optional
 
-from gspn_framework_package.model.plan import Plan, Synchronisation
+from gspn_framework_package.model.plan import Plan, Synchronisation, Transport
 from gspn_framework_package.ros.event_sources import EventSources
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.node_services import NodeServices
@@ -102,7 +102,7 @@ class ExecutionNode:
 def _carrier(
     host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions, service_uri: str
 ) -> Carrier:
-    if options.transport == "zenoh":
+    if options.transport == Transport.ZENOH.value:
         # imported here, since a team on ROS needs none of its libraries
         from gspn_framework_package.ros.zenoh_transport import zenoh_transport
 

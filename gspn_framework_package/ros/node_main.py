@@ -179,11 +179,12 @@ def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
 
 def _execute(options: NodeOptions, ending: Ending) -> int:
     plan, robot = robot_of(read_plan(launched_file(options.plan, "~plan")), options)
-    return _run_robots(plan, {robot: _own_namespace()}, options, ending)
+    return _run_robots(plan, {robot: _own_namespace()}, options.for_plan(plan), ending)
 
 
 def _host(options: NodeOptions, ending: Ending) -> int:
     plan, namespaces = _team(options)
+    options = options.for_plan(plan)
     refuse_taken(list(namespaces.values()), options.run)
     return _run_robots(plan, namespaces, options, ending)
 
@@ -201,6 +202,7 @@ def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
 
 def _fork(options: NodeOptions) -> int:
     plan, namespaces = _team(options)
+    options = options.for_plan(plan)
     if options.check:
         # in a separate process, because the robots do not need the libraries of the analysis
         code = run_family([FamilyMember("the check of the plan", lambda: _check_alone(plan))])

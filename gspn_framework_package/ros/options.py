@@ -10,11 +10,10 @@ import rospy
 from rospy.client import load_command_line_node_params
 
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan, Transport
 from gspn_framework_package.ros.transport.registration import master_proxy
 from gspn_framework_package.team.log_file import check_run_name, log_path
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience
-
-TRANSPORTS = ("ros", "zenoh")
 
 
 class NodeOptions(NamedTuple):
@@ -50,12 +49,14 @@ class NodeOptions(NamedTuple):
     """Whether the plan may run programs on this computer (actions with ``command``)."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
-    transport: str = "ros"
-    """What carries the messages between the robots: ``ros``, or ``zenoh`` (see ``router``)."""
+    transport: str = ""
+    """What carries the messages between the robots: ``ros``, or ``zenoh`` (see ``router``); "": as
+    the plan says (see :meth:`for_plan`)."""
     router: str = ""
     """With ``zenoh``: endpoints of routers, or of robots that listen, separated by spaces."""
     keys: str = ""
-    """With ``zenoh``: the folder of this robot's keys; "": the team has none."""
+    """With ``zenoh``: the folder of this robot's keys, or one that has it under the robot's name;
+    "": the team has none."""
     stay: bool = False
     """Whether the node keeps running, and answers, when the run is over."""
     max_connections: int = 32
@@ -78,6 +79,26 @@ class NodeOptions(NamedTuple):
             status=self.status_timeout,
             result=self.result_timeout,
         )
+
+    def for_plan(self, plan: Plan) -> NodeOptions:
+        """These options with the transport of the plan, unless they name one, and with the path of
+        the keys.
+
+        :raises UsageError: a router is missing, or is given and says nothing; there are no keys.
+        """
+        transport = self.transport or plan.transport.value
+        if transport == Transport.ZENOH.value and not self.router:
+            raise UsageError(
+                "the transport zenoh needs a router", element="~router", hint="tls/HOST:7447"
+            )
+        if transport == Transport.ROS.value and (self.router or self.keys):
+            raise UsageError(
+                "a router and keys say nothing with the transport ros",
+                element="~transport",
+                hint="transport:=zenoh, or 'transport': 'zenoh' in the plan",
+            )
+        keys = launched_file(self.keys, "~keys") if self.keys else ""
+        return self._replace(transport=transport, keys=keys)
 
     def log_file(self, robot: str) -> str:
         """The path of the log of ``robot``."""
@@ -156,20 +177,11 @@ def options_from(given: Dict[str, Any]) -> NodeOptions:
     if not options.plan:
         raise UsageError("no plan was given", element="~plan", hint="its folder, or its file")
     check_run_name(options.run, "~run")
-    if options.transport not in TRANSPORTS:
+    transports = [transport.value for transport in Transport]
+    if options.transport and options.transport not in transports:
         raise UsageError(
             "there is no transport '%s'" % options.transport,
             element="~transport",
-            hint="there are: %s" % ", ".join(TRANSPORTS),
-        )
-    if options.transport == "zenoh" and not options.router:
-        raise UsageError(
-            "the transport zenoh needs a router", element="~router", hint="tls/HOST:7447"
-        )
-    if options.transport == "ros" and (options.router or options.keys):
-        raise UsageError(
-            "a router and keys say nothing with the transport ros",
-            element="~transport",
-            hint="transport:=zenoh",
+            hint="there are: %s" % ", ".join(transports),
         )
     return options

@@ -10,7 +10,7 @@ from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.host import ReplicaHost
-from gspn_framework_package.team.keys import read_keys
+from gspn_framework_package.team.keys import keys_of_robot
 from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 from gspn_framework_package.team.zenoh_session import TeamAccess
 
@@ -63,7 +63,7 @@ def zenoh_transport(
     :param namespace: absolute namespace of the robot.
     :raises GspnError: the keys cannot be used, or nobody can be reached.
     """
-    keys = read_keys(options.keys) if options.keys else None
+    keys = keys_of_robot(options.keys, host.robot) if options.keys else None
     access = TeamAccess(tuple(options.router.split()), (), keys)
     partial = plan.synchronisation is Synchronisation.PARTIAL
     carrier = ZenohCarrier(host.robot, host.run, access, host.handlers, partial)

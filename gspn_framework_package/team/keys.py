@@ -458,6 +458,24 @@ def read_keys(folder: str) -> KeyFolder:
     return keys._replace(member=row)
 
 
+def keys_of_robot(folder: str, robot: str) -> KeyFolder:
+    """The keys of a robot (or witness), from its folder or from one that holds that under the
+    robot's name.
+
+    :raises KeysError: as :func:`read_keys`; or they are another member's.
+    """
+    own = os.path.join(folder, robot)
+    keys = read_keys(own if os.path.isdir(own) else folder)
+    if (keys.member.role, keys.member.name) != ("robot", robot):
+        raise KeysError(
+            "these are the keys of %s '%s', not of robot '%s'"
+            % (keys.member.role, keys.member.name, robot),
+            file=keys.folder,
+            hint="gspn keys add DIR --robots %s" % robot,
+        )
+    return keys
+
+
 def read_certificate(path: str) -> x509.Certificate:
     """The certificate in a file. :raises KeysError: there is none."""
     _require_library()

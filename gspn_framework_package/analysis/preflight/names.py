@@ -4,12 +4,13 @@ servers."""
 from __future__ import annotations
 
 import itertools
+from importlib.util import find_spec
 from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
 from gspn_framework_package.model.action import Action
 from gspn_framework_package.model.net import Transition
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import Plan, Transport
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
 """Called with (robot, place, action) to check whether the action's server answers; returns None if
@@ -39,6 +40,17 @@ class NameChecks:
         self._look_at_idle_places()
         self._look_at_decision_places()
         self._look_at_times()
+        self._look_at_transport()
+
+    def _look_at_transport(self) -> None:
+        """Report a library that the robots need and this machine does not have."""
+        if self.plan.transport is Transport.ZENOH and find_spec("zenoh") is None:
+            self._list.add(
+                "transport",
+                Severity.WARNING,
+                "the robots talk through Zenoh, and there is no Python library 'zenoh' here: "
+                "pip install eclipse-zenoh wherever one of them runs",
+            )
 
     def _look_at_actions(self) -> None:
         plan = self.plan

@@ -1,20 +1,25 @@
-"""A plan of two robots that meet, and its functions: each looks until the file ``open`` is there."""
+"""A plan of robots that meet, and its functions: each looks until the file ``open`` is there."""
 
-PLAN = {
-    "net": {
-        "places": [{"name": "Look", "tokens": 2}, {"name": "Wait"}, {"name": "Home"}],
-        "transitions": [{"name": "seen"}, {"name": "meet"}],
-        "arcs": [
-            {"from": "Look", "to": "seen"},
-            {"from": "seen", "to": "Wait"},
-            {"from": "Wait", "to": "meet", "weight": 2},
-            {"from": "meet", "to": "Home", "weight": 2},
-        ],
-    },
-    "actions": {"Look": "work.look", "Wait": None, "Home": None},
-    "robots": {"robot_1": "Look", "robot_2": "Look"},
-    "until": "Home >= 2",
-}
+
+def meeting_of(robots):
+    """The plan for so many robots."""
+    return {
+        "net": {
+            "places": [{"name": "Look", "tokens": robots}, {"name": "Wait"}, {"name": "Home"}],
+            "transitions": [{"name": "seen"}, {"name": "meet"}],
+            "arcs": [
+                {"from": "Look", "to": "seen"},
+                {"from": "seen", "to": "Wait"},
+                {"from": "Wait", "to": "meet", "weight": robots},
+                {"from": "meet", "to": "Home", "weight": robots},
+            ],
+        },
+        "actions": {"Look": "work.look", "Wait": None, "Home": None},
+        "robots": {"robot_%d" % n: "Look" for n in range(1, robots + 1)},
+        "until": "Home >= %d" % robots,
+    }
+
+
 WORK = """
 import os
 

@@ -13,7 +13,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, PlanError
-from gspn_framework_package.model.plan import Plan, RobotSpec, Timing
+from gspn_framework_package.model.plan import Plan, RobotSpec, Timing, Transport
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 PLANS = Path(__file__).parents[3] / "plans"
@@ -494,3 +494,14 @@ def test_the_example_plans_may_run(name):
 def test_the_fork_of_the_example_is_for_agents():
     assert check(read_plan(PLANS / "fork_join")).exit_code == 1
     assert check(read_plan(PLANS / "fork_join"), standalone=True).exit_code == 0
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_missing_zenoh_library_is_reported(monkeypatch, there):
+    known = object() if there else None
+    monkeypatch.setattr(
+        "gspn_framework_package.analysis.preflight.names.find_spec", lambda name: known
+    )
+    builder = NetBuilder().place("A", tokens=1).immediate("t", inputs="A", outputs="A")
+    found = severities(check(make_plan(builder, transport=Transport.ZENOH)), "transport")
+    assert found == ([] if there else [Severity.WARNING])

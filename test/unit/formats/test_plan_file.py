@@ -13,7 +13,13 @@ from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json, schema
 from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.model.plan import FailureKind, FailureRule, LostKind, Synchronisation
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    LostKind,
+    Synchronisation,
+    Transport,
+)
 from gspn_framework_package.model.policy import Policy
 
 PLANS = Path(__file__).resolve().parents[3] / "plans"
@@ -49,6 +55,7 @@ FULL: Dict[str, Any] = {
     },
     "resource_places": ["count"],
     "synchronisation": "partial",
+    "transport": "zenoh",
     "robots": [
         {"name": "red", "place": "P", "actions": {"Q": None}},
         {"name": "blue", "place": "P"},
@@ -92,6 +99,7 @@ def test_everything_that_a_plan_can_say_is_read(tmp_path: Path) -> None:
     assert isinstance(move_base, ServerAction) and move_base.outcomes == {"aborted": "stay"}
     assert plan.action("red", "Q") is None
     assert plan.synchronisation is Synchronisation.PARTIAL
+    assert plan.transport is Transport.ZENOH
     assert plan.failure_rule("P") == FailureRule(FailureKind.RETRY, 2, 0.5)
     assert plan.failure_rule("count").kind is FailureKind.STOP
     assert plan.timeout("Q") == 10
@@ -150,6 +158,7 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
         ("[" * 100000, "nested too deeply"),
         ({"actions": {}}, "'net' is a required property"),
         (changed(colour="red"), "'colour' was unexpected.*known here: .*synchronisation"),
+        (changed(transport="pigeon"), "transport: 'pigeon' is not one of"),
         (changed(synchronisation="some"), "synchronisation: 'some' is not one of"),
         (changed(net="gone.xml"), "gone.xml: cannot read it"),
         (changed(policy="gone.json"), "gone.json: cannot read it"),

@@ -1,6 +1,7 @@
 """The private parameters of a node."""
 
 import os
+from dataclasses import replace
 
 import pytest
 
@@ -8,7 +9,7 @@ pytest.importorskip("rospy")
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec, Transport
 from gspn_framework_package.ros.node_main import robot_of
 from gspn_framework_package.ros.options import launched_file, options_from
 from gspn_framework_package.team.patience import Patience
@@ -126,6 +127,19 @@ def test_a_file_is_looked_for_where_roslaunch_was_started_too(tmp_path, monkeypa
         ({"keys": "keys"}, "say nothing with the transport ros"),
     ],
 )
-def test_a_transport_that_makes_no_sense_is_refused(given, says):
+def test_a_transport_that_makes_no_sense_is_refused(plan, given, says):
     with pytest.raises(UsageError, match=says):
-        options_from({"plan": "p", **given})
+        options_from({"plan": "p", **given}).for_plan(plan)
+
+
+def test_a_robot_takes_the_transport_of_its_plan_unless_it_is_given_one(plan, tmp_path):
+    on_zenoh = replace(plan, transport=Transport.ZENOH)
+    with_router = options_from({"plan": "p", "router": "tcp/x:1", "keys": str(tmp_path)})
+    assert options_from({"plan": "p"}).for_plan(plan).transport == "ros"
+    assert with_router.for_plan(on_zenoh).transport == "zenoh"
+    assert with_router._replace(transport="zenoh").for_plan(plan).transport == "zenoh"
+    assert options_from({"plan": "p", "transport": "ros"}).for_plan(on_zenoh).transport == "ros"
+    with pytest.raises(UsageError, match="needs a router"):
+        options_from({"plan": "p"}).for_plan(on_zenoh)
+    with pytest.raises(UsageError, match="~keys"):
+        with_router._replace(keys="no/such/keys").for_plan(on_zenoh)

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from meeting import PLAN, WORK
+from meeting import WORK, meeting_of
 from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
@@ -16,7 +16,7 @@ from gspn_framework_package.cli.main import main
 def plan(tmp_path):
     folder = tmp_path / "meeting"
     folder.mkdir()
-    (folder / "plan.json").write_text(json.dumps(PLAN))
+    (folder / "plan.json").write_text(json.dumps(meeting_of(2)))
     (folder / "work.py").write_text(WORK)
     return folder
 

@@ -213,3 +213,11 @@ def test_wrong_use_is_named(tmp_path, capsys, words, message):
     assert main([folder if word == "DIR" else word for word in words]) == 2
     assert message in capsys.readouterr().err
     assert not os.path.exists(folder)
+
+
+def test_a_robot_finds_its_keys_in_its_folder_or_in_the_teams(team):
+    assert keys.keys_of_robot(team, "robot_1").folder == own(team, "robot_1")
+    assert keys.keys_of_robot(own(team, "robot_1"), "robot_1").member.name == "robot_1"
+    for folder, robot in ((own(team, "ann"), "ann"), (own(team, "robot_1"), "robot 2")):
+        with pytest.raises(KeysError, match="not of robot '%s'" % robot):
+            keys.keys_of_robot(folder, robot)

@@ -4,7 +4,19 @@ import { PlanForm } from "./property_panel.js";
 import { schemaField, wordOf } from "./schema_form.js";
 
 const SECTIONS = [
-  ["General", ["plan", "description", "synchronisation", "environment", "seed", "strict", "until"]],
+  [
+    "General",
+    [
+      "plan",
+      "description",
+      "synchronisation",
+      "transport",
+      "environment",
+      "seed",
+      "strict",
+      "until",
+    ],
+  ],
   ["Robots", ["robots", "spawn", "on_lost", "on_evict"]],
   ["Places and actions", ["actions", "resource_places", "on_failure", "timeout", "cancel_grace"]],
   ["Parameters", ["parameters"]],
