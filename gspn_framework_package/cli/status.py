@@ -63,7 +63,7 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
         for row in rows:
             print("  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip())
-        for line in data_lines(longest):
+        for line in [*data_lines(longest), *refusal_lines(of_run)]:
             print("  " + line)
     for namespace in sorted(n for n, status in statuses.items() if status is None):
         print("the node in %s does not answer" % namespace)
@@ -92,6 +92,16 @@ def data_lines(status: Dict[str, Any]) -> List[str]:
         lines.append("queue %s: %s%s" % (place, ids or "no task", more))
     lines += ["%s: task %s waits outside" % tuple(waits) for waits in told.get("waiting", [])]
     return lines
+
+
+def refusal_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
+    """What the robots refused of whom, a line for each kind."""
+    return [
+        "%s refused %d of %s: %s"
+        % (status["robot"], kind["times"], kind["robot"] or "somebody", kind["why"])
+        for status in sorted(statuses, key=lambda status: str(status["robot"]))
+        for kind in status.get("refused", ())
+    ]
 
 
 def _row(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> Sequence[str]:

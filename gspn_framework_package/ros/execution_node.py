@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Callable, Dict, List, Optional
 
 from gspn_framework_package.model.plan import Plan, Synchronisation, Transport
+from gspn_framework_package.ros.entrance import Entrance
 from gspn_framework_package.ros.event_sources import EventSources
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.node_services import NodeServices
@@ -49,9 +50,10 @@ class ExecutionNode:
             host.attempt_progress,
             host.warn,
         )
-        services = NodeServices(host, namespace)
+        entrance = Entrance(options.transport != Transport.ZENOH.value)
+        services = NodeServices(host, namespace, entrance)
         host.connect(
-            _carrier(host, plan, namespace, options, services.uri),
+            _carrier(host, plan, namespace, options, services.uri, entrance),
             self._actions,
             [services.close],
         )
@@ -100,7 +102,12 @@ class ExecutionNode:
 
 
 def _carrier(
-    host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions, service_uri: str
+    host: ReplicaHost,
+    plan: Plan,
+    namespace: str,
+    options: NodeOptions,
+    service_uri: str,
+    entrance: Entrance,
 ) -> Carrier:
     if options.transport == Transport.ZENOH.value:
         # imported here, since a team on ROS needs none of its libraries
@@ -109,6 +116,6 @@ def _carrier(
         return zenoh_transport(host, plan, namespace, options)
     kind = TopicLink if plan.synchronisation is Synchronisation.FULL else ServiceLink
     quiet = 3 * host.heartbeat
-    link = kind(host.robot, options.run, namespace, host.receive, host.serve, quiet)
+    link = kind(host.robot, options.run, namespace, host.receive, host.serve, quiet, entrance)
     link.serve_at(service_uri)
     return link

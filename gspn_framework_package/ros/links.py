@@ -20,6 +20,7 @@ from gspn_framework_package.execution.agreement.interface import (
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.msg import Agreement
+from gspn_framework_package.ros.entrance import Entrance
 from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
@@ -31,7 +32,7 @@ from gspn_framework_package.srv import (
     SetPlace,
     SetPlaceRequest,
 )
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.carrier import NotTaken
 
 TOPIC = "/gspn_agreement"
 
@@ -92,6 +93,7 @@ class Link(RosFacts):
         threads.
     :param quiet: seconds without a message from a robot on its topics after which its services are
         called as well.
+    :param entrance: checks what other nodes send.
 
     :ivar sent: how many messages this robot has sent; a message to several robots counts once.
     """
@@ -104,8 +106,10 @@ class Link(RosFacts):
         received: Callable[[Message], None],
         serve: Serve,
         quiet: float,
+        entrance: Entrance,
     ) -> None:
         super().__init__(namespace)
+        self._entrance = entrance
         self.robot, self.run = robot, run
         self._namespace = namespace
         self._received = received
@@ -128,6 +132,10 @@ class Link(RosFacts):
     def send(self, sends: List[Send]) -> None:
         """Send messages to the robots that they name."""
         raise NotImplementedError
+
+    def refusals(self) -> List[NotTaken]:
+        """See :class:`Carrier`."""
+        return self._entrance.refusals()
 
     def close(self) -> None:
         """End the threads of the calls, and unregister from the topic."""
@@ -179,12 +187,13 @@ class Link(RosFacts):
             return
         if news._connection_header.get("callerid") == self._node:
             return  # our own, or from a robot in this process, which has passed it on directly
+        message = self._entrance.read(news.body, news._connection_header, news.sender)
+        if message is None:
+            return
         if news.sender != self.robot:
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
             self._heard[news.sender] = time.monotonic()
-        message = json_object(news.body)
-        if message is not None:
-            self._received(message)
+        self._received(message)
 
     def _call_quiet(self, to: str, message: Message) -> None:
         """Call the services of robots that are quiet on their topics. After a partition, TCP waits
@@ -208,12 +217,14 @@ class Link(RosFacts):
             rospy.names.ns_join(peer.namespace, service),
             service_class,
             request(self.robot, body),
-            self._answered,
+            lambda response: self._answered(name, response),
         )
 
-    def _answered(self, response: genpy.Message) -> None:
-        message = json_object(response.agreement)
-        if message:
+    def _answered(self, name: str, response: genpy.Message) -> None:
+        if not response.agreement:
+            return  # it has nothing to say
+        message = self._entrance.read(response.agreement, response._connection_header, name)
+        if message is not None:
             self._received(message)
 
 
@@ -234,8 +245,9 @@ class TopicLink(Link):
         received: Callable[[Message], None],
         serve: Serve,
         quiet: float,
+        entrance: Entrance,
     ) -> None:
-        super().__init__(robot, run, namespace, received, serve, quiet)
+        super().__init__(robot, run, namespace, received, serve, quiet, entrance)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
         self._inbox = rospy.Subscriber(

@@ -7,11 +7,13 @@ import json
 import queue
 from typing import Iterator
 
+import genpy
 import rospy
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.ros.entrance import Entrance
 from gspn_framework_package.srv import (
     Command,
     CommandRequest,
@@ -28,7 +30,6 @@ from gspn_framework_package.srv import (
 )
 from gspn_framework_package.team.carrier import OperatorRequest, marking_fields
 from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask
-from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.worker import Worker
 
 
@@ -44,10 +45,12 @@ class NodeServices:
 
     :param worker: the host of the robot.
     :param namespace: absolute namespace of the robot.
+    :param entrance: checks the messages of peers.
     """
 
-    def __init__(self, worker: Worker, namespace: str) -> None:
+    def __init__(self, worker: Worker, namespace: str, entrance: Entrance) -> None:
         self._worker = worker
+        self._entrance = entrance
         self._commands = Commands(worker)
         self._services = [
             rospy.Service(rospy.names.ns_join(namespace, name), service, handler)
@@ -75,13 +78,13 @@ class NodeServices:
 
     def _get_place(self, request: GetPlaceRequest) -> GetPlaceResponse:
         if request.agreement:
-            return GetPlaceResponse(agreement=self._protocol(request.agreement))
+            return GetPlaceResponse(agreement=self._protocol(request, request.from_robot))
         state = self._get_state_now()
         return GetPlaceResponse(state.robot, state.place, state.incarnation, state.visit, "")
 
     def _get_state(self, request: GetStateRequest) -> GetStateResponse:
         if request.agreement:
-            return GetStateResponse(agreement=self._protocol(request.agreement))
+            return GetStateResponse(agreement=self._protocol(request, request.from_robot))
         return self._get_state_now()
 
     def _get_state_now(self) -> GetStateResponse:
@@ -107,7 +110,7 @@ class NodeServices:
 
     def _set_place(self, request: SetPlaceRequest) -> SetPlaceResponse:
         if request.agreement:
-            return SetPlaceResponse(True, "", self._protocol(request.agreement))
+            return SetPlaceResponse(True, "", self._protocol(request))
         other = self._commands.other_run(request.run)
         if other:
             return SetPlaceResponse(False, other, "")
@@ -124,8 +127,12 @@ class NodeServices:
 
     # -- through the worker ------------------------------------------------------------------------
 
-    def _protocol(self, body: str) -> str:
-        message = json_object(body)
+    def _protocol(self, request: genpy.Message, claimed: str = "") -> str:
+        """The reply to a peer's call.
+
+        :param claimed: the robot that is said to call, if the request says so.
+        """
+        message = self._entrance.read(request.agreement, request._connection_header, claimed)
         if message is None:
             return ""
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()

@@ -8,7 +8,7 @@ from gspn_framework_package.execution.agreement.interface import Send
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.options import NodeOptions
-from gspn_framework_package.team.carrier import Carrier
+from gspn_framework_package.team.carrier import Carrier, NotTaken
 from gspn_framework_package.team.host import ReplicaHost
 from gspn_framework_package.team.keys import keys_of_robot
 from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
@@ -48,6 +48,10 @@ class ToldOnRos(RosFacts):
         """See :class:`Carrier`."""
         super().tell_activity(activity)
         self._carrier.tell_activity(activity)
+
+    def refusals(self) -> List[NotTaken]:
+        """See :class:`Carrier`."""
+        return self._carrier.refusals()
 
     def close(self) -> None:
         """See :class:`Carrier`."""

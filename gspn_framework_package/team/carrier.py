@@ -38,6 +38,15 @@ class OperatorAnswer(NamedTuple):
     """For ``status``, a JSON object; else a sentence."""
 
 
+class NotTaken(NamedTuple):
+    """What came in and was not taken: from whom, why, and how often."""
+
+    robot: str
+    """The robot or operator that it came from, as far as the carrier knows."""
+    why: str
+    times: int
+
+
 class Handlers(NamedTuple):
     """What a carrier calls, from any thread."""
 
@@ -74,6 +83,9 @@ class Carrier(Protocol):
 
         :param activity: a JSON object.
         """
+
+    def refusals(self) -> List[NotTaken]:
+        """What came in so far and was not taken."""
 
     def close(self) -> None:
         """Send nothing more, and release everything."""

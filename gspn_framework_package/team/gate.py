@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import threading
-from typing import Any, Dict, List, NamedTuple, NoReturn, Optional, Tuple, Union
+from typing import Any, Dict, List, NoReturn, Optional, Tuple, Union
 
 from gspn_framework_package.execution.agreement.interface import Message
-from gspn_framework_package.team.carrier import sender_of
+from gspn_framework_package.team.carrier import NotTaken, sender_of
+
+LARGEST_MESSAGE = 4 * 1024 * 1024
+"""Bytes of a message; larger ones are dropped. A robot that missed a thousand slots is taught in
+messages far smaller than this."""
 
 FASTEST = 3000.0
 """Messages a second that are taken from one robot. A leader at its fastest sends fewer. One that
@@ -19,14 +23,6 @@ BURST = 3000.0
 _MOST_SENDERS = 1000
 _MOST_REASONS = 1000
 _LONGEST_NUMBER = 30
-
-
-class NotTaken(NamedTuple):
-    """What was not taken: from which robot, why, and how often."""
-
-    robot: str
-    why: str
-    times: int
 
 
 class MessageGate:

@@ -145,7 +145,7 @@ class ReplicaHost(Worker):
         :param others: what else to call at the end.
         """
         self._carrier, self._actions, self._others = carrier, actions, others
-        self._report = SelfReport(self.robot, self.run, self._replica, actions)
+        self._report = SelfReport(self.robot, self.run, self._replica, actions, carrier.refusals)
         self._events.subscribe()
 
     @property

@@ -116,6 +116,6 @@ class Narrator:
 
 
 def level_of(needs_operator: bool, waits: bool) -> int:
-    """The level of a diagnosis: 0 if all is well, 1 if the robot waits or another one is lost,
-    2 if it needs the operator."""
+    """The level of a diagnosis: 0 if all is well, 1 if the robot waits, another one is lost or
+    messages were refused, 2 if it needs the operator."""
     return 2 if needs_operator else 1 if waits else 0

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Sequence
+from typing import Any, Callable, Dict, List, Sequence
 
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import told_phase
 from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.team.carrier import NotTaken
 from gspn_framework_package.team.narrator import Diagnosis, level_of
 from gspn_framework_package.team.sides import ActionSide
 from gspn_framework_package.team.worker import View
+
+MOST_REFUSALS = 20
+"""Kinds of refused messages that are told apart, the most frequent ones."""
 
 
 class SelfReport:
@@ -21,11 +25,21 @@ class SelfReport:
     :param run: name of the run.
     :param replica: its replica.
     :param actions: its action side.
+    :param refusals: says what its carrier did not take.
     """
 
-    def __init__(self, robot: str, run: str, replica: Replica, actions: ActionSide) -> None:
+    def __init__(
+        self,
+        robot: str,
+        run: str,
+        replica: Replica,
+        actions: ActionSide,
+        refusals: Callable[[], List[NotTaken]],
+    ) -> None:
         self._robot, self._run = robot, run
         self._replica, self._actions = replica, actions
+        self._refusals = refusals
+        self._refused_before = 0
 
     @property
     def _net(self) -> Net:
@@ -66,6 +80,7 @@ class SelfReport:
             fault=self._is_faulty(),
             waits_for=self.waits_for(),
             needs_operator=self.needs_operator(),
+            refused=self._refused_as_json(),
         )
         if data:
             brief = data == "brief"
@@ -94,6 +109,16 @@ class SelfReport:
             return True
         return robot is not None and state.ended is None and robot.phase.told.needs_operator
 
+    def refused(self) -> List[NotTaken]:
+        """What came in and was not taken, by the carrier or by the replica, the most frequent kinds
+        first."""
+        there = [*self._refusals()]
+        there += [NotTaken(*kind, times) for kind, times in self._replica.complaints.items()]
+        return sorted(there, key=lambda kind: (-kind.times, kind.robot, kind.why))
+
+    def _refused_as_json(self) -> List[Dict[str, Any]]:
+        return [kind._asdict() for kind in self.refused()[:MOST_REFUSALS]]
+
     def _is_faulty(self) -> bool:
         return self._replica.ledger.state.fault or self._replica.halted is not None
 
@@ -119,6 +144,7 @@ class SelfReport:
             "ended": state.ended,
             "finished": state.finished,
             "fault": self._is_faulty(),
+            "refused": self._refused_as_json(),
         }
 
     def diagnosis(self) -> Diagnosis:
@@ -130,6 +156,12 @@ class SelfReport:
         status = self._replica.status()
         if status["ended"] is not None:
             message += ", the run is over: " + status["ended"]
+        refused = self.refused()
+        count = sum(kind.times for kind in refused)
+        news, self._refused_before = count > self._refused_before, count
+        if news:
+            senders = sorted({kind.robot or "somebody" for kind in refused})
+            message += "; refuses messages of %s" % ", ".join(senders[:3])
         lost = sorted(
             robot.name
             for robot in self._replica.ledger.state.robots.values()
@@ -147,8 +179,11 @@ class SelfReport:
             "waits for": waits_for,
             "quorum": status["quorum"],
             "lost robots": ", ".join(lost),
+            "refused messages": count,
         }
+        for kind in refused[:MOST_REFUSALS]:
+            values["refused from %s: %s" % (kind.robot or "somebody", kind.why)] = kind.times
         for robot in status["robots"]:
             if robot["robot"] != self._robot:
                 values["last contact with " + robot["robot"]] = robot["last_contact"]
-        return level_of(self.needs_operator(), bool(waits_for or lost)), message, values
+        return level_of(self.needs_operator(), bool(waits_for or lost or news)), message, values

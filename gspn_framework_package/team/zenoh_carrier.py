@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING, Any, Dict, List
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.worker_pool import WorkerPool
-from gspn_framework_package.team.carrier import Handlers, OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.gate import MessageGate, NotTaken, json_object
+from gspn_framework_package.team.carrier import (
+    Handlers,
+    NotTaken,
+    OperatorAnswer,
+    OperatorRequest,
+)
+from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
 from gspn_framework_package.team.zenoh_session import (
-    LARGEST_MESSAGE,
     TeamAccess,
     key_of,
     names_in,
@@ -113,7 +117,7 @@ class ZenohCarrier:
         self._session.close()
 
     def refusals(self) -> List[NotTaken]:
-        """What came in and was not taken, for the diagnostics."""
+        """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         return self._gate.refusals()
 
     def _put(self, body: bytes, *rest: str) -> None:

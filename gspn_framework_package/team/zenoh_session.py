@@ -22,14 +22,11 @@ from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Sequenc
 from urllib.parse import quote, unquote
 
 from gspn_framework_package.model.errors import ExecutionError, UsageError
+from gspn_framework_package.team.gate import LARGEST_MESSAGE
 from gspn_framework_package.team.keys import KeyFolder, KeyHolder
 
 if TYPE_CHECKING:
     import zenoh
-
-LARGEST_MESSAGE = 4 * 1024 * 1024
-"""Bytes of a message; larger ones are dropped. A robot that missed a thousand slots is taught in
-messages far smaller than this."""
 
 _ROOT = "gspn"
 _SENDS = ["put", "reply", "declare_queryable"]

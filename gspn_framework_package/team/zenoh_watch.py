@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING, Any, Callable, Dict, NamedTuple
 
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.gate import LARGEST_MESSAGE, json_object
 from gspn_framework_package.team.zenoh_session import (
-    LARGEST_MESSAGE,
     TeamAccess,
     key_of,
     names_in,

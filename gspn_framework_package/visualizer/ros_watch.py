@@ -297,6 +297,7 @@ class RosWatch(Activity):
             visit=activity.get("visit"),
             attempt=activity.get("attempt"),
             why=waits,
+            refused=activity.get("refused") or None,
         )
         feedback = activity.get("feedback")
         if feedback and phase is Phase.DOING:

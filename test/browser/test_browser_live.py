@@ -184,10 +184,15 @@ def test_a_lost_robot_and_a_stalled_plan_are_seen_at_a_glance(told, open_page, p
     assert page.inner_text("dialog .whole").count("no ") > 390
 
 
-def test_feedback_and_the_room_are_shown(told, open_page, picture):
+def test_feedback_what_was_refused_and_the_room_are_shown(told, open_page, picture):
     page = open_page(told.address)
     told.told.hub.set_latest("feedback", {"robot_1": "feedback: 7"})
     page.wait_for_selector(".robot-card:has-text('feedback: 7')")
+    refused = [{"robot": "robot_4", "why": "too large", "times": 3}]
+    told.told.hub.publish(
+        {"k": "robots", "r": [{"name": "robot_1", "refused": refused}], "gone": []}
+    )
+    page.wait_for_selector(".robot-card:has-text('refused: 3 of robot_4 (too large)')")
     assert page.is_hidden("#room")
     locations = {"L1": {"area": [[1, 1], [3, 3]], "entry": [1, 1, 0], "sweep": [], "bay": []}}
     room = {

@@ -36,6 +36,12 @@ RIVAL = 4
 """Heartbeats for which a robot whose place another log has taken listens for a second process of
 its name, before it wants its place back."""
 
+MOST_COMPLAINTS = 100
+"""Kinds of messages that were not understood, which are counted apart."""
+
+OTHERS = ("others", "not understood")
+"""As what further kinds are counted."""
+
 LINGER = 20
 """Heartbeats for which a leaving robot waits for a quorum of the others to hear of it."""
 
@@ -620,10 +626,15 @@ class Membership:
             self.outbox.fault("%s (run '%s'); it is not let in" % (what, self.config.run))
 
     def refuse_message(self, data: object, why: str) -> None:
-        """Report once for each sender that we do not understand it."""
+        """Count a message that we do not understand, and report the first of each sender."""
         complaints = self.state.complaints
         sender = data.get("from") if isinstance(data, dict) else None
         sender = sender[:100] if isinstance(sender, str) else "somebody"
-        if sender != self.config.name and len(complaints) < 100 and (sender, why) not in complaints:
-            complaints.add((sender, why))
-            self.outbox.fault("a message of %s is not understood: %s" % (sender, why))
+        if sender == self.config.name:
+            return
+        if (sender, why) not in complaints:
+            if len(complaints) >= MOST_COMPLAINTS:
+                sender, why = OTHERS
+            else:
+                self.outbox.fault("a message of %s is not understood: %s" % (sender, why))
+        complaints[sender, why] = complaints.get((sender, why), 0) + 1

@@ -10,7 +10,7 @@ Protocol, assumptions and a sketch of the proof are in ``docs/agreement.md``.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.agreement import interface, messages
 from gspn_framework_package.execution.agreement.config import Config, Pace, ProtocolLimits
@@ -291,6 +291,11 @@ class Replica:
     def pace(self) -> Pace:
         """The times of the protocol."""
         return self.config.pace
+
+    @property
+    def complaints(self) -> Mapping[Tuple[str, str], int]:
+        """Messages that were not understood: (sender, why) -> how many came."""
+        return self.state.complaints
 
     def members(self) -> List[str]:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""

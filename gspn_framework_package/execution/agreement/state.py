@@ -154,8 +154,8 @@ class ReplicaState:
     """Robots whose log differs from ours, with a slot before which it does."""
     strangers: Set[str] = _owned("membership", make=set)
     """Robots of another plan or first team that were named already."""
-    complaints: Set[Tuple[str, str]] = _owned("membership", make=set)
-    """Messages that were not understood and named already: (sender, why)."""
+    complaints: Dict[Tuple[str, str], int] = _owned("membership", make=dict)
+    """Messages that were not understood, and named once: (sender, why) -> how many came."""
     listen_until: float = _owned("membership", 0.0)
     """Before that a fresh robot does not take part, since somebody may know its name (s); 0:
     over."""

@@ -68,6 +68,9 @@ def test_an_order_of_the_page_says_it_too(master):
         watch.command("stop", {})
 
 
+REFUSED = [{"robot": "robot_4", "why": "too large", "times": 3}]
+
+
 class Watched:
     """The page of a team whose answers the test gives."""
 
@@ -177,6 +180,7 @@ def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
             "ended": None,
             "visit": 1,
             "attempt": 1,
+            "refused": REFUSED,
         }
         page.watch._on_activity(("/robot_1", type("Message", (), {"data": json.dumps(said)})))
         return next(
@@ -191,6 +195,7 @@ def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
     assert tell("Doing", False) == "doing"
     assert tell("Waiting", False) == "done"
     assert tell("Lost", True) == "lost"
+    assert page.hub.board().robots["robot_1"]["refused"] == REFUSED
 
 
 def deployed_to(plan):

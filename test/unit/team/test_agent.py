@@ -77,7 +77,7 @@ class Wire:
 
     def __init__(self):
         self.carriers = {}
-        self.firings, self.activities = [], []
+        self.firings, self.activities, self.refused = [], [], []
 
     def carrier(self, host):
         self.carriers[host.robot] = carrier = InMemory(self, host)
@@ -97,6 +97,9 @@ class InMemory:
 
     def is_watched(self):
         return True
+
+    def refusals(self):
+        return self.wire.refused
 
     def tell_firing(self, fields):
         self.wire.firings.append(json.loads(json.dumps(fields)))

@@ -23,7 +23,7 @@ def report(phase, halted=None, ended=None, why="", stuck=False):
         is_stuck=lambda: stuck,
     )
     actions = SimpleNamespace(doing=lambda: "waits for the action server /operator/alarm")
-    return SelfReport("robot_1", "run", replica, actions)
+    return SelfReport("robot_1", "run", replica, actions, list)
 
 
 @pytest.mark.parametrize("phase", [Phase.DOING, Phase.DONE, Phase.INACTIVE, Phase.LEFT])

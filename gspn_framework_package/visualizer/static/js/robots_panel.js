@@ -57,10 +57,20 @@ export function robotCard(model, robot, buttons = []) {
       ? h("div", { class: "held", text: "halts at a breakpoint, until it is resumed" })
       : null,
     robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
+    robot.refused ? h("div", { class: "why", text: refusedText(robot.refused) }) : null,
     feedback ? h("div", { class: "feedback", text: feedback }) : null,
     extras.length > 0 && h("div", { class: "extras" }, extras),
     buttons.length > 0 && h("div", { class: "buttons" }, buttons),
   );
+}
+
+/** What a robot did not take, the most frequent kinds. */
+function refusedText(refused) {
+  const kinds = refused.slice(0, 3).map((kind) => {
+    const sender = kind.robot || "somebody";
+    return `${kind.times} of ${sender} (${kind.why})`;
+  });
+  return `refused: ${kinds.join(", ")}${refused.length > 3 ? " …" : ""}`;
 }
 
 function feedbackOf(model, robot) {
@@ -172,6 +182,7 @@ export class RobotsPanel {
       robot.paused,
       robot.attempt,
       robot.why,
+      robot.refused,
       robot.task,
       robot.held,
       model.info.breakpoints,

@@ -1,0 +1,103 @@
+"""The carrier on ROS topics and services, with a ROS that only keeps what was published."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rospy")
+
+import rospy
+
+from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
+from gspn_framework_package.msg import Agreement
+from gspn_framework_package.ros import facts, links
+from gspn_framework_package.ros.entrance import Entrance
+
+OTHER = {"callerid": "/robot_2/executor"}
+
+
+class Topic:
+    """A publisher to which one other node is connected, and a subscriber."""
+
+    def __init__(self, name, kind, callback=None, **options):
+        self.name, self.callback, self.sent = name, callback, []
+        self.impl = SimpleNamespace(connections=[SimpleNamespace(endpoint_id="/other")])
+
+    def publish(self, message):
+        self.sent.append(message)
+
+    def get_num_connections(self):
+        return 1
+
+    def unregister(self):
+        pass
+
+
+@pytest.fixture
+def make(monkeypatch):
+    monkeypatch.setattr(links.rospy, "Subscriber", Topic)
+    monkeypatch.setattr(facts.rospy, "Publisher", Topic)
+    monkeypatch.setattr(links, "eager_publisher", Topic)
+    monkeypatch.setattr(facts, "eager_publisher", Topic)
+    monkeypatch.setattr(links.rospy, "get_rostime", rospy.Time)
+    made = []
+
+    def make(robot, run="run", **options):
+        # each as in a process of its own
+        monkeypatch.setattr(links, "_NEIGHBOURS", links._Neighbours())
+        monkeypatch.setattr(links.rospy, "get_name", lambda: "/%s/executor" % robot)
+        got = []
+        link = links.TopicLink(robot, run, "/" + robot, got.append, None, 5.0, Entrance(**options))
+        link.got = got
+        made.append(link)
+        return link
+
+    yield make
+    for link in made:
+        link._calls.close()
+
+
+def came(news, connection=OTHER):
+    """A message as it comes in from another node."""
+    copy = Agreement(*(getattr(news, name) for name in Agreement.__slots__))
+    copy._connection_header = connection
+    return copy
+
+
+def said(link, to=EVERYBODY, **fields):
+    """The message that a robot publishes."""
+    link.send([Send(to, {"from": link.robot, "kind": "hello", **fields})])
+    return link._publisher.sent[-1]
+
+
+def test_a_message_reaches_the_robots_of_the_run(make):
+    one, two, stranger = make("robot_1"), make("robot_2"), make("robot_2", run="another")
+    one._on_message(came(said(two, number=1)))
+    one._on_message(came(said(stranger, number=2)))
+    assert [message["number"] for message in one.got] == [1]
+    assert not one.refusals()
+
+
+def test_a_forged_message_is_dropped_and_its_sender_not_believed(make):
+    one, two = make("robot_1"), make("robot_2")
+    forged = came(said(two), {"callerid": "/thief"})
+    forged.sender, forged.service_uri = "robot_3", "rosrpc://thief:1"
+    one._on_message(forged)
+    assert one.got == [] and one._peers == {}
+    (kind,) = one.refusals()
+    assert (kind.robot, kind.why) == (
+        "robot_3 (node /thief)",
+        "in the name of another robot",
+    )
+
+
+def test_an_answer_is_taken_from_the_robot_that_was_asked(make):
+    one = make("robot_1")
+    body = json.dumps({"from": "robot_2", "kind": "promise"})
+    response = SimpleNamespace(agreement=body, _connection_header=OTHER)
+    one._answered("robot_3", response)
+    one._answered("robot_3", SimpleNamespace(agreement="", _connection_header=OTHER))
+    assert one.got == [] and [kind.times for kind in one.refusals()] == [1]
+    one._answered("robot_2", response)
+    assert one.got == [json.loads(body)]
