@@ -19,7 +19,6 @@ from gspn_framework_package.execution.breakpoints import (
     Breakpoints,
     read_names,
 )
-from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import StagedPlan
@@ -44,6 +43,9 @@ from gspn_framework_package.team.worker import Answer, View, Worker
 
 FAREWELL = 2.0
 """Seconds that a host keeps running after the end of the run, so that the others hear of it."""
+
+MOST_AT_ONCE = 64
+"""Calls in a row, before timers are looked at."""
 
 BREAKPOINTS_PERIOD = 0.5
 """Seconds between two looks at the file with the breakpoints."""
@@ -96,6 +98,7 @@ class ReplicaHost(Worker):
         self._stay = options.stay
         self._witness = robot in plan.witness  # votes, but has no token and runs no actions
         self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._inputs: List[interface.Input] = []  # the replica takes them before the next wait
         self._numbers = itertools.count(1)
         self._answers: Dict[str, Callable[[Any], None]] = {}
         self._wake_at = 0.0
@@ -204,7 +207,12 @@ class ReplicaHost(Worker):
     def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
         """See :class:`Worker`."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        self.enqueue(lambda: answers.put(question()))
+
+        def look() -> None:
+            self._take_inputs()
+            answers.put(question())
+
+        self.enqueue(look)
         return answers.get(timeout=timeout)
 
     def receive(self, message: interface.Message) -> None:
@@ -258,16 +266,23 @@ class ReplicaHost(Worker):
         action_due = self._actions.poll(now)
         if action_due is not None and action_due <= now + LOOK_AGAIN:
             self._narrator.note_change()  # the action side waits for something
+        self._take_inputs()
         told = self._narrator.poll(now, self._carrier, self._activity, self._report.diagnosis)
         due = min(self._wake_at, told)
         if action_due is not None:
             due = min(due, action_due)
-        try:
-            function, arguments = self._tasks.get(timeout=max(0.0, due - time.monotonic()))
-        except queue.Empty:
-            return
-        function(*arguments)
-        self._narrator.note_change()
+        timeout = max(0.0, due - time.monotonic())
+        for _ in range(MOST_AT_ONCE):
+            try:
+                function, arguments = self._tasks.get(timeout > 0, timeout)
+            except queue.Empty:
+                break
+            function(*arguments)
+            self._narrator.note_change()
+            if not self._running:
+                break
+            timeout = 0.0  # the rest: only what waits already
+        self._take_inputs()
 
     def _look_at_breakpoints(self) -> None:
         """Halt at other places and transitions if the file with the breakpoints has changed."""
@@ -291,7 +306,15 @@ class ReplicaHost(Worker):
         self._log.lock.close()
 
     def _step(self, given: interface.Input) -> None:
-        self._carry_out(self._replica.step(given, time.monotonic()))
+        """Have the replica take an input, together with those that come at the same time."""
+        self._inputs.append(given)
+
+    def _take_inputs(self) -> None:
+        """Have the replica take the inputs that wait."""
+        if not self._inputs:
+            return
+        inputs, self._inputs = self._inputs, []
+        self._carry_out(self._replica.step_all(inputs, time.monotonic()))
         if self._replica.visit != self._visit:
             self._visit = self._replica.visit
             self._events.visit_began()
@@ -329,30 +352,19 @@ class ReplicaHost(Worker):
     # -- effects of the replica --------------------------------------------------------------------
 
     def _carry_out(self, effects: List[interface.Effect]) -> None:
-        """Carry out effects in order; records are written before any later effect leaves the
-        process."""
-        records: List[Record] = []
-        durable = False
-        sends: List[interface.Send] = []
-        for effect in effects:
-            if isinstance(effect, interface.Persist):
-                if sends:
-                    self._carrier.send(sends)
-                    sends = []
-                records.append(effect.record)
-                durable = durable or effect.durable
-                continue
-            if records:
-                self._log.writer.append(*records, durable=durable)
-                records, durable = [], False
-            if isinstance(effect, interface.Send):
-                sends.append(effect)
-            else:
-                self._effects[type(effect)](self, effect)
+        """Carry out the effects of a step. All records are written at once, before anything leaves
+        the process; then the messages go out together, because others wait for them."""
+        records = [e for e in effects if isinstance(e, interface.Persist)]
         if records:
-            self._log.writer.append(*records, durable=durable)
+            durable = any(e.durable for e in records)
+            self._log.writer.append(*(e.record for e in records), durable=durable)
+        sends = [e for e in effects if isinstance(e, interface.Send)]
         if sends:
             self._carrier.send(sends)
+        for effect in effects:
+            carry_out = self._effects.get(type(effect))
+            if carry_out is not None:
+                carry_out(self, effect)
 
     def _reply(self, effect: interface.Reply) -> None:
         answer = self._answers.pop(effect.request_id, None)

@@ -38,6 +38,7 @@ class Narrator:
         self._told: Dict[str, Any] = {}
         self._changed = True
         self._activity_at = 0.0
+        self._watched, self._look_at = False, 0.0
         self._diagnosis_at = 0.0
         self._reason = ""
         self._reason_since = 0.0
@@ -86,7 +87,10 @@ class Narrator:
         :param activity: returns what the robot does, a JSON object.
         :param diagnosis: returns how the robot is.
         """
-        period = ACTIVITY_PERIOD if carrier.is_watched() else UNHEARD_PERIOD
+        if now >= self._look_at:
+            self._look_at = now + ACTIVITY_PERIOD
+            self._watched = carrier.is_watched()
+        period = ACTIVITY_PERIOD if self._watched else UNHEARD_PERIOD
         self._activity_at = min(self._activity_at, now + period)
         if self._changed and now >= self._activity_at:
             self._changed = False

@@ -31,6 +31,12 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.chance import uniform
 from gspn_framework_package.execution.team_state import POLICY
 
+BUSY = 4.0
+"""A leader whose slots are at most this many round trips apart gathers proposals."""
+
+LONGEST_GATHER = 0.01
+"""Seconds that it waits for them at most. Where messages take longer, they cost little beside."""
+
 FLUSH_AT = 100
 """This many waiting local transitions are put into the log for their number alone."""
 
@@ -116,15 +122,43 @@ class Proposer:
         """We are the first of a team in which everybody is fresh."""
         self.consensus.lead_from_the_start(followers)
 
-    def lead_on(self, ballot: Ballot) -> bool:
+    def lead_on(self, ballot: Ballot, origins: Set[str]) -> bool:
         """Our attempt was chosen: if another batch waits, propose it under the same ballot at
-        once, which also informs the others; returns whether it did."""
-        self.state.gathers_until = self.state.now + self.config.pace.gather
-        if self.config.partial or self.config.pace.gather > 0:
+        once, which also informs the others; returns whether it did.
+
+        :param origins: the robots whose proposals were in the batch.
+        """
+        if self.config.partial:
+            return False
+        self._gather(origins)
+        if self.state.now < self.state.gathers_until and not self._gathered():
             return False
         self.consensus.propose(self.state.now)
         attempt = self.state.attempt
         return attempt is not None and attempt.ballot == ballot
+
+    def _gather(self, origins: Set[str]) -> None:
+        """As leader, wait a moment for the robots whose actions end together, since each slot costs
+        messages to and from everybody. While we decide one slot after the other, those of the last
+        two slots act at the same time: what they do next comes within a round trip."""
+        state, wait = self.state, 0.0
+        if state.now - state.decided_at <= BUSY * state.round_trip:
+            state.gathers = state.busy | origins
+            wait = min(2 * state.round_trip, LONGEST_GATHER) if len(state.gathers) > 1 else 0.0
+        else:
+            state.gathers = set()
+        state.busy, state.decided_at = origins, state.now
+        state.gathers_until = state.now + max(wait, self.config.pace.gather)
+
+    def _gathered(self) -> bool:
+        """Whether all that we gather waits, so that the time need not pass."""
+        state = self.state
+        if self.config.pace.gather > 0:
+            return False
+        return state.gathers <= {
+            self.config.name if state.own_proposals else "",
+            *state.others_proposals,
+        }
 
     # -- as time passes ----------------------------------------------------------------------------
 
@@ -178,7 +212,7 @@ class Proposer:
                 state.wait_until = None
                 consensus.propose(state.now, state.is_frozen() or self.proposals.has_control())
         elif consensus.leads():
-            if state.now >= state.gathers_until:
+            if state.now >= state.gathers_until or self._gathered():
                 consensus.propose(state.now)
         else:
             self._follow_leader()

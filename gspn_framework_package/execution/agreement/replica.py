@@ -146,19 +146,36 @@ class Replica:
 
         :param now: monotonic clock, s.
         """
+        return self.step_all((given,), now)
+
+    def step_all(self, given: Sequence[interface.Input], now: float) -> List[interface.Effect]:
+        """Take inputs that wait, one after the other; carry out the effects in order. What is due
+        is done once, after the last of them: proposals that came together go into one slot.
+
+        :param now: monotonic clock, s.
+        """
         state, before = self.state, self.state.now
         state.now = now
         if now - before > 4 * self.config.pace.heartbeat:
             self.membership.listen_anew()  # suspended, or starved: nobody's silence counts
-        if isinstance(given, interface.Received):
-            self.outbox.begin(given.request_id)
-        if state.halted is None:
-            self._take(given)
+        halted = False
+        for number, one in enumerate(given, 1):
+            halted = state.halted is not None
+            self._begin(one)
+            if number < len(given):
+                self.outbox.end()
+        if not halted:
             self._settle()
-        elif isinstance(given, (interface.Order, interface.ForceEvict)):
-            self.outbox.order_result(given.order_id, False, state.halted)
         self.outbox.end()
         return self.outbox.flush()
+
+    def _begin(self, given: interface.Input) -> None:
+        if isinstance(given, interface.Received):
+            self.outbox.begin(given.request_id)
+        if self.state.halted is None:
+            self._take(given)
+        elif isinstance(given, (interface.Order, interface.ForceEvict)):
+            self.outbox.order_result(given.order_id, False, self.state.halted)
 
     def _take(self, given: interface.Input) -> None:
         if isinstance(given, interface.Received):

@@ -65,8 +65,10 @@ class Replication:
         slot = self.state.ledger.length
         alone = mine and self.electorate.may_decide([self.config.name])
         self._commit(batch, ballot, mine=mine, alone=alone)
-        if mine and self.state.halted is None and not self.proposer.lead_on(ballot):
-            self._tell_chosen(slot, ballot, {origin[0] for _, origin, _ in batch}, alone)
+        if mine and self.state.halted is None:
+            origins = {origin[0] for _, origin, _ in batch}
+            if not self.proposer.lead_on(ballot, origins):
+                self._tell_chosen(slot, ballot, origins, alone)
 
     def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
         """Inform the others, except, in a small team, those whose proposals were in the batch:

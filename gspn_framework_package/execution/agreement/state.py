@@ -7,6 +7,7 @@ nothing.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple
 
@@ -204,6 +205,13 @@ class ReplicaState:
     """Before that we do not propose (s)."""
     gathers_until: float = _owned("proposer", 0.0)
     """Before that we do not propose as leader (s)."""
+    decided_at: float = _owned("proposer", -math.inf)
+    """When our last attempt was chosen (s)."""
+    busy: Set[str] = _owned("proposer", make=set)
+    """The robots whose proposals it decided; while we decide slot after slot, with those of the
+    slot before."""
+    gathers: Set[str] = _owned("proposer", make=set)
+    """The robots whose next proposals we gather as leader, until that time."""
     gave_way: bool = _owned("proposer", False)
     """In the open slot of partial synchronisation, to another's attempt."""
     defeats: int = _owned("proposer", 0)

@@ -519,6 +519,76 @@ def test_many_robots_that_want_the_next_slot_do_not_defeat_each_other() -> None:
     assert world.protocol_messages - messages < 18 * (len(world.published) - firings)
 
 
+@pytest.mark.parametrize("robots", [3, 5, 8])
+def test_a_busy_leader_has_robots_that_act_together_move_in_one_slot(robots: int) -> None:
+    delay = 0.001
+    world = Team(
+        make_plan(TOKENS, robots, False, 0.0, 0.0, False),
+        1,
+        Weather(delay, delay),
+        action_time=(delay / 10, delay / 5),
+    )
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(1.0)
+    slots, firings = world.nodes["r1"].replica.ledger.length, len(world.published)
+    world.run(1.5)
+    slots = world.nodes["r1"].replica.ledger.length - slots
+    assert len(world.published) - firings > 0.8 * robots * slots
+    assert slots > 0.8 * 0.5 / (3 * delay)  # to the leader, from it to the others, and their votes
+
+
+def test_a_leader_does_not_wait_for_robots_that_act_alone() -> None:
+    delay = 0.001
+    world = Team(
+        make_plan(TOKENS, 3, False, 0.0, 0.0, False),
+        1,
+        Weather(delay, delay),
+        action_time=(0.05, 0.2),
+    )
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(5.0)
+    disk = world.nodes["r1"].disk
+    assert disk is not None
+    invoked, waits = {}, []
+    for record in disk.records():
+        if record["kind"] == "invoked":
+            invoked[tuple(record["origin"])] = record["mono"]
+        for origin in record.get("origins", ()) if record["kind"] == "slot" else ():
+            if tuple(origin) in invoked:
+                waits.append(record["mono"] - invoked[tuple(origin)])
+    assert len(waits) > 20 and sorted(waits)[len(waits) // 2] < 2.5 * delay
+
+
+def test_inputs_that_wait_together_go_into_one_slot() -> None:
+    world = team(TOUR, 1)
+    world.run(1.0)
+    replica = world.nodes["r1"].replica
+    length = replica.ledger.length
+    orders = [
+        interface.Order("pause", log_entries.Pause()),
+        interface.Order("resume", log_entries.Resume()),
+    ]
+    effects = replica.step_all(orders, world.now)
+    assert replica.ledger.length == length + 1
+    answered = [e.order_id for e in effects if isinstance(e, interface.OrderResult) and e.ok]
+    assert answered == ["pause", "resume"]
+    assert sum(isinstance(e, interface.WakeAt) for e in effects) == 1
+
+
+def test_of_calls_that_wait_together_each_is_answered() -> None:
+    world = team(TOUR, 2)
+    world.run(1.0)
+    replica = world.nodes["r1"].replica
+    calls = [interface.Received({"kind": "nonsense"}, number) for number in ("one", "two")]
+    effects = replica.step_all(calls, world.now)
+    replies = [e for e in effects if isinstance(e, interface.Reply)]
+    assert replies == [interface.Reply("one", {}), interface.Reply("two", {})]
+
+
 def deciders(partial: bool) -> Plan:
     """One robot decides, one measures, two are at the gate. The policy lets them wait there: without
     a word of the gate while somebody decides, by an empty choice while somebody measures."""
