@@ -176,7 +176,7 @@ class Electorate:
         eviction: we shall learn that it joined again."""
         ledger = self.state.ledger
         slot = ledger.cast_out.get(robot, -1) if ledger.is_cast_out(robot) else -1
-        return self.state.peers.get(robot).evicted_at >= slot
+        return self.state.peers.get(robot).cast_out.get(robot, -1) >= slot
 
     # -- what may go into the log ------------------------------------------------------------------
 

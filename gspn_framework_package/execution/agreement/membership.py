@@ -5,8 +5,8 @@ Owns who we are (log id, incarnation, whether we are active, amnesic, fenced, le
 what is known of the others (peers, who is off, astray or a stranger, and for how long a fresh robot
 listens): the fields of membership in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and
-:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and
 evictions, makes the proposer give up its attempts and the local robot stop or act, and lets the log
+begin anew.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ class Membership:
         peer.met = True
         peer.active = hello.active
         peer.silent = frozenset(hello.silent)
-        peer.evicted_at = hello.cast_out.get(sender, -1)
+        peer.cast_out = hello.cast_out
         if hello.first and state.first_hash and hello.first != state.first_hash:
             self._refuse_stranger(sender, "%s has another first team" % sender)
             return
@@ -275,8 +275,8 @@ class Membership:
         seen = hello.greets.get(self.config.name)
         if seen is not None:
             self._hear_of_ourselves(sender, seen)
-        if self._is_given_up(hello.cast_out):
-            self.forget("it was given up in an eviction by force, as %s knows" % sender)
+        if self._ours_is_given_up(sender):
+            self._forget_given_up(sender)
         self.consider_active()
         # in a large team, answers to everybody's greetings would flood it: the next hello is
         # enough
@@ -287,26 +287,50 @@ class Membership:
             self.outbox.answer(message, self._hello())
         self._compare(message)
 
-    def _is_given_up(self, theirs: Dict[str, int]) -> bool:
-        """Whether another's log says that our log was given up in an eviction by force.
+    def _ours_is_given_up(self, other: str) -> bool:
+        """Whether another's log, as it last said hello, says that ours was given up."""
+        ledger, theirs = self.state.ledger, self.state.peers.get(other).cast_out
+        return self._is_given_up(self.config.name, ledger.cast_out, ledger.length, theirs)
+
+    def _theirs_is_given_up(self, other: str) -> bool:
+        """Whether our log says that another's was given up."""
+        peer = self.state.peers.get(other)
+        return self._is_given_up(other, peer.cast_out, peer.length, self.state.ledger.cast_out)
+
+    def _is_given_up(
+        self, owner: str, one: Dict[str, int], length: int, other: Dict[str, int]
+    ) -> bool:
+        """Whether one log was given up in an eviction by force that is in another one.
+
+        All that the eviction did not give up is in both logs. So a log that goes on past its slot
+        without it was given up, whoever was evicted: the robots that are off could decide alone
+        before they heard of it, and let others in.
 
         If two logs each say so of the other (operators contradicted each other), the one that
         evicts fewer is kept, else the one that does not evict the first robot. A log that a quorum
         went on with is always kept, because the other evicts all of that quorum.
+
+        :param owner: the robot whose log may be given up.
+        :param one: the evictions by force of that log: robot -> slot of the last.
+        :param length: the slots of that log.
+        :param other: the evictions by force of the other log.
         """
-        me, ledger = self.config.name, self.state.ledger
-        mine = ledger.cast_out
-        by_them = {robot for robot, slot in theirs.items() if slot > mine.get(robot, -1)}
-        by_us = {robot for robot, slot in mine.items() if slot > theirs.get(robot, -1)}
-        if not by_us:
-            return me in by_them and theirs[me] < ledger.length
-        if len(by_us) != len(by_them):
-            return len(by_us) > len(by_them) > 0
+        by_one = {robot for robot, slot in one.items() if slot > other.get(robot, -1)}
+        by_other = {robot for robot, slot in other.items() if slot > one.get(robot, -1)}
+        if not by_one:
+            # a robot that both evicted, earlier in the one: it is the other that went on with it
+            new = (robot for robot in by_other if robot == owner or robot not in one)
+            return any(other[robot] < length for robot in new)
+        if len(by_one) != len(by_other):
+            return len(by_one) > len(by_other) > 0
         team = [r.name for r in self.config.plan.robots]
         return (
-            min(by_us | by_them, key=lambda r: (team.index(r) if r in team else len(team), r))
-            in by_us
+            min(by_one | by_other, key=lambda r: (team.index(r) if r in team else len(team), r))
+            in by_one
         )
+
+    def _forget_given_up(self, sender: str) -> None:
+        self.forget("it was given up in an eviction by force, as %s knows" % sender)
 
     def _hear_of_ourselves(self, sender: str, seen: Seen) -> None:
         """What another remembers of us."""
@@ -374,6 +398,11 @@ class Membership:
         if not state.active:
             self.forget("it differs from that of %s" % other)
             return
+        if self._ours_is_given_up(other):
+            self._forget_given_up(other)
+            return
+        if self._theirs_is_given_up(other):
+            return  # it forgets, once it hears our hello
         if other not in state.astray:
             state.astray[other] = slot
             self.outbox.fault(

@@ -50,8 +50,8 @@ class Peer:
     answers."""
     met: bool = False
     """It said hello before."""
-    evicted_at: int = -1
-    """Slot of its own last eviction by force, as far as it knows."""
+    cast_out: Dict[str, int] = field(default_factory=dict)
+    """Robot -> slot of its last eviction by force, as its log had it when it last said hello."""
     life: Life = Life(-1, 0)
     before: Life = Life(-1, 0)
     """Its newest incarnation, and the one before, in that log."""

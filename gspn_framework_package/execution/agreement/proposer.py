@@ -235,7 +235,8 @@ class Proposer:
     def _ask_members(self) -> None:
         """We have no vote: let a member propose our proposals."""
         others = self.electorate.others()
-        heard = [m for m in others if self.state.peers.get(m).heard is not None] or others
+        late = self.electorate.heard_of_late()
+        heard = [m for m in others if m in late] or others
         if not heard:
             return
         leader = self.state.leader

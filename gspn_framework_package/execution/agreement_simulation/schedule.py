@@ -554,6 +554,8 @@ class _Run:
             node.doomed = None
         patience = BOUND + SLOT_TIME * self._slots_behind()
         settled = world.run(world.now + patience, world.has_settled)
+        if not settled and world.given_up:
+            settled = self._evict_who_forgot(patience)
         if self.kind in ("link", "sleep"):
             self._nobody_is_lost()
         if settled:
@@ -608,6 +610,31 @@ class _Run:
             for own in node.replica.state.own_proposals
         }
         return len(waiting) // world.limits.batch
+
+    def _evict_who_forgot(self, patience: float) -> bool:
+        """Where a robot that remembers says that the team is stuck, the operator does what it
+        asks: evicts those without a vote by force while they are off; returns whether the team then
+        goes on."""
+        world = self.world
+        asking = [n for n in world.alive() if n.replica and n.replica.may_vote()]
+        asking = [n for n in asking if n.replica and n.replica.is_stuck()]
+        if not asking:
+            return False
+        node = max(asking, key=lambda n: n.replica.ledger.length if n.replica else 0)
+        assert node.replica is not None
+        members = node.replica.members()
+        forgot = [n for n in world.alive() if n.replica and not n.replica.active]
+        forgot = [n for n in forgot if n.name in members]
+        for other in forgot:
+            other.crash()
+        world.run(world.now + 4 * world.pace.heartbeat)
+        for other in forgot:
+            node.give(interface.ForceEvict("f%d" % next(world._count), other.name))
+        world.run(world.now + 4 * world.pace.heartbeat)
+        for other in forgot:
+            other.start()
+        self._count("stuck, and helped by the operator")
+        return world.run(world.now + patience, world.has_settled)
 
     def _nobody_is_lost(self) -> None:
         for node in self.world.alive():

@@ -161,6 +161,41 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     world.verify()
 
 
+def test_whoever_followed_a_log_that_was_given_up_forgets_it_and_nobody_else() -> None:
+    """r1 was off until it was evicted, as the operator said. Then it starts, decides alone as the
+    first of two, and lets r2 in, which was never evicted by force."""
+    world = team(TOKENS, 3)
+    world.given_up = True
+    world.nodes["r1"].crash()
+    world.nodes["r3"].give(interface.Order("evict", log_entries.Evict("r2", -1)))
+    world.run(world.now + 1)
+    assert world.replica("r3").members() == ["r1", "r3"]
+    world.blocked |= {("r3", "r1"), ("r3", "r2")}
+    world.force("r3", "r1")
+    world.run(world.now + 1)
+    assert world.answer("r3", "r1").ok
+    kept = world.replica("r3").ledger.cast_out
+    world.nodes["r1"].start()
+    world.run(world.now + 1)
+    assert "r2" in world.replica("r1").members()  # let in by a log that was given up
+    world.blocked.clear()
+    world.run(world.now + 1)
+    assert world.replica("r3").active
+    for name in ("r1", "r2", "r3"):
+        assert world.replica(name).ledger.cast_out == kept
+    # r2 forgot its votes, and r3 needs them: it says so, and the operator helps
+    assert world.replica("r3").is_stuck()
+    world.nodes["r2"].crash()
+    world.run(world.now + 1)
+    world.force("r3", "r2")
+    world.run(world.now + 1)
+    world.nodes["r2"].start()
+    world.run(world.now + 2)
+    assert sorted(world.replica("r3").members()) == ["r1", "r2", "r3"]
+    all_agree(world)
+    world.verify()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("partial", [False, True])
 @pytest.mark.parametrize("joiner_at", ["r1", "r3"])
