@@ -45,6 +45,9 @@ from gspn_framework_package.execution.ledger import Item
 LONGEST_ROUND_TRIP = 1.0
 """Seconds. A longer answer time means that a robot was away, not that the network is slow."""
 
+MOST_ATTEMPTS = 4
+"""Attempts whose answers are still measured, even if they were beaten."""
+
 MOST_BACKOFF = 20
 """How often the wait before a repetition may grow by half; other limits apply long before."""
 
@@ -141,12 +144,13 @@ class Consensus:
         if self.leads():
             batch = self.proposals.batch(False)
             if batch:
-                state.attempt = BallotAttempt(slot, state.promised, False, now, now)
+                self._begin(BallotAttempt(slot, state.promised, False, now, now, state.slow > 0))
                 self._second_phase(batch)
             return
         ballot = Ballot(state.highest.counter + 1, self.config.name, state.log_id)
         state.followers = None
-        state.attempt = attempt = BallotAttempt(slot, ballot, frozen, now, now)
+        attempt = BallotAttempt(slot, ballot, frozen, now, now, state.slow > 0)
+        self._begin(attempt)
         # until the slot is decided, even if this attempt is beaten: its batch may still win
         if frozen:
             state.frozen_by = ballot
@@ -156,12 +160,17 @@ class Consensus:
         self._send_attempt(attempt, self.electorate.others())
         self._first_phase_over()
 
+    def _begin(self, attempt: BallotAttempt) -> None:
+        state = self.state
+        state.attempt = attempt
+        state.attempts = [*state.attempts[1 - MOST_ATTEMPTS :], attempt]
+
     def resend_at(self, retry: float) -> Optional[float]:
         """When the running attempt should be sent again (s)."""
         state = self.state
         if state.attempt is None:
             return None
-        patience = max(retry, 2 * state.round_trip)
+        patience = max(retry, 2 * state.delay)
         return state.attempt.sent + min(patience * 1.5**state.backoff, max(1.0, patience))
 
     def resend(self, now: float) -> None:
@@ -354,6 +363,9 @@ class Consensus:
     def on_promise(self, message: Envelope, body: Promise, now: float) -> None:
         """An answer to our first phase."""
         self.proposals.add_others(body.items)
+        for made in self.state.attempts:
+            if made.ballot == body.ballot and made.batch is None:  # it may have been beaten
+                self._measure(made, now)
         attempt = self.state.attempt
         if (
             attempt is None
@@ -361,12 +373,12 @@ class Consensus:
             or not self._answers(message, body, attempt)
         ):
             return
-        self._measure(attempt, now)
         attempt.answered.add(message.sender)
         if body.vote:
             attempt.promises[message.sender] = body.accepted
         if self._first_phase_over() and attempt.batch is not None:
             attempt.sent, attempt.began, attempt.tries = now, now, 0
+            attempt.patient = self.state.slow > 0
 
     def on_accepted(self, message: Envelope, body: Accepted, now: float) -> None:
         """A vote for an attempt, ours or that of another."""
@@ -391,14 +403,22 @@ class Consensus:
 
     def _measure(self, attempt: BallotAttempt, now: float) -> None:
         """Add an answer to the mean round trip, as TCP does (RFC 6298). After a retransmission, an
-        answer cannot be matched to one of the transmissions; it is then ignored, and the longer
-        wait stays until an answer can be matched (Karn)."""
+        answer cannot be matched to one of the transmissions (Karn): the longer wait stays until an
+        answer can be matched. The first such answer may mean a slow network, so the next attempt
+        waits until its answer can be matched; if that one must be repeated all the same, messages
+        were lost."""
         state = self.state
+        took = min(now - attempt.began, LONGEST_ROUND_TRIP)
         if attempt.tries:
+            state.slow = 0.0 if attempt.patient else took
             return
         state.backoff = 0
-        took = min(now - attempt.began, LONGEST_ROUND_TRIP)
+        state.slow = 0.0
         state.round_trip += (took - state.round_trip) / (8 if state.round_trip else 1)
+
+    def took(self, seconds: float) -> None:
+        """Something of ours, which others proposed, was decided within that time."""
+        self.state.slow = min(self.state.slow, seconds)
 
     def _answers(self, message: Envelope, body: Promise, attempt: BallotAttempt) -> bool:
         return (

@@ -105,9 +105,12 @@ class Proposer:
         state.frozen_since = None
         state.wait_until = None
         state.gave_way = False
+        if state.asked_at is not None and not state.own_proposals:
+            self.consensus.took(state.now - state.asked_at)
+            state.asked_at = None
         if self.config.partial and not mine:  # several may want the next slot: not all at once
             state.wait_until = (
-                state.now + max(self.config.pace.backoff, state.round_trip) * self._spread()
+                state.now + max(self.config.pace.backoff, state.delay) * self._spread()
             )
 
     def begin_anew(self) -> None:
@@ -222,6 +225,8 @@ class Proposer:
         leader = state.leader
         if state.wait_until is None:
             state.wait_until = state.now + self._patience()
+        if state.asked_at is None:
+            state.asked_at = state.now
         if (
             leader == self.config.name
             or leader not in self.electorate.others()
@@ -261,7 +266,7 @@ class Proposer:
         """How long a proposal waits for the leader (s)."""
         members, me = self.electorate.members(), self.config.name
         rank = members.index(me) if me in members else len(members)
-        takeover = max(self.config.pace.takeover, 3 * self.state.round_trip)
+        takeover = max(self.config.pace.takeover, 3 * self.state.delay)
         return takeover * (1 + 0.25 * rank + 0.5 * self._draw())
 
     def _give_way(self) -> None:
@@ -269,7 +274,7 @@ class Proposer:
         state = self.state
         if self.config.partial:
             state.gave_way = True
-            needs = 2 * state.round_trip  # its two phases
+            needs = 2 * state.delay  # its two phases
             wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (
                 1 + self._spread()
             )

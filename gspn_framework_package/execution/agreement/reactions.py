@@ -206,7 +206,7 @@ class Reactions:
 
     def _patience(self) -> float:
         """How long we leave a task to the first member (s)."""
-        return 2 * max(self.config.pace.takeover, 3 * self.state.round_trip)
+        return 2 * max(self.config.pace.takeover, 3 * self.state.delay)
 
     # -- time, and our own log ---------------------------------------------------------------------
 

@@ -51,6 +51,8 @@ class BallotAttempt:
     """When it was sent last (s)."""
     began: float
     """When this phase of it did (s)."""
+    patient: bool = False
+    """It waits longer before it is sent again, to see whether the network is slow."""
     tries: int = 0
     """How often it was sent again."""
     promises: Dict[str, Optional[Tuple[Ballot, Batch]]] = field(default_factory=dict)
@@ -192,6 +194,11 @@ class ReplicaState:
     """The attempt for which local transitions wait until the open slot is decided."""
     round_trip: float = _owned("consensus", 0.0)
     """For how long answers to our attempts take (s), smoothed; 0 before the first."""
+    slow: float = _owned("consensus", 0.0)
+    """The round trip (s) is at most this long, by an answer that may be one to a repetition; 0 once
+    it was measured."""
+    attempts: List[BallotAttempt] = _owned("consensus", make=list)
+    """Our newest attempts."""
     backoff: int = _owned("consensus", 0)
     """How often we repeated ourselves since an answer that we know the time of."""
     followers: Optional[Set[str]] = _owned("consensus")
@@ -220,6 +227,8 @@ class ReplicaState:
     """Since when local transitions wait for the open slot (s)."""
     voteless: Set[str] = _owned("proposer", make=set)
     """Robots without a vote that have their proposals made by members."""
+    asked_at: Optional[float] = _owned("proposer")
+    """Since when others were asked to propose what waits here (s)."""
     told: Tuple[Any, ...] = _owned("proposer", ())
     """Whom we sent our proposals last, which, and when we do it again."""
 
@@ -253,6 +262,11 @@ class ReplicaState:
     def is_frozen(self) -> bool:
         """Whether local transitions must wait for the open slot."""
         return self.frozen_by is not None
+
+    @property
+    def delay(self) -> float:
+        """The round trip to reckon with (s)."""
+        return max(self.round_trip, self.slow)
 
     def hash_at(self, length: int) -> Optional[str]:
         """The hash of the first ``length`` slots, None where we do not know (any more)."""

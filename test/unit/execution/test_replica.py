@@ -458,6 +458,23 @@ def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
 
 
 @pytest.mark.parametrize("partial", [False, True])
+def test_robots_far_apart_do_not_beat_each_other_for_ever(partial: bool) -> None:
+    """An answer takes longer than the longest wait for one, until that is known."""
+    world = Team(make_plan(TOKENS, 3, partial, 0.0, 0.0, False), 1, Weather(0.6, 0.63))
+    world.mishaps = False
+    world.pace = Pace()
+    for node in world.nodes.values():
+        node.start()
+    world.run(30.0)
+    replicas = [node.replica for node in world.nodes.values()]
+    before = min(replica.state.ledger.length for replica in replicas)
+    world.run(60.0)
+    decided = min(replica.state.ledger.length for replica in replicas) - before
+    assert decided > 10  # each takes at least one round trip of 1.2 s, two in partial
+    assert max(replica.state.delay for replica in replicas) == 1.0
+
+
+@pytest.mark.parametrize("partial", [False, True])
 def test_robots_that_evict_each_other_do_not_empty_the_team(partial: bool) -> None:
     world = team(TOUR, 3, partial)
     nodes = world.nodes
