@@ -44,6 +44,7 @@ def for_pip(manifest):
         "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
         "extras_require": {
             "fast": ["numba"],
+            "history": ["duckdb"],
             "team": [
                 "eclipse-zenoh>=1.7,<2 ; python_version >= '3.9'",
                 "eclipse-zenoh>=1.5,<1.6 ; python_version < '3.9'",

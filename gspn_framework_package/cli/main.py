@@ -68,6 +68,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
         ".compare", "compare runs with what their plan predicts: intervals, and an alarm per place"
     ),
     "verify": Verb(".verify", "check the logs of a run against the rules, from the logs alone"),
+    "history": Verb(".history", "keep months of a fleet's logs as tables, and report on them"),
     "fit": Verb(".fit", "learn durations, outcomes and failures from the logs of runs"),
     "optimise": Verb(
         ".optimise", "compute the best policy of a plan for an aim, with certified bounds"

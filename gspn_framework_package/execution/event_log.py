@@ -398,6 +398,15 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
     return EventLog(path, head, records, cut)
 
 
+class LogPosition(NamedTuple):
+    """Where to go on reading a log: byte ``offset``, at which line ``line`` begins, and the running
+    hash (``sum``) of the lines before it, "" in a log of version 1."""
+
+    offset: int
+    line: int
+    sum: str
+
+
 LONGEST_LINE = 64_000_000
 """Bytes; a longer line is not accepted as a record."""
 
@@ -443,6 +452,12 @@ class LogFile:
         :param number: the number of that line, for messages (the header is line 1).
         :raises LogError: a line is not a record, or the file can no longer be read.
         """
+        for line in self._lines(file, offset, number):
+            yield _record(line, self.path, number), len(line)
+            number += 1
+
+    def _lines(self, file: BinaryIO, offset: int, number: int) -> Iterator[bytes]:
+        """Yield the complete lines from byte ``offset`` on, at which line ``number`` begins."""
         try:
             file.seek(offset)
             while offset < self.size:
@@ -453,10 +468,52 @@ class LogFile:
                         raise LogError("is too long for a record", file=self.path, line=number)
                     self.cut = bool(line)
                     break
-                yield _record(line, self.path, number), len(line)
+                yield line
                 number += 1
         except OSError as error:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
+
+    def go_on(self, position: Optional[LogPosition]) -> Iterator[Tuple[Record, LogPosition]]:
+        """Yield the records from a position on, each with the position behind it, and compare the
+        running hash of every line with the recorded one.
+
+        A log that is still being written and a truncated last line are handled as by
+        :meth:`records`.
+
+        :param position: where an earlier reader stopped; None: at the first record.
+        :raises LogError: a line is not a record or does not follow from the lines before it, the
+            lines before the position are not those that were read, or the file cannot be read.
+        """
+        self.cut = False
+        with self.open() as file:
+            offset, number, chain = position or self._first_position(file)
+            if position is not None and not self._has(file, position):
+                raise DamagedLogError(
+                    "is no longer the log that was read up to line %d" % (number - 1),
+                    file=self.path,
+                    hint=DAMAGED,
+                )
+            for line in self._lines(file, offset, number):
+                record = _record(line, self.path, number)
+                if chain:
+                    chain = _follow(chain, line, self.path, number)
+                offset += len(line)
+                number += 1
+                yield record, LogPosition(offset, number, chain)
+
+    def _first_position(self, file: BinaryIO) -> LogPosition:
+        """The position of the first record."""
+        summed = self.header["version"] != UNSUMMED
+        chain = _follow("", file.readline(LONGEST_LINE), self.path, 1) if summed else ""
+        return LogPosition(self.begin, 2, chain)
+
+    def _has(self, file: BinaryIO, position: LogPosition) -> bool:
+        """Whether the line before a position is the one that was read there."""
+        if position.offset > self.size:
+            return False
+        file.seek(max(0, position.offset - 64))
+        found = _SUM.search(file.read(min(64, position.offset)))
+        return (found.group(1).decode() if found else "") == position.sum
 
     def checked_records(self) -> Iterator[Record]:
         """Yield all records, and compare the running hash of every line with the recorded one.
@@ -467,17 +524,7 @@ class LogFile:
         :raises LogError: a line is not a record or does not follow from the lines before it, or the
             file can no longer be read.
         """
-        self.cut = False
-        try:
-            with self.open() as file:
-                first = file.readline(LONGEST_LINE)
-                for record in _checked_records(file, first, self.header, self.path, self.size):
-                    if record is None:
-                        self.cut = True
-                    else:
-                        yield record
-        except OSError as error:
-            raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
+        return (record for record, _ in self.go_on(None))
 
 
 def log_files(paths: Sequence[str]) -> List[str]:

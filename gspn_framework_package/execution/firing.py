@@ -74,10 +74,12 @@ class CancelAction(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """A fault that a person should know about; ``robot`` is "" if it concerns no robot."""
+    """A fault that a person should know about; ``robot`` is "" if it concerns no robot, and
+    ``failed`` the reason why its action failed, "" if the fault is another one."""
 
     robot: str
     message: str
+    failed: str = ""
 
 
 class Ended(NamedTuple):

@@ -462,21 +462,21 @@ class Turn:
         if rule.kind is FailureKind.RETRY and robot.failures < rule.times:
             robot.failures += 1
             robot.attempt += 1
-            self._fault(robot, "%s; attempt %d follows" % (what, robot.attempt))
+            self._fault(robot, "%s; attempt %d follows" % (what, robot.attempt), reason)
             self._start_action(robot, rule.delay)
             return
         if rule.kind is FailureKind.FIRE:
             t = self.net.transition_number(rule.transition)
             if t in self.net.consumers[robot.place]:
-                self._fault(robot, "%s; goes on with %s" % (what, rule.transition))
+                self._fault(robot, "%s; goes on with %s" % (what, rule.transition), reason)
                 self._ask(robot, t)
                 return
         if rule.kind is FailureKind.STOP:
-            self._fault(robot, what)
+            self._fault(robot, what, reason)
             self._end("%s: %s" % (robot.name, what), finished=False)
             return
         robot.phase = Phase.FAILED
-        self._fault(robot, "%s; waits for the operator" % what)
+        self._fault(robot, "%s; waits for the operator" % what, reason)
 
     # -- robots ------------------------------------------------------------------------------------
 
@@ -522,8 +522,8 @@ class Turn:
         if robot.phase is Phase.DOING:
             self.commands.append(CancelAction(robot.name, robot.visit))
 
-    def _fault(self, robot: Optional[RobotState], message: str) -> None:
-        self.commands.append(Fault(robot.name if robot else "", message))
+    def _fault(self, robot: Optional[RobotState], message: str, failed: str = "") -> None:
+        self.commands.append(Fault(robot.name if robot else "", message, failed))
 
     def _end(self, reason: str, finished: bool, stopped: bool = False) -> None:
         if self.state.ended is None:

@@ -36,6 +36,7 @@ LAYERS = {
     "analysis": 2,
     "making": 2,
     "execution": 3,
+    "fleet": 4,
     "testing": 4,
     "team": 4,
     "ros": 5,
@@ -53,13 +54,14 @@ ROS = re.compile(
 )
 
 #: Libraries that the package does without: only the modules that use them fail to import.
-OPTIONAL = ["numba"]
+OPTIONAL = ["duckdb", "numba"]
 
 # : What the package imports that is not Python's own nor a ROS package of that name -> its rosdep
 # key, "" for what rosdep : does not have and the package does without.
 ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "cryptography": "python3-cryptography",
+    "duckdb": "",
     "flask": "python3-flask",
     "imageio_ffmpeg": "",
     "jsonschema": "python3-jsonschema",

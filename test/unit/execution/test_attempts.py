@@ -7,6 +7,7 @@ from typing import Any, Dict, List, Tuple
 
 import pytest
 from game_driver import make_plan
+from logged_runs import Story, ring, save_logs
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan as team_plan
@@ -21,68 +22,14 @@ from gspn_framework_package.execution.attempts import (
     net_difference,
     read_attempts,
 )
-from gspn_framework_package.execution.event_log import LogFile, header, line_of
-from gspn_framework_package.execution.firing import Ended
-from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.event_log import LogFile, line_of
 from gspn_framework_package.execution.log_entries import Done, Failed
-from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, Timing
 
 TOUR, MEET, TOKENS, CROWD = range(4)
-
-
-def ring(**fields: Any) -> Plan:
-    """A and B in a ring; B is left by t2, or by t3 that needs a token of the resource R, which the
-    environment makes."""
-    net = (
-        NetBuilder("ring")
-        .place("A", tokens=2)
-        .place("B")
-        .place("R")
-        .exponential("t1", inputs="A", outputs="B", rate=2.0)
-        .exponential("t2", inputs="B", outputs="A")
-        .exponential("t3", inputs=["B", "R"], outputs="A")
-        .exponential("made", outputs="R", rate=4.0, inhibitors={"R": 2})
-        .build()
-    )
-    return make_plan(net, ["A", "A"], resources=["R"], **fields)
-
-
-class Story:
-    """A log that is written entry by entry, at the times told."""
-
-    def __init__(self, plan: Plan, robot: str = "", log: str = "log1", run: str = "run") -> None:
-        self.plan = plan
-        self.ledger = Ledger(TokenGame(plan, agents=not robot))
-        head = header(plan, run, robot, log, agents=not robot, host="boot")
-        text, self.sum = line_of({**head, "wall": 1e9, "mono": 100.0}, "")
-        self.lines = [text]
-        self.records: List[Dict[str, Any]] = []
-
-    def write(self, t: float, **record: Any) -> None:
-        record = {**record, "wall": 1e9 + t, "mono": 100.0 + t}
-        text, self.sum = line_of(record, self.sum)
-        self.lines.append(text)
-        self.records.append(record)
-
-    def slot(self, t: float, *entries: Any) -> None:
-        slot = self.ledger.length
-        step = self.ledger.game.reduce(self.ledger.state, slot, list(entries))
-        self.write(t, **self.ledger.record(slot, list(entries), [], step))
-        for command in step.commands:
-            if isinstance(command, Ended):
-                self.write(t, kind="ended", reason=command.reason, finished=command.finished)
-
-    def start(self, t: float = 0.0) -> Story:
-        self.slot(t, self.ledger.game.start_entry())
-        return self
-
-    def save(self, path: Any) -> str:
-        path.write_text("".join(self.lines))
-        return str(path)
 
 
 def told(attempts: Any) -> List[Tuple[Any, ...]]:
@@ -380,16 +327,7 @@ def team(tmp_path: Any, kind: int, partial: bool, crash: bool = False) -> Tuple[
         world.run(3.0)
     world.acting = False
     assert world.run(8.0, world.has_settled)
-    paths = []
-    for number, disk in enumerate(world.logs()):
-        chain, lines = "", []
-        for record in [disk.header, *disk.records()]:
-            line, chain = line_of(record, chain)
-            lines.append(line)
-        path = tmp_path / ("log_%d.jsonl" % number)
-        path.write_text("".join(lines))
-        paths.append(str(path))
-    return world, paths
+    return world, save_logs(world, tmp_path)
 
 
 @pytest.mark.parametrize(

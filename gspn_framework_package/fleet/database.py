@@ -1,0 +1,191 @@
+"""DuckDB, which reads and writes the tables of a fleet's history."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any, Dict, Iterator, Sequence, Tuple
+
+from gspn_framework_package.model.errors import InputError, LimitError, UsageError
+
+MEMORY = "700MB"
+"""What DuckDB may use; beyond that, it works on the disk."""
+
+OLDEST_FOR_SQL = (1, 2)
+"""The first version of DuckDB that can be kept to some files."""
+
+TABLES: Dict[str, Sequence[Tuple[str, str]]] = {
+    "stays": (
+        ("run", "VARCHAR"),
+        ("began", "TIMESTAMP"),
+        ("robot", "VARCHAR"),
+        ("place", "VARCHAR"),
+        ("visit", "BIGINT"),
+        ("slot", "BIGINT"),
+        ("arrived", "BOOLEAN"),
+        ("acting_ms", "INTEGER"),
+        ("waiting_ms", "INTEGER"),
+        ("paused_ms", "INTEGER"),
+        ("failed_ms", "INTEGER"),
+        ("resting_ms", "INTEGER"),
+        ("left_by", "VARCHAR"),
+    ),
+    "moments": (
+        ("run", "VARCHAR"),
+        ("happened", "TIMESTAMP"),
+        ("robot", "VARCHAR"),
+        ("place", "VARCHAR"),
+        ("slot", "BIGINT"),
+        ("kind", "VARCHAR"),
+        ("detail", "VARCHAR"),
+    ),
+    "totals": (
+        ("run", "VARCHAR"),
+        ("robot", "VARCHAR"),
+        ("place", "VARCHAR"),
+        ("visits", "BIGINT"),
+        ("acting_ms", "BIGINT"),
+        ("waiting_ms", "BIGINT"),
+        ("paused_ms", "BIGINT"),
+        ("failed_ms", "BIGINT"),
+        ("resting_ms", "BIGINT"),
+        ("failures", "BIGINT"),
+        ("alarms", "BIGINT"),
+        ("interventions", "BIGINT"),
+    ),
+}
+"""Table -> its columns and their types. Each has the column ``day`` too (a date, UTC), by which its
+files are laid out."""
+
+_TOTALS = """
+SELECT run, robot, place,
+  sum(visits)::BIGINT AS visits,
+  sum(acting_ms)::BIGINT AS acting_ms, sum(waiting_ms)::BIGINT AS waiting_ms,
+  sum(paused_ms)::BIGINT AS paused_ms, sum(failed_ms)::BIGINT AS failed_ms,
+  sum(resting_ms)::BIGINT AS resting_ms,
+  sum(failures)::BIGINT AS failures, sum(alarms)::BIGINT AS alarms,
+  sum(interventions)::BIGINT AS interventions
+FROM (
+  SELECT run, robot, place, arrived::BIGINT AS visits,
+    acting_ms, waiting_ms, paused_ms, failed_ms, resting_ms,
+    0 AS failures, 0 AS alarms, 0 AS interventions
+  FROM {stays}
+  UNION ALL
+  SELECT run, robot, place, 0, 0, 0, 0, 0, 0,
+    (kind = 'failure')::INTEGER, (kind = 'alarm')::INTEGER, (kind = 'intervention')::INTEGER
+  FROM {moments} WHERE kind IN ('failure', 'alarm', 'intervention')
+)
+GROUP BY run, robot, place ORDER BY robot, place
+"""
+
+
+def connect(temporary: str) -> Any:
+    """A new database in memory, which reads and writes files.
+
+    :param temporary: the folder for what does not fit into the memory.
+    :raises InputError: DuckDB is not installed.
+    """
+    database = duckdb().connect()
+    database.execute("SET memory_limit='%s'" % MEMORY)
+    database.execute("SET temp_directory=%s" % quoted(temporary))
+    database.execute("SET preserve_insertion_order=false")
+    return database
+
+
+def duckdb() -> Any:
+    """The module. :raises InputError: DuckDB is not installed."""
+    try:
+        import duckdb as module
+    except ModuleNotFoundError:
+        raise InputError(
+            "a fleet's history needs DuckDB, which is not installed", hint="pip install duckdb"
+        ) from None
+    return module
+
+
+@contextlib.contextmanager
+def explained(folder: str) -> Iterator[None]:
+    """Errors of DuckDB become errors of this package.
+
+    :param folder: the store that it works on.
+    :raises InputError: a file cannot be read or written.
+    """
+    module = duckdb()
+    try:
+        yield
+    except module.Error as error:
+        raise InputError(
+            "DuckDB cannot read or write here: %s" % str(error).strip().splitlines()[0],
+            file=folder,
+        ) from None
+
+
+def quoted(text: str) -> str:
+    """A text as SQL."""
+    return "'%s'" % text.replace("'", "''")
+
+
+def files_sql(table: str, files: Sequence[str]) -> str:
+    """What reads a table from its files, as SQL that a FROM may have."""
+    if not files:
+        columns = [*TABLES[table], ("day", "DATE")]
+        return "(SELECT %s WHERE false)" % ", ".join(
+            'NULL::%s AS "%s"' % (kind, name) for name, kind in columns
+        )
+    return "read_parquet([%s], hive_partitioning=true, hive_types={'day': DATE})" % ", ".join(
+        map(quoted, files)
+    )
+
+
+def write_table(database: Any, sql: str, path: str) -> None:
+    """Write the answer to a question as a Parquet file."""
+    database.execute("COPY (%s) TO %s (FORMAT parquet, COMPRESSION zstd)" % (sql, quoted(path)))
+
+
+def totals_sql(stays: str, moments: str) -> str:
+    """The query that adds up stays and moments, each given as SQL."""
+    return _TOTALS.format(stays=stays, moments=moments)
+
+
+def one_question(database: Any, sql: str) -> Any:
+    """Ask what a person wrote, which may be one SELECT and nothing that writes.
+
+    The database has to be kept to its files before: see :func:`keep_to`.
+
+    :returns: the cursor with the answer.
+    :raises UsageError: it is not one SELECT, or DuckDB refuses it; the message says why.
+    :raises LimitError: it needs more memory than it may use.
+    """
+    module = duckdb()
+    try:
+        statements = module.extract_statements(sql)
+        if len(statements) != 1 or statements[0].type != module.StatementType.SELECT:
+            raise UsageError(
+                "this is not one SELECT",
+                hint="the tables are %s; they cannot be changed" % ", ".join(TABLES),
+            )
+        return database.execute(statements[0])
+    except module.OutOfMemoryException:
+        raise LimitError(
+            "the question needs more than %s of memory" % MEMORY,
+            hint="ask for fewer days, or group by less",
+        ) from None
+    except module.Error as error:
+        raise UsageError(str(error).strip().splitlines()[0]) from None
+
+
+def keep_to(database: Any, files: Sequence[str], temporary: str) -> None:
+    """From here on the database opens these files and no others, and its settings stay.
+
+    :param temporary: the folder for what does not fit into the memory.
+    :raises InputError: this version of DuckDB cannot do that.
+    """
+    version = tuple(int(part) for part in duckdb().__version__.split(".")[:2])
+    if version < OLDEST_FOR_SQL:
+        raise InputError(
+            "DuckDB %s cannot be kept to the files of a store" % duckdb().__version__,
+            hint="'gspn history sql' needs DuckDB 1.2 or later, which needs Python 3.9",
+        )
+    database.execute("SET allowed_paths=[%s]" % ", ".join(map(quoted, files)))
+    database.execute("SET allowed_directories=[%s]" % quoted(temporary))
+    for setting in ("enable_external_access=false", "lock_configuration=true"):
+        database.execute("SET " + setting)

@@ -1,0 +1,199 @@
+"""Questions to a fleet's history: how much robots are used, where they wait, what goes wrong."""
+
+from __future__ import annotations
+
+import datetime
+import decimal
+from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
+
+from gspn_framework_package.fleet.database import TABLES, explained, keep_to, one_question
+from gspn_framework_package.fleet.stay_follower import USES
+from gspn_framework_package.fleet.store import Store
+from gspn_framework_package.model.errors import UsageError
+
+GROUPS = ("day", "robot", "place", "run")
+"""What a report can be grouped by."""
+
+SECONDS = tuple(use + "_s" for use in USES)
+COUNTS = ("failures", "alarms", "interventions")
+
+_AT_ONCE = 1000
+"""Rows that are fetched at a time."""
+
+
+class Question(NamedTuple):
+    """What a report is about.
+
+    ``by`` are some of :data:`GROUPS`. ``since`` and ``until`` are the first and the last day
+    (``2026-05-04``, UTC; "" for any). Of ``robots``, ``places`` and ``runs``, none means all.
+    """
+
+    by: Tuple[str, ...] = ("robot",)
+    since: str = ""
+    until: str = ""
+    robots: Tuple[str, ...] = ()
+    places: Tuple[str, ...] = ()
+    runs: Tuple[str, ...] = ()
+
+    def check(self) -> None:
+        """:raises UsageError: it makes no sense."""
+        for group in self.by:
+            if group not in GROUPS:
+                raise UsageError(
+                    "a report is not grouped by '%.80s'" % group, hint="but by " + ", ".join(GROUPS)
+                )
+        if not self.by or len(set(self.by)) < len(self.by):
+            raise UsageError("a report is grouped by something, and once by each")
+        for day in (self.since, self.until):
+            try:
+                if day and datetime.date.fromisoformat(day).isoformat() != day:
+                    raise ValueError
+            except ValueError:
+                raise UsageError(
+                    "'%.80s' is not a day" % day, hint="write it as 2026-05-04"
+                ) from None
+        if self.since and self.until and self.until < self.since:
+            raise UsageError("%s is before %s" % (self.until, self.since))
+
+    def where(self) -> Tuple[str, List[Any]]:
+        """The condition as SQL, and its parameters."""
+        parts = ["true"]
+        values: List[Any] = []
+        for column, names in (("robot", self.robots), ("place", self.places), ("run", self.runs)):
+            if names:
+                parts.append("%s IN (%s)" % (column, ", ".join("?" * len(names))))
+                values += names
+        return " AND ".join(parts), values
+
+    @property
+    def days(self) -> Tuple[str, str]:
+        """The first and the last day."""
+        return self.since, self.until
+
+
+def report(store: Store, question: Question) -> List[Dict[str, Any]]:
+    """Use, waiting, failures, visits, alarms and interventions, a row for each group.
+
+    A row has the names of its groups, ``visits``, the seconds of :data:`SECONDS`, ``use`` (the
+    share of the time in which actions ran; None if there was no time) and :data:`COUNTS`. What
+    concerns no robot or place has the name "".
+
+    :raises UsageError: the question makes no sense, or names what the store does not have.
+    """
+    question.check()
+    where, values = question.where()
+    groups = ", ".join(question.by)
+    seconds = ", ".join("sum(%s_ms) / 1000.0" % use for use in USES)
+    counts = ", ".join("sum(%s)::BIGINT" % name for name in COUNTS)
+    sql = "SELECT %s, sum(visits)::BIGINT, %s, %s FROM totals WHERE %s GROUP BY %s ORDER BY %s" % (
+        groups,
+        seconds,
+        counts,
+        where,
+        groups,
+        groups,
+    )
+    with explained(store.folder):
+        database = store.open_tables(question.days)
+        rows = database.execute(sql, values).fetchall()
+        if not rows:
+            _refuse_unknown(database, question)
+        database.close()
+    names = [*question.by, "visits", *SECONDS, *COUNTS]
+    found = []
+    for row in rows:
+        told = {name: plain(value) for name, value in zip(names, row)}
+        time = sum(told[name] for name in SECONDS)
+        told["use"] = told["acting_s"] / time if time > 0 else None
+        found.append(told)
+    return found
+
+
+def _refuse_unknown(database: Any, question: Question) -> None:
+    for column, names in (("robot", question.robots), ("place", question.places)):
+        known = {
+            name
+            for (name,) in database.execute("SELECT DISTINCT %s FROM totals" % column).fetchall()
+        }
+        for name in names:
+            if known and name not in known:
+                raise UsageError("no %s '%.80s' is in the store in this time" % (column, name))
+
+
+def moments(store: Store, question: Question, limit: int = 200) -> List[Dict[str, Any]]:
+    """What a person may want to look at: failures, alarms and interventions, the newest first, and
+    the longest waits.
+
+    A row has ``day``, ``happened``, ``run``, ``slot``, ``robot``, ``place``, ``kind`` ("wait" for a
+    wait) and ``detail``.
+
+    :param question: its groups do not matter.
+    :param limit: largest number of rows.
+    :raises UsageError: the question makes no sense.
+    """
+    question.check()
+    where, values = question.where()
+    sql = (
+        "(SELECT day, happened, run, slot, robot, place, kind, detail FROM moments WHERE %s "
+        "AND kind IN ('failure', 'alarm', 'intervention') ORDER BY happened DESC LIMIT %d) "
+        "UNION ALL "
+        "(SELECT day, began, run, slot, robot, place, 'wait', "
+        "printf('%%.1f s', waiting_ms / 1000.0) FROM stays WHERE %s AND waiting_ms > 0 "
+        "ORDER BY waiting_ms DESC, began LIMIT %d)" % (where, limit, where, max(1, limit // 10))
+    )
+    with explained(store.folder):
+        database = store.open_tables(question.days)
+        cursor = database.execute(sql, [*values, *values])
+        rows = list(_as_objects(cursor))
+        database.close()
+    return rows
+
+
+class SqlAnswer(NamedTuple):
+    """The answer to a question in SQL: the names of the columns, and the rows, one by one."""
+
+    columns: Sequence[str]
+    rows: Iterator[Tuple[Any, ...]]
+
+
+def ask(store: Store, sql: str) -> SqlAnswer:
+    """Ask a question in SQL: one SELECT over the tables of the store, and no other file.
+
+    :raises UsageError: it is something else, or wrong.
+    """
+    database = store.open_tables()
+    runs = store.runs()
+    files = [file for table in TABLES for file in store.files(table, runs)]
+    keep_to(database, files, store.temporary)
+    cursor = one_question(database, sql)
+    return SqlAnswer([column[0] for column in cursor.description], _rows(cursor))
+
+
+def _rows(cursor: Any) -> Iterator[Tuple[Any, ...]]:
+    while True:
+        rows = cursor.fetchmany(_AT_ONCE)
+        if not rows:
+            return
+        for row in rows:
+            yield tuple(map(plain, row))
+
+
+def _as_objects(cursor: Any) -> Iterator[Dict[str, Any]]:
+    names = [column[0] for column in cursor.description]
+    for row in _rows(cursor):
+        yield dict(zip(names, row))
+
+
+def plain(value: Any) -> Any:
+    """A value of DuckDB as one that JSON has."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, decimal.Decimal):
+        return float(value)
+    if isinstance(value, (list, tuple)):
+        return [plain(part) for part in value]
+    if isinstance(value, dict):
+        return {str(key): plain(part) for key, part in value.items()}
+    if isinstance(value, (datetime.date, datetime.datetime)):
+        return value.isoformat()
+    return str(value)

@@ -1,0 +1,338 @@
+"""What a run tells of a fleet: how long each robot was where, doing what, and what happened.
+
+The follower replays the slots of a run with the token game and makes rows of two kinds. A *stay* is
+a visit of a robot to a place, or a part of one: stays are cut at midnight (UTC), where time was not
+observed, and at the end of what was read so far. A *moment* is something that a person may want to
+look at: a failure, an alarm, an order of the operator.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Dict, List, NamedTuple, Optional, Set
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.event_log import Record, Replayed, Replayer
+from gspn_framework_package.execution.firing import Ended, Fault
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import told_phase
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.errors import LogError, NetError
+from gspn_framework_package.model.plan import Plan
+
+DAY = 86_400
+"""Seconds."""
+
+USES = ("acting", "waiting", "paused", "failed", "resting")
+"""What a robot does in a stay: its action runs; it waits for a transition; it is paused; its action
+failed for good; it has finished."""
+
+ALARM, FAILURE, INTERVENTION, INTERRUPT, TASK, JOIN, END = (
+    "alarm",
+    "failure",
+    "intervention",
+    "interrupt",
+    "task",
+    "join",
+    "end",
+)
+"""The kinds of moments."""
+
+_ORDERS = {
+    log_entries.Retry: "retry",
+    log_entries.SetPlace: "set-place",
+    log_entries.Pause: "pause",
+    log_entries.Resume: "resume",
+    log_entries.Leave: "leave",
+    log_entries.StagePlan: "deploy",
+    log_entries.Unstage: "give up a deployment",
+}
+"""The entries that stand for an order of the operator, whatever the run."""
+
+_OF_ALL = (
+    log_entries.Start,
+    log_entries.Pause,
+    log_entries.Resume,
+    log_entries.Stop,
+    log_entries.Adopt,
+)
+"""The entries that may change what every robot does."""
+
+
+class Stay(NamedTuple):
+    """A stay, or a part of one, of ``robot`` in ``place``.
+
+    ``begin`` is its beginning (seconds since 1970), and the fields of :data:`USES` are whole
+    milliseconds. ``visit`` is the number of the robot's visit, ``slot`` the slot with which it
+    began. ``arrived``: the visit begins with this part. ``left_by`` is the transition that ended
+    it, "" if none did.
+    """
+
+    begin: float
+    robot: str
+    place: str
+    visit: int
+    slot: int
+    arrived: bool
+    acting: int
+    waiting: int
+    paused: int
+    failed: int
+    resting: int
+    left_by: str
+
+
+class Moment(NamedTuple):
+    """Something that happened at ``at`` (seconds since 1970) in ``slot``; ``robot`` and ``place``
+    are "" if it concerns the team. ``detail`` says what, in the words of the log."""
+
+    at: float
+    robot: str
+    place: str
+    slot: int
+    kind: str
+    detail: str
+
+
+class _Open:
+    """A stay that goes on."""
+
+    def __init__(self, place: str, visit: int, slot: int, begin: float, arrived: bool) -> None:
+        self.place, self.visit, self.slot = place, visit, slot
+        self.begin = self.since = begin
+        self.arrived = arrived
+        self.use = 0
+        self.spent = [0] * len(USES)
+
+    def book(self, now: float) -> None:
+        """Book the time until ``now``. Both ends are rounded, so that parts add up to the whole."""
+        self.spent[self.use] += max(0, round(now * 1000) - round(self.since * 1000))
+        self.since = now
+
+    def to_json(self) -> List[Any]:
+        """The stay, which has no booked time, as a JSON value."""
+        return [self.place, self.visit, self.slot, self.begin, self.arrived, self.use]
+
+    @classmethod
+    def from_json(cls, data: List[Any]) -> _Open:
+        """The stay in a JSON value."""
+        kept = cls(*data[:5])
+        kept.use = data[5]
+        return kept
+
+
+class StayFollower:
+    """Follows one run, slot by slot.
+
+    :param plan: the plan in the header of its logs.
+    :param agents: whether it is a standalone run.
+    :param kept: what :meth:`to_json` returned for what was read before.
+
+    :ivar stays: the stays that have ended, for the caller to take away.
+    :ivar moments: the same for moments.
+    :ivar now: the time of the run (seconds since 1970).
+    """
+
+    def __init__(
+        self, plan: Plan, *, agents: bool = False, kept: Optional[Dict[str, Any]] = None
+    ) -> None:
+        game = TokenGame(plan, agents=agents)
+        state = game.state_from_json(kept["state"]) if kept is not None else None
+        self._replayer = Replayer(game, state)
+        self._agents = agents
+        self._open: Dict[str, _Open] = {}
+        self.now: Optional[float] = None
+        self.stays: List[Stay] = []
+        self.moments: List[Moment] = []
+        if kept is not None:
+            self.now = kept["now"]
+            self._open = {name: _Open.from_json(data) for name, data in kept["open"].items()}
+
+    @property
+    def next_slot(self) -> int:
+        """The slot that comes next."""
+        return self._replayer.state.next_slot
+
+    def to_json(self) -> Dict[str, Any]:
+        """What the follower knows, as a JSON object. Call :meth:`cut` first."""
+        return {
+            "state": self._replayer.state.to_json(self._replayer.game.net),
+            "now": self.now,
+            "open": {name: stay.to_json() for name, stay in self._open.items()},
+        }
+
+    # -- time --------------------------------------------------------------------------------------
+
+    def wait(self, seconds: float) -> None:
+        """Let ``seconds`` pass, in which the robots go on with what they do."""
+        if self.now is None or seconds <= 0:
+            return
+        end = self.now + seconds
+        while True:
+            midnight = (math.floor(self.now / DAY) + 1) * DAY
+            if midnight > end:
+                break
+            self.now = float(midnight)
+            self.cut()
+        self.now = end
+
+    def go_to(self, now: float) -> None:
+        """Continue at ``now`` (seconds since 1970), for no time that was observed passed until
+        then: the log begins, its writer was off, or its clock was set."""
+        if self.now is not None and now != self.now:
+            self.cut()
+        self.now = now
+        for stay in self._open.values():
+            stay.begin = stay.since = now
+
+    def cut(self) -> None:
+        """Make rows of the stays that go on, as far as they have come."""
+        for robot, stay in self._open.items():
+            self._book(robot, stay, "")
+            another = _Open(stay.place, stay.visit, stay.slot, self._at(), False)
+            another.use = stay.use
+            self._open[robot] = another
+
+    def _at(self) -> float:
+        return self.now or 0.0
+
+    # -- slots -------------------------------------------------------------------------------------
+
+    def take(self, record: Record) -> None:
+        """Take in the next slot or a snapshot, at the present time.
+
+        :raises LogError: it does not follow from those before it, or is damaged.
+        """
+        try:
+            step = self._replayer.take(record)
+            if step is not None:
+                self._follow(step)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise LogError("the record is damaged (%r)" % error) from None
+        except NetError as error:
+            raise LogError("the record is not of this plan (%s)" % error) from None
+
+    def end(self) -> None:
+        """The run is over, although no slot says so."""
+        for robot in list(self._open):
+            self._leave(robot)
+
+    def _follow(self, step: Replayed) -> None:
+        touched: Set[str] = set()
+        everybody = step.snapshot
+        for command in step.commands:
+            if isinstance(command, Ended):
+                everybody = True
+            else:
+                touched.add(command.robot)
+            if isinstance(command, Fault) and command.failed:  # before the robot goes on
+                self._moment(step.slot, command.robot, FAILURE, command.failed)
+        for entry in step.entries:
+            touched.add(getattr(entry, "robot", ""))
+            everybody = everybody or isinstance(entry, _OF_ALL)
+            self._entry(step, entry)
+        for firing in step.firings:
+            for robot, source, target, visit in firing.moves:
+                touched.add(robot)
+                if source is not None:
+                    known = self._open.get(robot)
+                    if known is None or known.visit != visit - 1:
+                        self._arrive(robot, source, visit - 1, step.slot)
+                    self._leave(robot, firing.transition)
+                if target is not None:
+                    self._arrive(robot, target, visit, step.slot)
+        robots = step.state.robots
+        for name in [*robots, *self._open] if everybody else touched:
+            self._look_at(name, step)
+        for command in step.commands:
+            if isinstance(command, Fault):
+                self._alarm(step, command)
+
+    def _entry(self, step: Replayed, entry: log_entries.Entry) -> None:
+        robot = getattr(entry, "robot", "")
+        order = _ORDERS.get(type(entry), "")
+        if isinstance(entry, log_entries.SetPlace):
+            order += " " + entry.place
+        if order:
+            self._moment(step.slot, robot, INTERVENTION, order)
+        elif isinstance(entry, log_entries.Stop):
+            # a run without a team also stops by itself, at a limit
+            self._moment(step.slot, "", END if self._agents else INTERVENTION, entry.reason)
+        elif isinstance(entry, log_entries.Evict) and entry.forced:
+            self._moment(step.slot, robot, INTERVENTION, "force-evict")
+        elif isinstance(entry, log_entries.Interrupt):
+            self._moment(step.slot, robot, INTERRUPT, entry.transition)
+        elif isinstance(entry, log_entries.Submit):
+            self._moment(step.slot, "", TASK, entry.transition)
+        elif isinstance(entry, log_entries.Join):
+            self._moment(step.slot, robot, JOIN, "")
+
+    def _alarm(self, step: Replayed, fault: Fault) -> None:
+        """A fault that a person has to deal with; not a failure after which the robot goes on."""
+        robot = step.state.robots.get(fault.robot)
+        phase = told_phase(step.state, robot) if robot is not None else Phase.UNHEARD
+        if not fault.failed or phase.told.needs_operator or step.state.fault:
+            place = self._replayer.game.net.places[robot.place].name if robot is not None else ""
+            self._moment(step.slot, fault.robot, ALARM, fault.message, place)
+
+    def _moment(self, slot: int, robot: str, kind: str, detail: str, place: str = "") -> None:
+        stay = self._open.get(robot)
+        if not place and stay is not None:
+            place = stay.place
+        self.moments.append(Moment(self._at(), robot, place, slot, kind, detail))
+
+    # -- robots ------------------------------------------------------------------------------------
+
+    def _look_at(self, name: str, step: Replayed) -> None:
+        """Note where a robot is and what it does after a step."""
+        robot = step.state.robots.get(name)
+        if robot is None or robot.phase.gone or step.state.ended is not None:
+            self._leave(name)
+            return
+        place = self._replayer.game.net.places[robot.place].name
+        stay = self._open.get(name)
+        if stay is None or (stay.place, stay.visit) != (place, robot.visit):
+            renamed = stay is not None and stay.visit == robot.visit
+            self._leave(name)
+            stay = self._arrive(name, place, robot.visit, step.slot, arrived=not renamed)
+        use = _use(told_phase(step.state, robot))
+        if use != stay.use:
+            stay.book(self._at())
+            stay.use = use
+
+    def _arrive(self, robot: str, place: str, visit: int, slot: int, arrived: bool = True) -> _Open:
+        stay = self._open[robot] = _Open(place, visit, slot, self._at(), arrived)
+        return stay
+
+    def _leave(self, robot: str, transition: str = "") -> None:
+        stay = self._open.pop(robot, None)
+        if stay is not None:
+            self._book(robot, stay, transition)
+
+    def _book(self, robot: str, stay: _Open, transition: str) -> None:
+        stay.book(self._at())
+        if stay.arrived or transition or any(stay.spent):
+            acting, waiting, paused, failed, resting = stay.spent
+            self.stays.append(
+                Stay(
+                    stay.begin,
+                    robot,
+                    stay.place,
+                    stay.visit,
+                    stay.slot,
+                    stay.arrived,
+                    acting,
+                    waiting,
+                    paused,
+                    failed,
+                    resting,
+                    transition,
+                )
+            )
+
+
+def _use(phase: Phase) -> int:
+    told = phase.told
+    if phase is Phase.PAUSED:
+        return 2
+    return 0 if told.acts else 1 if told.waits else 3 if told.failed else 4

@@ -1,0 +1,333 @@
+"""A store of a fleet's history: a folder with tables in Parquet files, by day and run.
+
+::
+
+    history.json                        the format and its version
+    runs/KEY.json                       a run: its logs, how far they were read, its files
+    stays/day=2026-05-04/KEY-3.parquet  rows that the 3rd ingest of the run brought for a day
+    moments/..., totals/...             the other tables
+
+The file of a run says which table files count. It is replaced at once, after the table files have
+been written, so that an ingest either counts as a whole or not at all: files that no run names are
+left from one that was ended, and are removed by the next.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from typing import Any, Dict, Iterator, List, Optional, Sequence
+
+from gspn_framework_package.fleet.database import (
+    TABLES,
+    connect,
+    explained,
+    files_sql,
+    quoted,
+    totals_sql,
+    write_table,
+)
+from gspn_framework_package.fleet.stay_follower import DAY, Moment, Stay
+from gspn_framework_package.model.errors import InputError
+
+FORMAT = "gspn history"
+VERSION = 1
+
+INCOMING = "incoming"
+"""The folder of what is being written."""
+
+ROWS = 1_000_000
+"""Rows that are gathered before they become Parquet files."""
+
+MOST_FILES = 12
+"""Files of a run and a day; if there are more, they are merged into one."""
+
+Manifest = Dict[str, Any]
+"""The content of a run's file: ``key``, ``run`` (its name), ``plan``, ``plan_hash``,
+``agents`` (it is a standalone run), ``virtual``; ``begin`` and ``end`` (seconds since 1970),
+``rows``; ``logs`` (log -> how far it was read), ``leader`` (the log that the newest slots come
+from), ``hashes`` (slot -> hash) of ``every`` so many slots, ``state``, ``ingests``, and ``files``
+(table -> names)."""
+
+
+class Store:
+    """A store; see the module.
+
+    :param folder: where it is.
+    :param create: make it if there is none.
+    :raises InputError: the folder is none, or of another version.
+    """
+
+    def __init__(self, folder: str, create: bool = False) -> None:
+        self.folder = os.path.abspath(folder)
+        first = os.path.join(self.folder, "history.json")
+        try:
+            if create and (not os.path.isdir(folder) or not os.listdir(folder)):
+                for name in ("runs", *TABLES):
+                    os.makedirs(os.path.join(self.folder, name), exist_ok=True)
+                _replace(first, {"format": FORMAT, "version": VERSION})
+            with open(first, encoding="utf-8") as file:
+                told = json.load(file)
+        except (FileNotFoundError, NotADirectoryError):
+            raise InputError(
+                "is no store of a fleet's history",
+                file=folder,
+                hint="'gspn history ingest LOG --store DIR' makes one in a new or empty folder",
+            ) from None
+        except ValueError:
+            raise InputError("is damaged", file=first) from None
+        if told.get("format") != FORMAT or told.get("version") != VERSION:
+            raise InputError(
+                "is a store of version %s; this program reads version %d"
+                % (told.get("version"), VERSION),
+                file=folder,
+            )
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else writes in the meantime. :raises InputError: somebody does already."""
+        with open(os.path.join(self.folder, "lock"), "a", encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError(
+                    "another ingest is writing here", file=self.folder, hint="try again later"
+                ) from None
+            self._remove_leftovers()
+            yield
+
+    @property
+    def temporary(self) -> str:
+        """The folder for what is written for the moment."""
+        return os.path.join(self.folder, INCOMING)
+
+    # -- runs --------------------------------------------------------------------------------------
+
+    def runs(self) -> List[Manifest]:
+        """All runs, in the order of their beginning. :raises InputError: the file of one is
+        damaged."""
+        folder = os.path.join(self.folder, "runs")
+        names = [name for name in sorted(os.listdir(folder)) if name.endswith(".json")]
+        found = [self._read(os.path.join(folder, name)) for name in names]
+        return sorted(found, key=lambda run: (run["begin"] or 0.0, run["key"]))
+
+    def run(self, key: str) -> Optional[Manifest]:
+        """A run; None if the store does not have it."""
+        path = self._path(key)
+        return self._read(path) if os.path.exists(path) else None
+
+    def _path(self, key: str) -> str:
+        return os.path.join(self.folder, "runs", key + ".json")
+
+    @staticmethod
+    def _read(path: str) -> Manifest:
+        try:
+            with open(path, encoding="utf-8") as file:
+                manifest = json.load(file)
+            if isinstance(manifest, dict) and isinstance(manifest.get("files"), dict):
+                return manifest
+        except ValueError:
+            pass
+        raise InputError("is damaged", file=path, hint="remove it, and ingest the run again")
+
+    def commit(self, run: Manifest) -> None:
+        """Let a run count as it is described here, with its files."""
+        _replace(self._path(run["key"]), run)
+
+    # -- tables ------------------------------------------------------------------------------------
+
+    def files(self, table: str, runs: Sequence[Manifest], days: Sequence[str] = ()) -> List[str]:
+        """The files of a table.
+
+        :param runs: the runs whose files are meant.
+        :param days: the first and the last day (``2026-05-04``, "" for any); all, if empty.
+        """
+        since, until = days if days else ("", "")
+        return [
+            os.path.join(self.folder, name)
+            for run in runs
+            for name in run["files"][table]
+            if (not since or day_of_file(name) >= since)
+            and (not until or day_of_file(name) <= until)
+        ]
+
+    def open_tables(self, days: Sequence[str] = ()) -> Any:
+        """A database with the tables as views. :param days: as for :meth:`files`."""
+        runs = self.runs()
+        with explained(self.folder):
+            database = connect(self.temporary)
+            for table in TABLES:
+                rows = files_sql(table, self.files(table, runs, days))
+                database.execute("CREATE VIEW %s AS SELECT * FROM %s" % (table, rows))
+        return database
+
+    def merge(self, run: Manifest) -> None:
+        """Make one file of many, where a day of a run has too many. Changes the manifest."""
+        for table in TABLES:
+            by_day: Dict[str, List[str]] = {}
+            for name in run["files"][table]:
+                by_day.setdefault(day_of_file(name), []).append(name)
+            for day, names in by_day.items():
+                if len(names) <= MOST_FILES:
+                    continue
+                merged = file_name(table, day, run["key"], "m%d" % run["ingests"])
+                rows = files_sql(table, [os.path.join(self.folder, name) for name in names])
+                columns = ", ".join('"%s"' % name for name, _ in TABLES[table])
+                sql = "SELECT %s FROM %s ORDER BY robot, place" % (columns, rows)
+                with explained(self.folder):
+                    database = connect(self.temporary)
+                    write_table(database, sql, os.path.join(self.folder, merged))
+                    database.close()
+                kept = [name for name in run["files"][table] if name not in names]
+                run["files"][table] = [*kept, merged]
+
+    def _remove_leftovers(self) -> None:
+        shutil.rmtree(self.temporary, ignore_errors=True)
+        os.makedirs(self.temporary)
+        named = {name for run in self.runs() for names in run["files"].values() for name in names}
+        for table in TABLES:
+            for folder, _, names in os.walk(os.path.join(self.folder, table)):
+                for name in names:
+                    path = os.path.join(folder, name)
+                    if os.path.relpath(path, self.folder) not in named:
+                        os.remove(path)
+
+
+class RowWriter:
+    """Writes the rows of one ingest of one run.
+
+    Rows are gathered in two text files, and become Parquet files when there are many, or at the
+    end.
+
+    :param store: where the files go; nobody else writes there.
+    :param key: the run.
+    :param number: the number of the ingest, which no earlier one of this run has.
+
+    :ivar files: table -> the files written so far, relative to the store.
+    :ivar rows: table -> the number of rows written.
+    """
+
+    def __init__(self, store: Store, key: str, number: int) -> None:
+        self._store, self._key, self._number = store, key, number
+        self._part = 0
+        self.files: Dict[str, List[str]] = {table: [] for table in TABLES}
+        self.rows = {"stays": 0, "moments": 0}
+        self._begin()
+
+    def _begin(self) -> None:
+        self._gathered = 0
+        self._paths = {t: os.path.join(self._store.temporary, t + ".csv") for t in self.rows}
+        self._texts = {
+            table: open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115
+            for table, path in self._paths.items()
+        }
+        self._writers = {table: csv.writer(text) for table, text in self._texts.items()}
+
+    def write(self, stays: Sequence[Stay], moments: Sequence[Moment]) -> None:
+        """Take in rows."""
+        for table, rows in (("stays", stays), ("moments", moments)):
+            write = self._writers[table].writerow
+            for row in rows:
+                write((int(row[0] // DAY), round(row[0] * 1e3), *row[1:]))
+            self.rows[table] += len(rows)
+            self._gathered += len(rows)
+        if self._gathered >= ROWS:
+            self._convert()
+            self._begin()
+
+    def close(self) -> None:
+        """Make files of all rows."""
+        self._convert()
+
+    def discard(self) -> None:
+        """Remove all that was written."""
+        for text in self._texts.values():
+            text.close()
+        for names in self.files.values():
+            for name in names:
+                os.remove(os.path.join(self._store.folder, name))
+
+    def _convert(self) -> None:
+        for text in self._texts.values():
+            text.close()
+        if not self._gathered:
+            return
+        self._part += 1
+        with explained(self._store.folder):
+            self._write_files()
+
+    def _write_files(self) -> None:
+        database = connect(self._store.temporary)
+        for table, path in self._paths.items():
+            database.execute("CREATE TABLE %s AS %s" % (table, self._rows_sql(table, path)))
+        days = database.execute(
+            "SELECT DISTINCT day FROM (SELECT day FROM stays UNION SELECT day FROM moments) "
+            "ORDER BY day"
+        ).fetchall()
+        for (day,) in days:
+            rows = {
+                table: "SELECT * EXCLUDE (day) FROM %s WHERE day = DATE '%s'" % (table, day)
+                for table in self._paths
+            }
+            queries = {
+                "stays": rows["stays"] + " ORDER BY robot, began",
+                "moments": rows["moments"] + " ORDER BY happened",
+                "totals": totals_sql("(%s)" % rows["stays"], "(%s)" % rows["moments"]),
+            }
+            for table, sql in queries.items():
+                self._copy(database, table, str(day), sql)
+        database.close()
+
+    def _copy(self, database: Any, table: str, day: str, sql: str) -> None:
+        name = file_name(table, day, self._key, "%d-%d" % (self._number, self._part))
+        path = os.path.join(self._store.folder, name)
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        write_table(database, sql, path)
+        self.files[table].append(name)
+
+    def _rows_sql(self, table: str, path: str) -> str:
+        """What reads a text file as the rows of a table, with their day."""
+        columns = [("number_of_day", "BIGINT"), ("ms", "BIGINT")]
+        columns += [(name, kind) for name, kind in TABLES[table][2:]]
+        return (
+            "SELECT DATE '1970-01-01' + number_of_day::INTEGER AS day, %s AS run, "
+            "make_timestamp(ms * 1000) AS %s, * EXCLUDE (number_of_day, ms) "
+            "FROM read_csv(%s, header=false, auto_detect=false, delim=',', quote='\"', "
+            "escape='\"', nullstr=%s, columns={%s})"
+            % (
+                quoted(self._key),
+                TABLES[table][1][0],
+                quoted(path),
+                quoted("\x01"),  # no text is NULL
+                ", ".join("%s: %s" % (quoted(name), quoted(kind)) for name, kind in columns),
+            )
+        )
+
+
+def file_name(table: str, day: str, key: str, number: str) -> str:
+    """The name of a table file, relative to the store."""
+    return os.path.join(table, "day=" + day, "%s-%s.parquet" % (key, number))
+
+
+def day_of_file(name: str) -> str:
+    """The day in the name of a table file."""
+    return os.path.basename(os.path.dirname(name))[len("day=") :]
+
+
+def key_of(*parts: str) -> str:
+    """A name for files that stands for these parts."""
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def _replace(path: str, data: Any) -> None:
+    """Write a JSON file; whoever reads it meanwhile finds the old one whole."""
+    with open(path + ".new", "w", encoding="utf-8") as file:
+        json.dump(data, file, separators=(",", ":"))
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(path + ".new", path)
