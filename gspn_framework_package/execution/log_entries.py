@@ -7,6 +7,7 @@ has no effect.
 
 from __future__ import annotations
 
+import collections.abc
 import json
 import uuid
 from types import MappingProxyType
@@ -247,20 +248,55 @@ _KINDS: Dict[str, Type[Entry]] = {
     "unstage": Unstage,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
-_TYPES = {kind: _plain_types(kind) for kind in _KINDS.values()}
+
+_OPEN = ("data", "cause", "plan", "mapping")
+"""Fields that hold JSON objects of any content."""
+
+_BOUNDED = frozenset((*_OPEN, "digest", "why", "id"))
+"""Fields of which more than the type is checked."""
+
+
+class _Form(NamedTuple):
+    """How the entries of a kind are written and read; worked out once, since every message and
+    every line of a log holds some."""
+
+    keys: Tuple[str, ...]
+    """``entry``, and the fields."""
+    types: Tuple[Tuple[str, type], ...]
+    """The plain fields and their types."""
+    open: Tuple[str, ...]
+    """Fields that are written only if they are not empty."""
+    bounded: bool
+    """Whether it has any of :data:`_BOUNDED`."""
+
+
+def _form(kind: Type[Entry]) -> _Form:
+    fields = kind._fields
+    return _Form(
+        ("entry", *fields),
+        tuple(_plain_types(kind).items()),
+        tuple(key for key in _OPEN if "Mapping" in str(kind.__annotations__.get(key))),
+        not _BOUNDED.isdisjoint(fields),
+    )
+
+
+_FORMS = {kind: _form(kind) for kind in _KINDS.values()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
     """The entry as a JSON object: its kind under ``entry``, and its fields; ``data``, ``cause``
     and ``mapping`` only if they are not empty."""
-    fields = entry._asdict()
-    for key in _OPEN:
-        if isinstance(fields.get(key), Mapping):
-            if fields[key]:
-                fields[key] = dict(fields[key])
+    kind = type(entry)
+    form = _FORMS[kind]
+    fields: Dict[str, Any] = dict(zip(form.keys, (_NAMES[kind], *entry)))
+    for key in form.open:
+        value = fields[key]
+        if isinstance(value, collections.abc.Mapping):
+            if value:
+                fields[key] = dict(value)
             else:
                 del fields[key]
-    return {"entry": _NAMES[type(entry)], **fields}
+    return fields
 
 
 def checked(entry: Entry) -> Entry:
@@ -278,14 +314,17 @@ def from_json(data: Any) -> Entry:
     """The entry in a JSON object. :raises LogError: it is not an entry."""
     try:
         kind = _KINDS[data["entry"]]
-        fields = {key: value for key, value in data.items() if key != "entry"}
+        fields = dict(data)
+        del fields["entry"]
         if kind is Start:
             fields["roster"] = tuple((str(r), str(p), int(i)) for r, p, i in fields["roster"])
             fields["witnesses"] = tuple(map(str, fields.get("witnesses", ())))
-        for name, expected in _TYPES[kind].items():
+        form = _FORMS[kind]
+        for name, expected in form.types:
             if name in fields and type(fields[name]) is not expected:
                 raise ValueError("'%s' is not of type %s" % (name, expected.__name__))
-        _check_open_fields(fields)
+        if form.bounded:
+            _check_bounds(fields)
         return kind(**fields)
     except (KeyError, TypeError, ValueError, DataError) as error:
         raise LogError("not a log entry: %.200r (%s)" % (data, error)) from None
@@ -316,11 +355,7 @@ def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:
     return Submit(transition, str(task), dict(data))
 
 
-_OPEN = ("data", "cause", "plan", "mapping")
-"""Fields that hold JSON objects of any content."""
-
-
-def _check_open_fields(fields: Dict[str, Any]) -> None:
+def _check_bounds(fields: Dict[str, Any]) -> None:
     """:raises ValueError, DataError: data, a cause or an id is not of the right form or size."""
     if "data" in fields:
         fields["data"] = check_values(fields["data"])

@@ -7,6 +7,7 @@ robot's. Data never enables a transition: tokens decide, data flows.
 
 from __future__ import annotations
 
+import collections.abc
 import json
 import re
 from typing import Any, Dict, Iterator, Mapping, Optional, Tuple
@@ -51,7 +52,7 @@ def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, A
     :param limit: longest data in all, in characters of JSON; None: any length.
     :raises DataError: a name is not one, or a value is not JSON or too long.
     """
-    if not isinstance(values, Mapping):
+    if not isinstance(values, collections.abc.Mapping):
         raise DataError("data is a JSON object, not a %s" % type(values).__name__)
     if len(values) > NAMES_LIMIT:
         raise DataError("%d names of data; at most %d are kept" % (len(values), NAMES_LIMIT))

@@ -40,7 +40,6 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import BallotAttempt, ReplicaState
-from gspn_framework_package.execution.ledger import Item
 
 LONGEST_ROUND_TRIP = 1.0
 """Seconds. A longer answer time means that a robot was away, not that the network is slow."""
@@ -110,7 +109,7 @@ class Consensus:
         self._see(ballot)
         state.promised = max(state.promised, ballot)
         if record["kind"] == "accepted":
-            batch = [Item.from_json(item).to_json() for item in record["batch"]]
+            batch = Batch.from_json(record["batch"])
             if record["slot"] == slot:
                 state.accepted = (ballot, batch)
 
@@ -143,7 +142,7 @@ class Consensus:
         slot = state.ledger.length
         if self.leads():
             batch = self.proposals.batch(False)
-            if batch:
+            if batch.items:
                 self._begin(BallotAttempt(slot, state.promised, False, now, now, state.slow > 0))
                 self._second_phase(batch)
             return
@@ -235,7 +234,7 @@ class Consensus:
                 robots = state.ledger.state.robots
                 evicted = {
                     item.entry.robot
-                    for item in map(Item.from_json, batch)
+                    for item in batch.items
                     if isinstance(item.entry, log_entries.Evict)
                     and item.entry.robot in robots
                     and item.entry.incarnation == robots[item.entry.robot].incarnation
@@ -247,7 +246,7 @@ class Consensus:
                     return False
         if not self.config.partial:
             state.followers = set(attempt.promises)
-        if not batch and not attempt.frozen:
+        if not batch.items and not attempt.frozen:
             state.attempt = None
             return True
         self._second_phase(batch)
@@ -286,7 +285,8 @@ class Consensus:
         assert self.state.accepted is not None
         ballot, batch = self.state.accepted
         self.outbox.persist(
-            {"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch}, durable=True
+            {"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch.data},
+            durable=True,
         )
 
     def _see(self, ballot: Ballot) -> None:
@@ -344,12 +344,12 @@ class Consensus:
                 state.attempt = None
         votes = state.votes.setdefault(ballot, set())
         votes |= {self.config.name, ballot.robot}
-        held_items = {tuple(origin) for _, origin, _ in body.batch}
+        held_items = {item.origin for item in body.batch.items}
         waiting = [i for i in self.proposals.own_items() if i.origin not in held_items]
         self.outbox.answer(message, Accepted(body.slot, ballot, waiting))
         # those who proposed it get the votes directly
         if not self.config.partial and self.config.is_small:
-            origins = {origin[0] for _, origin, _ in body.batch}
+            origins = {item.origin.robot for item in body.batch.items}
             known = {self.config.name, message.sender}
             told = [m for m in self.electorate.others() if m in origins and m not in known]
             self.outbox.send_all(told, Accepted(body.slot, ballot, []))

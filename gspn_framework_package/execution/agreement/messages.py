@@ -8,7 +8,7 @@ fields of its body.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple, Type, Union
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Type, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.quorum import Ballot
@@ -33,8 +33,23 @@ LONGEST_NAME = 1_000
 LARGEST = 2**53
 """The largest number; every JSON reader reads it exactly."""
 
-Batch = List[Any]
-"""A proposed value: items as JSON values."""
+
+class Batch(NamedTuple):
+    """A proposed value. It is read once, when it comes in, and passed on as it came."""
+
+    items: List[Item]
+    data: List[Any]
+    """The items as JSON values."""
+
+    @classmethod
+    def of(cls, items: List[Item]) -> Batch:
+        """The batch of some items."""
+        return cls(items, [item.to_json() for item in items])
+
+    @classmethod
+    def from_json(cls, data: List[Any]) -> Batch:
+        """The batch of a JSON value. :raises LogError: an item is none."""
+        return cls([Item.from_json(item) for item in data], data)
 
 
 class MessageError(Exception):
@@ -59,6 +74,28 @@ def _name_of(value: Any, name: str) -> str:
     if not isinstance(value, str) or len(value) > LONGEST_NAME:
         raise MessageError("'%s' is not a text of at most %d characters" % (name, LONGEST_NAME))
     return value
+
+
+def _texts(data: Dict[str, Any], names: Sequence[str]) -> List[str]:
+    """Several texts; every message has these, so they are read without a call for each."""
+    found = []
+    for name in names:
+        value = data.get(name)
+        if type(value) is not str or len(value) > LONGEST_NAME:
+            value = _text(data, name)
+        found.append(value)
+    return found
+
+
+def _numbers(data: Dict[str, Any], names: Sequence[str]) -> List[int]:
+    """Several numbers, as :func:`_texts`."""
+    found = []
+    for name in names:
+        value = data.get(name)
+        if type(value) is not int or not 0 <= value <= LARGEST:
+            value = _number(data, name)
+        found.append(value)
+    return found
 
 
 def _number(data: Dict[str, Any], name: str) -> int:
@@ -102,20 +139,18 @@ def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
         items = [Item.from_json(i) for i in _list(value, name, MOST_ITEMS)]
     except LogError as error:
         raise MessageError("'%s' holds what is %s" % (name, error)) from None
-    for item in items:
-        origin = item.origin
+    for entry, origin, _ in items:
         if not 0 <= origin.incarnation <= LARGEST or not 0 <= origin.number <= LARGEST:
             raise MessageError("'%s' holds an entry whose origin is out of bounds" % name)
-        if isinstance(item.entry, log_entries.Start) and not start:
+        if isinstance(entry, log_entries.Start) and not start:
             raise MessageError("'%s' holds another start of the run" % name)
-        if isinstance(item.entry, log_entries.Join) and item.entry.robot != origin.robot:
-            raise MessageError("in '%s' %s joins for %s" % (name, origin.robot, item.entry.robot))
+        if isinstance(entry, log_entries.Join) and entry.robot != origin.robot:
+            raise MessageError("in '%s' %s joins for %s" % (name, origin.robot, entry.robot))
     return items
 
 
 def _batch(value: Any, *, start: bool = False) -> Batch:
-    _items(value, "batch", start=start)
-    return list(value)
+    return Batch(_items(value, "batch", start=start), value)
 
 
 # -- messages --------------------------------------------------------------------------------------
@@ -240,7 +275,7 @@ class Promise(NamedTuple):
             "slot": self.slot,
             "ballot": list(self.ballot),
             "vote": self.vote,
-            "accepted": self.accepted and [list(self.accepted[0]), self.accepted[1]],
+            "accepted": self.accepted and [list(self.accepted[0]), self.accepted[1].data],
             "items": [i.to_json() for i in self.items],
         }
 
@@ -272,7 +307,7 @@ class Accept(NamedTuple):
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
-        return {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch}
+        return {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch.data}
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Accept:
@@ -362,7 +397,7 @@ class Learn(NamedTuple):
             return {"snapshot": self.snapshot}
         return {
             "at": self.at,
-            "slots": [[list(ballot), batch, before] for ballot, batch, before in self.slots],
+            "slots": [[list(ballot), batch.data, before] for ballot, batch, before in self.slots],
         }
 
     @classmethod
@@ -450,13 +485,6 @@ def parse(data: Any) -> Envelope:
     body = _KINDS.get(kind) if isinstance(kind, str) else None
     if body is None:
         raise MessageError("there is no message '%.50s'" % (kind,))
-    return Envelope(
-        _text(data, "from"),
-        _text(data, "team"),
-        _text(data, "log"),
-        _number(data, "incarnation"),
-        _number(data, "records"),
-        _number(data, "length"),
-        _text(data, "hash"),
-        body.from_json(data),
-    )
+    sender, team, log, chain = _texts(data, ("from", "team", "log", "hash"))
+    incarnation, records, length = _numbers(data, ("incarnation", "records", "length"))
+    return Envelope(sender, team, log, incarnation, records, length, chain, body.from_json(data))

@@ -192,13 +192,13 @@ class Proposals:
         )
 
     def batch(self, frozen: bool) -> Batch:
-        """The batch for the open slot, items as JSON values.
+        """The batch for the open slot.
 
         :param frozen: nobody makes a local transition until the slot is decided.
         """
         items = self.in_order(frozen or not self.config.partial)
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
-        return [i.to_json() for i in items[: self.config.limits.batch]]
+        return Batch.of(items[: self.config.limits.batch])
 
     def in_order(self, frozen: bool, most: Optional[int] = None) -> List[Item]:
         """The first ``most`` items: for each robot, in the order of the members (others after

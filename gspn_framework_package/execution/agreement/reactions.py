@@ -137,15 +137,16 @@ class Reactions:
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         try:
-            log_entries.checked(task)
+            kept = log_entries.checked(task)
         except LogError as error:
             return str(error)
+        assert isinstance(kept, log_entries.Submit)  # a copy of the task
         key = (task.transition, task.id)
         if key not in state.offered and not self._has(key):
             if len(state.offered) >= OFFERED_LIMIT:
                 return "%d tasks wait for the team already" % OFFERED_LIMIT
-            self.outbox.persist({"kind": "offered", "entry": log_entries.to_json(task)})
-            state.offered[key] = (task, state.now)
+            self.outbox.persist({"kind": "offered", "entry": log_entries.to_json(kept)})
+            state.offered[key] = (kept, state.now)
         if order_id and key in state.offered:
             self._orders.setdefault(key, []).append(order_id)
         elif order_id:

@@ -7,11 +7,12 @@ nobody.
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Deque, List, Optional, Tuple
+from typing import Deque, Optional, Tuple
 
+from gspn_framework_package.execution.agreement.messages import Batch
 from gspn_framework_package.execution.agreement.quorum import Ballot
 
-Slot = Tuple[Ballot, List[Any], str]
+Slot = Tuple[Ballot, Batch, str]
 """The ballot under which a slot was decided, its batch, and the hash chain before it."""
 
 
@@ -33,7 +34,7 @@ class RecentSlots:
         self._first = first
         self._slots.clear()
 
-    def add(self, slot: int, ballot: Ballot, batch: List[Any], before: str) -> None:
+    def add(self, slot: int, ballot: Ballot, batch: Batch, before: str) -> None:
         """Keep a slot; ``before`` is the end of the hash chain before it."""
         if slot != self._first + len(self._slots):
             self.clear(slot)

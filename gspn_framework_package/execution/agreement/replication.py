@@ -58,7 +58,7 @@ class Replication:
     def begin(self) -> None:
         """The first slot is the same for everybody who has the plan, and needs no agreement."""
         start = self.config.game.start_entry()
-        self._commit([Item(start, Origin("", 0, 0)).to_json()], Ballot(0, ""), mine=False)
+        self._commit(Batch.of([Item(start, Origin("", 0, 0))]), Ballot(0, ""), mine=False)
 
     def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
         """The batch is chosen in the open slot; ``mine``: by our own attempt."""
@@ -66,7 +66,7 @@ class Replication:
         alone = mine and self.electorate.may_decide([self.config.name])
         self._commit(batch, ballot, mine=mine, alone=alone)
         if mine and self.state.halted is None:
-            origins = {origin[0] for _, origin, _ in batch}
+            origins = {item.origin.robot for item in batch.items}
             if not self.proposer.lead_on(ballot, origins):
                 self._tell_chosen(slot, ballot, origins, alone)
 
@@ -82,14 +82,14 @@ class Replication:
 
     def _commit(self, batch: Batch, ballot: Ballot, *, mine: bool, alone: bool = False) -> None:
         state = self.state
-        items = [Item.from_json(i) for i in batch]
         before = state.ledger.hash
         game = state.ledger.game
-        record, step = state.ledger.append(items, ballot)
+        record, step = state.ledger.append(batch.items, ballot)
         slot = record["slot"]
         fresh = {Origin(*o) for o in record["origins"]}
-        kept = [i for i in items if i.origin in fresh]
-        state.recent.add(slot, ballot, [i.to_json() for i in kept], before)
+        kept = [i for i in batch.items if i.origin in fresh]
+        all_kept = len(kept) == len(batch.items)
+        state.recent.add(slot, ballot, batch if all_kept else Batch.of(kept), before)
         self.outbox.persist(record, durable=alone)  # then it is our vote as well
         if slot == 0:
             state.first_hash = state.ledger.hash
@@ -237,9 +237,7 @@ class Replication:
                 hint="the file was changed, or belongs to another version of the plan",
             )
         ballot = record.get("ballot", [0, ""])
-        state.recent.add(
-            record["slot"], Ballot.from_json(ballot), [i.to_json() for i in items], before
-        )
+        state.recent.add(record["slot"], Ballot.from_json(ballot), Batch.of(items), before)
 
     def recall_is_over(self, records: Sequence[Record]) -> None:
         """All records were read."""

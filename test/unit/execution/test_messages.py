@@ -261,6 +261,20 @@ WORLD = running(True)
 
 
 @pytest.mark.long
+def test_a_batch_is_read_once_and_goes_on_as_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = running(False)
+    read = []
+    from_json = Item.from_json
+    monkeypatch.setattr(Item, "from_json", lambda data: read.append(data) or from_json(data))
+    accept = world.heard["accept"]
+    batch = parse(accept).body.batch
+    assert len(read) == len(batch.items) > 0 and batch.data is accept["batch"]
+    replica, read[:] = world.nodes["r2"].replica, []
+    before = replica.ledger.length
+    replica.replication.decided(batch, replica.state.promised, mine=False)
+    assert replica.ledger.length == before + 1 and not read
+
+
 def test_a_hello_does_not_grow_with_the_team() -> None:
     sizes = []
     for robots in (3, 13):

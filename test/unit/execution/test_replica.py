@@ -11,7 +11,7 @@ import pytest
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
-from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
+from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
@@ -315,7 +315,7 @@ def test_messages_of_other_runs_are_ignored() -> None:
     world.run(0.3)
     replica = world.nodes["r1"].replica
     length = replica.ledger.length
-    learn = Learn(at=length, slots=((Ballot(9, "r2"), [], replica.ledger.hash),))
+    learn = Learn(at=length, slots=((Ballot(9, "r2"), Batch.of([]), replica.ledger.hash),))
     other = "old|%s" % world.plan.hash()[:12]
     message = Envelope("r2", other, world.nodes["r2"].replica.log_id, 0, 0, length + 1, "", learn)
     effects = replica.step(interface.Received(message.to_json()), world.now)
