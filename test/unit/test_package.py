@@ -67,6 +67,7 @@ ROSDEP_KEYS = {
     "jsonschema": "python3-jsonschema",
     "lxml": "python3-lxml",
     "matplotlib": "python3-matplotlib",
+    "distributed": "",
     "numba": "",
     "numpy": "python3-numpy",
     "playwright": "",
