@@ -64,6 +64,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "replay": Verb(
         ".replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
     ),
+    "export": Verb(
+        ".export", "write recorded runs for other tools: as a rosbag, an MCAP file or a table"
+    ),
     "compare": Verb(
         ".compare", "compare runs with what their plan predicts: intervals, and an alarm per place"
     ),

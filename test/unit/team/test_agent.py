@@ -104,6 +104,12 @@ class InMemory:
     def tell_firing(self, fields):
         self.wire.firings.append(json.loads(json.dumps(fields)))
 
+    def is_team_watched(self):
+        return True
+
+    def tell_team(self, marking, team):
+        self.wire.teams.append((marking, team))
+
     def tell_activity(self, activity):
         self.wire.activities.append(json.loads(json.dumps(activity)))
 
