@@ -80,6 +80,8 @@ ROSDEP_KEYS = {
     "waitress": "python3-waitress",
     "werkzeug": "python3-flask",  # Flask is built on it
     "yaml": "python3-yaml",
+    "mcap": "",
+    "rosbags": "",
     "zenoh": "",
 }
 
