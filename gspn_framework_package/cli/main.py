@@ -49,6 +49,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "check": Verb(".check", "check whether a plan may run, before any robot moves"),
     "run": Verb(".run", "execute a plan without ROS, its agents on threads"),
     "simulate": Verb(".simulate", "simulate many runs of a net or plan, with confidence intervals"),
+    "sweep": Verb(
+        ".sweep", "measure a net or plan for many teams, rates, durations or policies at once"
+    ),
     "analyse": Verb(
         ".analyse", "analyse a net, or a plan under its policy: structure, state space, time"
     ),

@@ -10,10 +10,12 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import GspnError
 
 
 @dataclass
@@ -39,11 +41,13 @@ class WorkItem(NamedTuple):
 
     :ivar piece: plain data that says which part.
     :ivar size: how much of what is counted for the progress this is.
+    :ivar name: what an error that it raises is about; empty if that needs no word.
     """
 
     workload: Workload
     piece: Any
     size: int = 1
+    name: str = ""
 
 
 class Executor:
@@ -96,15 +100,28 @@ class LocalExecutor(Executor):
         workload, ready = None, None
         done = 0
         for number, task in enumerate(tasks):
-            if task.workload is not workload:
-                workload = task.workload
-                ready = workload.ready
-                if ready is None:
-                    ready = workload.prepare(workload.shared)
-            yield number, task.workload.work(ready, task.piece, heard)
+            with naming(task):
+                if task.workload is not workload:
+                    workload = task.workload
+                    ready = workload.ready
+                    if ready is None:
+                        ready = workload.prepare(workload.shared)
+                result = task.workload.work(ready, task.piece, heard)
+            yield number, result
             done += task.size
             if not heard.reports:
                 watch.step(what, done)
+
+
+@contextmanager
+def naming(item: WorkItem) -> Iterator[None]:
+    """Say in an error which item it is about."""
+    try:
+        yield
+    except GspnError as error:
+        if item.name:
+            error.located(element=item.name)
+        raise
 
 
 class _Heard(Watch):

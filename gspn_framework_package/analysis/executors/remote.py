@@ -20,7 +20,12 @@ from typing import Any, Deque, Dict, Iterator, List, NamedTuple, Sequence, Set, 
 import numpy as np
 
 import gspn_framework_package
-from gspn_framework_package.analysis.executors.executor import Executor, WorkItem, Workload
+from gspn_framework_package.analysis.executors.executor import (
+    Executor,
+    WorkItem,
+    Workload,
+    naming,
+)
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import WorkersError
 from gspn_framework_package.model.kept import Kept
@@ -108,7 +113,8 @@ class RemoteExecutor(Executor):
                 for future in ended:
                     number = running.pop(future)
                     try:
-                        result = self._result(future)
+                        with naming(tasks[number]):
+                            result = self._result(future)
                     except concurrent.futures.BrokenExecutor:
                         lost.append(number)
                         continue

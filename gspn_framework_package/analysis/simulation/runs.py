@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -105,7 +105,8 @@ def simulate(
     )
     with LocalExecutor() if on is None else nullcontext(on) as executor:
         work = SimulationWork(subject, asked, executor.workers)
-        work_off([work], executor, Watch(progress, cancel))
+        for _ in finished([work], executor, Watch(progress, cancel)):
+            pass
     return work.result(samples)
 
 
@@ -129,10 +130,13 @@ class SimulationWork:
     """The simulation of one subject, in rounds of tasks.
 
     :param workers: how many work on it at once.
+    :param name: what an error is about; empty if that needs no word.
     :raises GspnError: see :func:`simulate`.
     """
 
-    def __init__(self, subject: Union[Net, Plan], asked: Asked, workers: int = 1) -> None:
+    def __init__(
+        self, subject: Union[Net, Plan], asked: Asked, workers: int = 1, name: str = ""
+    ) -> None:
         plan = subject if isinstance(subject, Plan) else None
         as_run = checked_reading(asked.timing) == RUN and plan is not None
         few = 1000 if asked.precision is None else MOST_REPLICATIONS
@@ -140,6 +144,7 @@ class SimulationWork:
         _check_numbers(subject, asked, self._most)
         _check_options(as_run, plan is not None and not as_run, asked)
         self._plan, self._as_run, self._asked, self._workers = plan, as_run, asked, workers
+        self._name = name
         self._condition = asked.until if plan is None else either(plan.until, asked.until)
         played = Subject(
             subject,
@@ -169,7 +174,11 @@ class SimulationWork:
         """The tasks of the next round; none if there is nothing more to do."""
         asked, done = self._asked, self._done
         if asked.batches is not None:
-            return [] if done else [WorkItem(self._workload, RunBatch(0, 1, 1, asked.batches))]
+            return (
+                []
+                if done
+                else [WorkItem(self._workload, RunBatch(0, 1, 1, asked.batches), 1, self._name)]
+            )
         end = self._most
         if asked.precision is not None:
             reached = (self._precision or {}).get("reached")
@@ -179,7 +188,7 @@ class SimulationWork:
         size = self._player.size
         planned = math.ceil(end / self._workers)
         return [
-            WorkItem(self._workload, RunBatch(first, count, planned), count)
+            WorkItem(self._workload, RunBatch(first, count, planned), count, self._name)
             for first in range(done, end, size)
             for count in (min(size, end - first),)
         ]
@@ -232,20 +241,30 @@ class SimulationWork:
         return result._replace(samples=found) if samples else result
 
 
-def work_off(works: Sequence[SimulationWork], executor: Executor, watch: Watch) -> None:
-    """Do some simulations together, so that no worker waits for the others of one of them.
+def finished(works: Sequence[SimulationWork], executor: Executor, watch: Watch) -> Iterator[int]:
+    """Do some simulations together, so that no worker waits for the others of one of them; yield
+    the number of each as soon as it is done.
 
     :raises GspnError: see :func:`simulate`.
     """
-    open_ = list(works)
-    while open_:
-        rounds = [work.tasks() for work in open_]
-        tasks = [task for tasks in rounds for task in tasks]
-        results = iter(executor.ordered(tasks, "runs", watch))
-        for work, tasks in zip(open_, rounds):
-            if tasks:
-                work.take([next(results) for _ in tasks])
-        open_ = [work for work, tasks in zip(open_, rounds) if tasks]
+    rounds = {number: work.tasks() for number, work in enumerate(works)}
+    while rounds:
+        places = [(number, k) for number, tasks in rounds.items() for k in range(len(tasks))]
+        tasks = [rounds[number][k] for number, k in places]
+        results: Dict[int, Dict[int, Played]] = {number: {} for number in rounds}
+        following = {}
+        for at, played in executor.map(tasks, "runs", watch):
+            number, k = places[at]
+            results[number][k] = played
+            if len(results[number]) == len(rounds[number]):
+                found = results.pop(number)
+                works[number].take([found[k] for k in range(len(found))])
+                more = works[number].tasks()
+                if more:
+                    following[number] = more
+                else:
+                    yield number
+        rounds = following
 
 
 def _check_numbers(subject: Union[Net, Plan], asked: Asked, replications: int) -> None:
@@ -330,4 +349,4 @@ def _correlated(samples: Samples) -> List[str]:
     ]
 
 
-__all__ = ["Asked", "Estimate", "Samples", "Simulation", "SimulationWork", "simulate", "work_off"]
+__all__ = ["Asked", "Estimate", "Samples", "Simulation", "SimulationWork", "simulate", "finished"]
