@@ -66,6 +66,14 @@ class Item(NamedTuple):
             raise LogError("not an entry with its origin: %.200r (%s)" % (data, error)) from None
 
 
+def _is_newer(origin: Origin, known: Optional[Tuple[int, int, str]]) -> bool:
+    """Whether an entry of this origin is newer than the one that is known of its robot."""
+    if known is None or origin.incarnation > known[0]:
+        return True
+    _, incarnation, number, log_id = origin
+    return incarnation == known[0] and number > known[1] and log_id == known[2]
+
+
 class Ledger:
     """The state after a prefix of the log.
 
@@ -104,11 +112,19 @@ class Ledger:
 
     def is_news(self, origin: Origin) -> bool:
         """Whether an entry of this origin is newer than all entries of that robot in the log."""
-        known = self.seen.get(origin.robot)
-        if known is None or origin.incarnation > known[0]:
-            return True
-        _, incarnation, number, log_id = origin
-        return incarnation == known[0] and number > known[1] and log_id == known[2]
+        return _is_newer(origin, self.seen.get(origin.robot))
+
+    def news(self, items: Sequence[Item]) -> List[Item]:
+        """Those items of a batch that are newer than all entries of their robot before them, in the
+        log and in the batch."""
+        seen: Dict[str, Tuple[int, int, str]] = {}
+        fresh = []
+        for item in items:
+            robot = item.origin.robot
+            if _is_newer(item.origin, seen.get(robot, self.seen.get(robot))):
+                seen[robot] = item.origin[1:]
+                fresh.append(item)
+        return fresh
 
     def append(
         self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
@@ -119,11 +135,8 @@ class Ledger:
         :param ballot: the ballot under which a team agreed on it.
         :returns: the ``slot`` record, and what it changed.
         """
-        fresh: List[Item] = []
-        for item in items:
-            if self.is_news(item.origin):
-                self.seen[item.origin.robot] = item.origin[1:]
-                fresh.append(item)
+        fresh = self.news(items)
+        self.seen.update({item.origin.robot: item.origin[1:] for item in fresh})
         slot, entries = self.length, [item.entry for item in fresh]
         step = self.game.reduce(self.state, slot, entries)
         record = self.record(slot, entries, [list(item.origin) for item in fresh], step)

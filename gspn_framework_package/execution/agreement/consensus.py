@@ -10,7 +10,7 @@ promised.
 
 In partial synchronisation nobody leads: the first phase is how a proposer learns the local
 transitions of the others. It needs an answer from every member that it does not evict in the same
-slot.
+slot. A process without the member's memory answers for it only in the slot that lets it in.
 
 One slot is open at a time; batches carry the load.
 
@@ -22,9 +22,8 @@ chosen to the log (:class:`ConsensusLog`).
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Protocol, Set, Union
+from typing import Any, Dict, List, Mapping, Optional, Protocol, Set, Union
 
-from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import (
@@ -227,23 +226,10 @@ class Consensus:
         if accepted:
             batch: Batch = max(accepted, key=lambda a: a[0])[1]
         else:
-            batch = self.proposals.batch(attempt.frozen)
-            if self.config.partial:
-                # an eviction of an earlier incarnation has no effect: the robot stays, and has to
-                # be asked for its local transitions
-                robots = state.ledger.state.robots
-                evicted = {
-                    item.entry.robot
-                    for item in batch.items
-                    if isinstance(item.entry, log_entries.Evict)
-                    and item.entry.robot in robots
-                    and item.entry.incarnation == robots[item.entry.robot].incarnation
-                }
-                if any(
-                    m not in attempt.answered and m not in evicted
-                    for m in self.electorate.members()
-                ):
-                    return False
+            unasked = self._unasked(attempt) if self.config.partial else {}
+            batch = self.proposals.batch(attempt.frozen, unasked)
+            if unasked and not self._are_replaced(unasked, batch):
+                return False
         if not self.config.partial:
             state.followers = set(attempt.promises)
         if not batch.items and not attempt.frozen:
@@ -251,6 +237,25 @@ class Consensus:
             return True
         self._second_phase(batch)
         return True
+
+    def _unasked(self, attempt: BallotAttempt) -> Dict[str, str]:
+        """The members of which nobody has told the local transitions yet -> "", or the log of
+        another process of that name that answered: it knows nothing of them."""
+        return {
+            m: attempt.strangers.get(m, "")
+            for m in self.electorate.members()
+            if m not in attempt.answered
+        }
+
+    def _are_replaced(self, robots: Mapping[str, str], batch: Batch) -> bool:
+        """Whether the batch ends the present life of each of these robots, so that the local
+        transitions of it that are not in the log are void: it evicts the robot, or lets the
+        process in that answered under its name."""
+        ledger, ended = self.state.ledger, set()
+        for item in ledger.news(batch.items):
+            if self.electorate.ends_life(item.entry, robots):
+                ended.add(getattr(item.entry, "robot", ""))
+        return ended.issuperset(robots)
 
     def _second_phase(self, batch: Batch) -> None:
         state = self.state
@@ -303,10 +308,8 @@ class Consensus:
         if body.frozen:
             state.frozen_by = body.ballot
         if not self.electorate.may_vote():
-            # others learn what we know, but our vote does not count; and where another process
-            # took our place, only that one knows of its local transitions
-            if not self.electorate.is_replaced():
-                self._answer_prepare(message, body, vote=False)
+            # others learn what we know, but our vote does not count
+            self._answer_prepare(message, body, vote=False)
             return
         self._promise(body.ballot)
         attempt = state.attempt
@@ -373,7 +376,10 @@ class Consensus:
             or not self._answers(message, body, attempt)
         ):
             return
-        attempt.answered.add(message.sender)
+        if message.log == self.electorate.known_log(message.sender):
+            attempt.answered.add(message.sender)
+        else:
+            attempt.strangers[message.sender] = message.log
         if body.vote:
             attempt.promises[message.sender] = body.accepted
         if self._first_phase_over() and attempt.batch is not None:

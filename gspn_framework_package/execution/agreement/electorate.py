@@ -5,7 +5,7 @@ Owns nothing and changes nothing: questions about the state that every part asks
 
 from __future__ import annotations
 
-from typing import Collection, List, Optional, Sequence, Set, Tuple
+from typing import Collection, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
@@ -45,10 +45,6 @@ class Electorate:
         if known[0] is not ledger or known[1] != ledger.length:
             known = self._members = (ledger, ledger.length, ledger.state.members())
         return known[2]
-
-    def is_replaced(self) -> bool:
-        """Whether another process of our name was let in, as far as we know."""
-        return self.state.superseded_at is not None or self.has_namesake()
 
     def others(self) -> List[str]:
         """The members without us."""
@@ -111,6 +107,21 @@ class Electorate:
         """The members that have been silent for so long (s) that they seem lost."""
         state = self.state
         return state.peers.silent(self.members(), self.config.name, limit, state.now)
+
+    def ends_life(self, entry: log_entries.Entry, robots: Mapping[str, str]) -> bool:
+        """Whether an entry evicts one of these members, or lets another process in under its name.
+        One about an earlier incarnation has no effect.
+
+        :param robots: member -> id of the log of that process, or "".
+        """
+        known = self.state.ledger.state.robots
+        if isinstance(entry, log_entries.Evict) and entry.robot in robots:
+            robot = known.get(entry.robot)
+            return robot is not None and entry.incarnation == robot.incarnation
+        if isinstance(entry, log_entries.Join) and entry.log == robots.get(entry.robot):
+            robot = known.get(entry.robot)  # a witness has no incarnation there
+            return robot is None or entry.incarnation > robot.incarnation
+        return False
 
     # -- ourselves ---------------------------------------------------------------------------------
 

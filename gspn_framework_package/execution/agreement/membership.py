@@ -359,6 +359,7 @@ class Membership:
             or state.amnesic
             or state.ledger.length < 1
             or state.now < state.listen_until
+            or self.electorate.has_namesake()
         ):
             return
         others = [m for m in self.electorate.others() if m not in state.off]
@@ -627,16 +628,38 @@ class Membership:
         if message.team != self.config.tag or not isinstance(body, Hello):
             return
         same = message.log == state.log_id
-        if not same and body.active and not state.active:
-            state.namesake_heard = state.now
-        if message.incarnation > state.incarnation and (same or (body.active and state.active)):
+        if not same:
+            self._meet_namesake(body)
+        both = not same and body.active and state.active
+        if message.incarnation > state.incarnation and (same or both):
             self._halt("another process runs as %s, and started later" % self.config.name)
         elif state.superseded_at is not None and not same:
-            if state.rival_since is None:
-                state.rival_since = state.now
-            # a late message comes only once
-            elif state.now - state.rival_since > 1.5 * self.config.pace.heartbeat:
+            if self._rival_stays():
                 self._halt("another process runs as %s, and was let in after it" % self.config.name)
+        elif both and message.incarnation == state.incarnation:
+            # the only robot of a team, twice: both may decide alone, so one has to go; its log only
+            # grows, so that never both do
+            ours = (state.ledger.length, state.log_id)
+            if (message.length, message.log) > ours and self._rival_stays():
+                self._halt("another process runs as %s, and has a longer log" % self.config.name)
+
+    def _meet_namesake(self, hello: Hello) -> None:
+        """Another process of our name is there: if one of us is in the team, the other waits, and
+        has to hear of it before it takes part."""
+        state, pace = self.state, self.config.pace
+        rested = state.now >= state.namesake_told + min(pace.greeting, pace.heartbeat)
+        if hello.active and not state.active:
+            state.namesake_heard = state.now
+        elif state.active and not hello.active and rested:
+            state.namesake_told = state.now
+            self.outbox.broadcast(self._hello())
+
+    def _rival_stays(self) -> bool:
+        """Whether a process of our name was heard for a while: a late message comes only once."""
+        state = self.state
+        if state.rival_since is None:
+            state.rival_since = state.now
+        return state.now - state.rival_since > 1.5 * self.config.pace.heartbeat
 
     def hear_stranger(self, message: Envelope) -> None:
         """A message of another run, or of another plan."""

@@ -6,7 +6,7 @@ the log), puts records and the answers to orders into the outbox.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, Optional, Sequence, Set
+from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
@@ -191,14 +191,32 @@ class Proposals:
             for item in items.values()
         )
 
-    def batch(self, frozen: bool) -> Batch:
+    def batch(self, frozen: bool, unasked: Optional[Mapping[str, str]] = None) -> Batch:
         """The batch for the open slot.
 
         :param frozen: nobody makes a local transition until the slot is decided.
+        :param unasked: member -> log, as in
+            :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`: the
+            slot cannot be decided without the entries that end the lives of these.
         """
         items = self.in_order(frozen or not self.config.partial)
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
-        return Batch.of(items[: self.config.limits.batch])
+        most = self.config.limits.batch
+        if len(items) > most and unasked:
+            first = self._up_to_those_who_end(items, unasked)
+            held = {i.origin for i in first}
+            items = first + [i for i in items if i.origin not in held]
+            most = max(most, len(first))
+        return Batch.of(items[:most])
+
+    def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, str]) -> List[Item]:
+        """The proposals that end the lives of unasked members, and those of their robots before
+        them."""
+        last: Dict[str, int] = {}
+        for number, item in enumerate(items):
+            if self.electorate.ends_life(item.entry, unasked):
+                last[item.origin.robot] = number
+        return [i for n, i in enumerate(items) if n <= last.get(i.origin.robot, -1)]
 
     def in_order(self, frozen: bool, most: Optional[int] = None) -> List[Item]:
         """The first ``most`` items: for each robot, in the order of the members (others after

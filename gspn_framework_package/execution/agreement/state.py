@@ -59,6 +59,8 @@ class BallotAttempt:
     """Who promised, and what was accepted there."""
     answered: Set[str] = field(default_factory=set)
     """Those who promised, and those without a vote who told what they know."""
+    strangers: Dict[str, str] = field(default_factory=dict)
+    """Members under whose name a process answered that lacks their memory -> id of its log."""
     batch: Optional[Batch] = None
     """None in the first phase."""
 
@@ -145,6 +147,8 @@ class ReplicaState:
     """Since when we have heard another process of our name after that (s)."""
     namesake_heard: Optional[float] = _owned("membership")
     """When we, not in the team, last heard a process of our name that is (s)."""
+    namesake_told: float = _owned("membership", -math.inf)
+    """When we, in the team, last let a process of our name know at once that we are (s)."""
 
     # -- who the others are ------------------------------------------------------------------------
 

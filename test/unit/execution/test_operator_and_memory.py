@@ -379,6 +379,82 @@ def test_a_spare_takes_the_place_and_the_first_one_halts_when_it_is_back(partial
     world.verify()
 
 
+def test_a_spare_does_not_answer_for_the_robot_whose_place_it_did_not_take() -> None:
+    """No pause is decided on the word of a process that does not know what its robot has done: only
+    with its return does the former life end."""
+    world = team(TOUR, 3, True)
+    spare = world.add_spare(world.nodes["r3"])
+    away = {(a, b) for a in world.nodes for b in world.nodes if a != b and "r3" in (a, b)}
+    world.blocked |= away
+    carry = world._carry
+
+    def without_greetings(sender: str, to: str, text: str, request: str) -> None:
+        if to != spare.key or '"kind": "hello"' not in text:
+            carry(sender, to, text, request)
+
+    world._carry = without_greetings  # so that it does not hear that it has to join
+    spare.start()
+    world.run(world.now + 0.5)
+    world.nodes["r1"].give(interface.Order("pause", log_entries.Pause()))
+    world.run(world.now + 2)
+    assert "pause" not in world.nodes["r1"].results
+    world._carry = carry
+    world.run(world.now + 2)
+    assert world.nodes["r1"].results["pause"].ok
+    assert world.replica("r1").known_log("r3") == spare.replica.log_id
+    world.blocked.clear()
+    world.run(world.now + 1)
+    world.remove(world.nodes["r3"])
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_second_process_of_the_only_robot_takes_no_part(partial: bool) -> None:
+    world = team(TOUR, 1, partial)
+    spare = world.add_spare(world.nodes["r1"])
+    spare.start()
+    world.run(world.now + 2)
+    assert not spare.replica.active
+    assert "another process runs as r1" in spare.replica.waits_for()
+    assert not world.nodes["r1"].halted
+    world.verify()
+
+
+def test_of_two_processes_of_the_only_robot_that_begin_apart_one_halts() -> None:
+    world = team(TOUR, 1)
+    world.given_up = True  # each is the whole team: nobody can tell them apart
+    spare = world.add_spare(world.nodes["r1"])
+    world.blocked |= {("r1", spare.key), (spare.key, "r1")}
+    spare.start()
+    world.run(world.now + 1)
+    assert spare.replica.active
+    world.blocked.clear()
+    world.run(world.now + 1)
+    assert "another process runs as r1" in spare.halted
+    assert not world.nodes["r1"].halted
+
+
+def test_an_eviction_gets_into_a_full_batch() -> None:
+    """With partial synchronisation, a slot that does not hold it waits for the robot that is
+    off."""
+    world = team(TOUR, 3, True)
+    world.limits = ProtocolLimits(batch=1)
+    for name in ("r1", "r2"):
+        world.nodes[name].crash()
+        world.nodes[name].start()
+    world.nodes["r3"].crash()
+    world.run(world.now + 1)
+    for number in range(3):
+        world.nodes["r1"].give(interface.Order("resume %d" % number, log_entries.Resume()))
+    world.run(world.now + 1)
+    world.nodes["r2"].give(interface.Order("evict", log_entries.Evict("r3", -1)))
+    world.run(world.now + 2)
+    assert world.nodes["r2"].results["evict"].ok
+    assert world.replica("r1").members() == ["r1", "r2"]
+    world.verify()
+
+
 @pytest.mark.parametrize("partial", [False, True])
 def test_a_log_that_was_cut_is_noticed_and_its_robot_joins_anew(partial: bool) -> None:
     world = team(TOKENS, 3, partial)
