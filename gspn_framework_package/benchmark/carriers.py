@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import glob
+import itertools
 import json
 import multiprocessing
 import os
@@ -34,6 +35,7 @@ from gspn_framework_package.team.agent import PrintedVoice, make_agent
 from gspn_framework_package.team.carrier import Handlers, OperatorAnswer
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember, make_team, read_keys
+from gspn_framework_package.team.lanes import LANES
 from gspn_framework_package.team.router import Router
 from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 from gspn_framework_package.team.zenoh_session import TeamAccess, key_of, open_session
@@ -102,13 +104,14 @@ def _robot(site: _Site, robots: int, robot: str, log: str, load: str, stop: Any)
 
 def _flood(site: _Site, sent: Any, stop: Any) -> None:
     session = open_session(site.access(FLOODER))
-    publisher = session.declare_publisher(key_of(RUN, FLOODER, "all"), express=True)
+    keys = [key_of(RUN, FLOODER, "all", str(lane)) for lane in range(LANES)]
+    lanes = itertools.cycle([session.declare_publisher(key, express=True) for key in keys])
     body = json.dumps({"from": FLOODER, "kind": "hello", "text": "x" * BYTES}).encode()
     began = time.monotonic()
     while not stop.is_set():
         due = int((time.monotonic() - began) * FLOOD)
         while sent.value < due:
-            publisher.put(body)
+            next(lanes).put(body)
             sent.value += 1
         time.sleep(0.005)
     session.close()

@@ -28,6 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keys", metavar="DIR", default="", help="the keys of this router, from 'gspn keys'"
     )
+    parser.add_argument(
+        "--no-limit",
+        action="store_true",
+        help="drop no flood; needed without keys where other routers connect to this one",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON, a line for each event")
     parser.epilog = (
         "Without keys, whoever reaches the router takes part in any run. A changed team.json in "
@@ -39,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Route until interrupted; return 0."""
     listen = args.listen or ["tls/0.0.0.0:7447" if args.keys else "tcp/127.0.0.1:7447"]
-    router = Router(listen, args.connect, args.keys)
+    router = Router(listen, args.connect, args.keys, limited=not args.no_limit)
     try:
         _tell(args, "listens at %s; %s" % (", ".join(listen), _who(router)), listen=listen)
         with contextlib.suppress(KeyboardInterrupt):

@@ -17,8 +17,11 @@ FASTEST = 3000.0
 """Messages a second that are taken from one robot. A leader at its fastest sends fewer. One that
 goes on sending more is not heard at all until it is slower."""
 
-BURST = 3000.0
-"""Messages that are taken at once from a robot that was quiet."""
+BURST = FASTEST
+"""Messages that are taken at once from a robot that was quiet: those of a second."""
+
+COUNTS_ONCE = 8192
+"""Bytes. A larger message counts as several."""
 
 _MOST_SENDERS = 1000
 _MOST_REASONS = 1000
@@ -33,39 +36,52 @@ class MessageGate:
     that is not.
 
     :param largest: bytes of a message.
+    :param fastest: messages a second that are taken from one robot in one channel.
     """
 
-    def __init__(self, largest: int) -> None:
-        self._largest = largest
+    def __init__(self, largest: int, fastest: float = FASTEST) -> None:
+        self._largest, self._fastest, self._burst = largest, fastest, fastest * BURST / FASTEST
         self._lock = threading.Lock()
         self._refused: Dict[Tuple[str, str], int] = {}
-        self._buckets: Dict[str, Tuple[float, float]] = {}
+        self._buckets: Dict[Tuple[str, str], Tuple[float, float]] = {}
 
-    def admits(self, robot: str, size: int, now: float) -> bool:
+    def admits(self, robot: str, size: int, now: float, channel: str = "") -> bool:
         """Whether to look at a message at all.
 
         :param robot: who sent it.
         :param size: in bytes.
         :param now: a monotonic clock, in seconds.
+        :param channel: where it came; each robot has a limit in each.
         """
         if size > self._largest:
             self.refuse(robot, "too large")
             return False
+        sender = (robot, channel)
         with self._lock:
-            if robot not in self._buckets and len(self._buckets) >= _MOST_SENDERS:
-                robot = ""  # all others together
-            tokens, before = self._buckets.get(robot, (BURST, now))
-            tokens = min(BURST, tokens + (now - before) * FASTEST)
+            if sender not in self._buckets and len(self._buckets) >= _MOST_SENDERS:
+                sender = ("", "")  # all others together
+            tokens, before = self._buckets.get(sender, (self._burst, now))
+            tokens = min(self._burst, tokens + (now - before) * self._fastest)
             let_in = tokens >= 1.0
-            self._buckets[robot] = (max(-BURST, tokens - 1.0), now)
+            tokens -= max(1.0, size / COUNTS_ONCE)
+            self._buckets[sender] = (max(-self._burst, tokens), now)
         if not let_in:
             self.refuse(robot, "too many messages")
         return let_in
 
     def read(self, robot: str, body: bytes) -> Optional[Message]:
         """The message in a body; None if it is refused."""
-        message = json_object(body)
-        if message is None:
+        return self._own(robot, json_object(body))
+
+    def read_all(self, robot: str, body: bytes) -> List[Message]:
+        """The messages in a body, which are one or a list of several; without what is refused."""
+        value = _json_value(body)
+        found = value if isinstance(value, list) else [value]
+        messages = [self._own(robot, message) for message in found]
+        return [message for message in messages if message is not None]
+
+    def _own(self, robot: str, message: Any) -> Optional[Message]:
+        if not isinstance(message, dict):
             self.refuse(robot, "not a JSON object")
             return None
         if sender_of(message) != robot:
@@ -102,8 +118,12 @@ _DECODER = json.JSONDecoder(parse_int=_number, parse_constant=_no_number)
 
 def json_object(body: Union[str, bytes]) -> Optional[Dict[str, Any]]:
     """The JSON object in a text of an untrusted sender; None if there is none."""
+    value = _json_value(body)
+    return value if isinstance(value, dict) else None
+
+
+def _json_value(body: Union[str, bytes]) -> Any:
     try:
-        value = _DECODER.decode(body if isinstance(body, str) else body.decode("utf-8"))
+        return _DECODER.decode(body if isinstance(body, str) else body.decode("utf-8"))
     except (ValueError, RecursionError):
         return None
-    return value if isinstance(value, dict) else None

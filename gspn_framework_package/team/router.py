@@ -19,14 +19,21 @@ class Router:
     :param listen: endpoints at which robots, operators and other routers connect.
     :param connect: endpoints of other routers.
     :param keys_folder: the keys of this router; "" for none: anybody may take part.
+    :param limited: drop what comes faster over a connection than a robot sends. Without keys, a
+        router to which others connect must not; with keys it knows whether there are others.
     :raises GspnError: the keys cannot be used, or an endpoint cannot be listened at.
 
     :ivar members: how many may take part; None: anybody.
     """
 
     def __init__(
-        self, listen: Sequence[str], connect: Sequence[str] = (), keys_folder: str = ""
+        self,
+        listen: Sequence[str],
+        connect: Sequence[str] = (),
+        keys_folder: str = "",
+        limited: bool = True,
     ) -> None:
+        self._limited = limited
         self._listen, self._connect = tuple(listen), tuple(connect)
         self._folder = keys_folder
         self._seen = self._stamp()
@@ -35,7 +42,17 @@ class Router:
     def _open(self) -> zenoh.Session:
         keys = self._keys()
         self.members = len(keys.members) if keys else None
-        return open_session(TeamAccess(self._connect, self._listen, keys, router=True))
+        return open_session(
+            TeamAccess(
+                self._connect, self._listen, keys, router=True, limited=self._is_limited(keys)
+            )
+        )
+
+    def _is_limited(self, keys: Optional[KeyFolder]) -> bool:
+        """Whether a connection carries what one robot sends, which has a limit; a connection to
+        another router has none."""
+        routers = [member for member in keys.members if member.role == "router"] if keys else []
+        return self._limited and not self._connect and len(routers) <= 1
 
     def _keys(self) -> Optional[KeyFolder]:
         if not self._folder:

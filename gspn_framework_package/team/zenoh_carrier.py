@@ -7,7 +7,7 @@ import contextlib
 import json
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Dict, List
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Tuple
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.worker_pool import WorkerPool
@@ -18,6 +18,7 @@ from gspn_framework_package.team.carrier import (
     OperatorRequest,
 )
 from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
+from gspn_framework_package.team.lanes import Lanes
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
@@ -32,6 +33,17 @@ if TYPE_CHECKING:
 MOST_WAITING = 16
 """Orders, and questions, that a robot answers at the same time; more are refused."""
 
+LARGEST_PACK = 60_000
+"""Bytes of messages that are sent as one; Zenoh splits what is larger."""
+
+MOST_ALONE = 3
+"""To so many robots a message goes to each alone in partial synchronisation, so that nobody else is
+disturbed; to more it goes once, to everybody."""
+
+HEARD = 1000.0
+"""Messages a second that are taken from a robot in a channel: what its lanes let it send, and some
+more."""
+
 _MOST_KEYS = 10_000
 
 
@@ -39,9 +51,10 @@ class ZenohCarrier:
     """One robot's session; a :class:`~gspn_framework_package.team.carrier.Carrier`.
 
     A message to one robot goes under that robot's key. In full synchronisation one to several
-    robots goes once, to everybody; in partial synchronisation to each alone, so that nobody else
-    is disturbed. Answers are messages as well. A message that finds the connection congested is
-    dropped, which the agreement copes with: a slow peer does not slow this robot down.
+    robots goes once, to everybody; in partial synchronisation to each alone, if they are few, so
+    that nobody else is disturbed. Messages of one step to the same robots go as one, a list.
+    Answers are messages as well. A message that finds the connection congested is dropped, which
+    the agreement copes with: a slow peer does not slow this robot down.
 
     Orders are taken from operators under their certificate's name. Make it after the last fork.
 
@@ -63,18 +76,21 @@ class ZenohCarrier:
         self._handlers = handlers
         self._partial = partial
         self._authenticated = access.keys is not None
-        self._gate = MessageGate(LARGEST_MESSAGE)
+        self._gate = MessageGate(LARGEST_MESSAGE, HEARD)
+        self._lanes = {"all": Lanes(), "to": Lanes()}
         self._pool = WorkerPool("operator")
         self._room = {"orders": MOST_WAITING, "status": MOST_WAITING}
         self._lock = threading.Lock()
         self._activity = b"{}"
-        self._senders: Dict[str, str] = {}
-        self._publishers: Dict[str, zenoh.Publisher] = {}
+        self._senders: Dict[str, Tuple[str, str]] = {}  # key -> robot and channel
+        self._publishers: Dict[Tuple[str, ...], zenoh.Publisher] = {}
         self._zenoh = zenoh_library()
         self._session = open_session(access)
+        # on the thread that receives: another thread between would cost more than it does
+        take = self._zenoh.handlers.Callback(self._on_message, indirect=False)
         self._declared: List[Any] = [
-            self._session.declare_subscriber(key_of(run, "*", "all"), self._on_message),
-            self._session.declare_subscriber(key_of(run, "*", "to", robot), self._on_message),
+            self._session.declare_subscriber(key_of(run, "*", "all", "*"), take),
+            self._session.declare_subscriber(key_of(run, "*", "to", robot, "*"), take),
             self._session.declare_queryable(key_of(run, robot, "orders", "*"), self._on_order),
             self._session.declare_queryable(key_of(run, robot, "status"), self._on_status),
             self._session.declare_queryable(key_of(run, robot, "activity"), self._on_asked),
@@ -84,21 +100,36 @@ class ZenohCarrier:
 
     def send(self, sends: List[Send]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
+        alone = MOST_ALONE if self._partial else 1
+        packs: Dict[Tuple[str, ...], List[bytes]] = {}
         while sends:
             message = sends[0].message
             same = [s for s in sends if s.message is message or s.message == message]
             sends = [s for s in sends if s not in same]
             body = _json(message)
             self.sent += 1
-            if len(same) > 1 and not self._partial:
-                self._put(body, "all")
+            to = {send.to for send in same}
+            if len(to) > alone or EVERYBODY in to:
+                packs.setdefault(("all",), []).append(body)
                 continue
-            for send in same:
-                self._put(body, *(("all",) if send.to == EVERYBODY else ("to", send.to)))
+            for robot in to:
+                packs.setdefault(("to", robot), []).append(body)
+        for channel, bodies in packs.items():
+            for pack in _packs(bodies):
+                self._put_in_lane(pack, channel)
+
+    def _put_in_lane(self, body: bytes, channel: Tuple[str, ...]) -> None:
+        """Send in the next lane, and wait for it if this robot sends fast: what comes in meanwhile
+        is then answered together."""
+        lane, wait = self._lanes[channel[0]].take(time.monotonic())
+        if wait > 0:
+            time.sleep(wait)
+        self._put(body, *channel, str(lane))
 
     def tell_firing(self, fields: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
-        self._put(_json(fields), "fired")
+        if self._has_listeners("fired"):
+            self._put(_json(fields), "fired")
 
     def tell_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
@@ -107,17 +138,13 @@ class ZenohCarrier:
 
     def is_watched(self) -> bool:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
+        return self._has_listeners("activity")
+
+    def _has_listeners(self, *rest: str) -> bool:
         with contextlib.suppress(self._zenoh.ZError):
-            status: Any = self._publisher("activity").matching_status
+            status: Any = self._publisher(*rest).matching_status
             return bool(status.matching)
         return False
-
-    def is_team_watched(self) -> bool:
-        """Never: who watches over Zenoh reads the firings, and asks for the status."""
-        return False
-
-    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
-        """See :meth:`is_team_watched`."""
 
     def close(self) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
@@ -132,30 +159,32 @@ class ZenohCarrier:
             self._publisher(*rest).put(body)
 
     def _publisher(self, *rest: str) -> zenoh.Publisher:
-        key = key_of(self.run, self.robot, *rest)
-        if key not in self._publishers:
-            self._publishers[key] = self._session.declare_publisher(
-                key,
+        publisher = self._publishers.get(rest)
+        if publisher is None:
+            publisher = self._publishers[rest] = self._session.declare_publisher(
+                key_of(self.run, self.robot, *rest),
                 congestion_control=self._zenoh.CongestionControl.DROP,
                 priority=self._zenoh.Priority.DATA_HIGH,
                 express=True,
                 allowed_destination=self._zenoh.Locality.REMOTE,
             )
-        return self._publishers[key]
+        return publisher
 
     # -- in, on Zenoh's threads --------------------------------------------------------------------
 
     def _on_message(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        robot = self._senders.get(key)
-        if robot is None:
-            robot = names_in(key)[1]
+        sender = self._senders.get(key)
+        if sender is None:
+            _, robot, channel, *_ = names_in(key)
+            sender = (robot, channel)
             if len(self._senders) < _MOST_KEYS:
-                self._senders[key] = robot
-        if not self._gate.admits(robot, len(sample.payload), time.monotonic()):
+                self._senders[key] = sender
+        robot, channel = sender
+        payload = sample.payload
+        if not self._gate.admits(robot, len(payload), time.monotonic(), channel):
             return
-        message = self._gate.read(robot, bytes(sample.payload))
-        if message is not None:
+        for message in self._gate.read_all(robot, bytes(payload)):
             self._handlers.received(message)
 
     def _on_asked(self, query: zenoh.Query) -> None:
@@ -216,6 +245,17 @@ class ZenohCarrier:
         with contextlib.suppress(self._zenoh.ZError):  # the session is closed, or who asked is gone
             query.reply(key_of(self.run, self.robot, *rest), body)
             query.drop()
+
+
+def _packs(bodies: List[bytes]) -> Iterator[bytes]:
+    """The messages as bodies that hold as many as fit."""
+    while bodies:
+        size, number = 0, 0
+        while number < len(bodies) and (not number or size + len(bodies[number]) <= LARGEST_PACK):
+            size += len(bodies[number])
+            number += 1
+        yield bodies[0] if number == 1 else b"[%s]" % b",".join(bodies[:number])
+        bodies = bodies[number:]
 
 
 def _json(fields: Dict[str, Any]) -> bytes:

@@ -2,8 +2,8 @@
 
 The names in Zenoh, each of which belongs to one robot (:func:`key_of`)::
 
-    gspn/RUN/ROBOT/all              protocol messages of ROBOT to everybody
-    gspn/RUN/ROBOT/to/OTHER         protocol messages of ROBOT to OTHER
+    gspn/RUN/ROBOT/all/LANE         protocol messages of ROBOT to everybody
+    gspn/RUN/ROBOT/to/OTHER/LANE    protocol messages of ROBOT to OTHER
     gspn/RUN/ROBOT/fired            the firings that ROBOT decided
     gspn/RUN/ROBOT/activity         what ROBOT does; also answers queries, with the last one
     gspn/RUN/ROBOT/status           answers queries of watchers
@@ -12,6 +12,9 @@ The names in Zenoh, each of which belongs to one robot (:func:`key_of`)::
 With keys, every session demands a certificate of the team's authority at both ends, and lets a
 robot put only under its own name, an operator query only under its own. A robot connects to the
 routers, which see its certificate; routers trust each other, and robots trust routers.
+
+Whoever is connected to, a router or a robot that listens, drops what comes faster than a robot
+sends (:mod:`~gspn_framework_package.team.lanes`).
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from urllib.parse import quote, unquote
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.team.gate import LARGEST_MESSAGE
 from gspn_framework_package.team.keys import KeyFolder, KeyHolder
+from gspn_framework_package.team.lanes import router_limits
 
 if TYPE_CHECKING:
     import zenoh
@@ -42,6 +46,8 @@ class TeamAccess(NamedTuple):
     endpoints at which this process can be reached. ``keys``: of this member; None: without
     authentication. ``router``: whether it passes messages on. ``patience``: seconds to wait for a
     router that is not there yet; one that goes away later is connected to again for ever.
+    ``limited``: drop a flood that comes over one connection; not where a router connects, whose
+    connection carries the messages of many.
     """
 
     connect: Tuple[str, ...] = ()
@@ -49,6 +55,7 @@ class TeamAccess(NamedTuple):
     keys: Optional[KeyFolder] = None
     router: bool = False
     patience: float = 0.0
+    limited: bool = True
 
 
 def open_session(access: TeamAccess) -> zenoh.Session:
@@ -129,6 +136,9 @@ def session_config(access: TeamAccess) -> Dict[str, Any]:
                 "size_limit": LARGEST_MESSAGE,
             }
         ]
+    if mode != "client" and access.limited:
+        lanes = ["%s/*/*/all/%%d" % _ROOT, "%s/*/*/to/*/%%d" % _ROOT]
+        config["downsampling"] = router_limits(lanes)
     keys = access.keys
     if keys is not None:
         link["protocols"] = ["tls"]

@@ -5,7 +5,14 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gspn_framework_package.team.gate import BURST, FASTEST, MessageGate, NotTaken, json_object
+from gspn_framework_package.team.gate import (
+    BURST,
+    COUNTS_ONCE,
+    FASTEST,
+    MessageGate,
+    NotTaken,
+    json_object,
+)
 
 
 def test_a_flood_is_not_heard_until_it_ends_and_hurts_no_other_robot():
@@ -23,6 +30,32 @@ def test_large_messages_are_refused_unread():
     assert gate.admits("r", 1000, 0.0)
     assert not gate.admits("r", 1001, 0.0)
     assert gate.refusals() == [NotTaken("r", "too large", 1)]
+
+
+def test_a_large_message_counts_as_several():
+    gate = MessageGate(100 * COUNTS_ONCE)
+    let_in = sum(gate.admits("r", 100 * COUNTS_ONCE, 0.0) for _ in range(1000))
+    assert let_in <= BURST / 100
+    assert not gate.admits("r", 1, 0.0)
+
+
+def test_each_channel_has_a_limit_of_its_own():
+    gate = MessageGate(1000, fastest=100.0)
+    assert sum(gate.admits("r", 1, 0.0, "all") for _ in range(1000)) == 100
+    assert gate.admits("r", 1, 0.0, "to")
+    assert gate.admits("other", 1, 0.0, "all")
+
+
+def test_several_messages_come_as_a_list():
+    gate = MessageGate(1000)
+    own, forged = {"kind": "pull", "from": "a"}, {"kind": "pull", "from": "b"}
+    assert gate.read_all("a", json.dumps(own).encode()) == [own]
+    assert gate.read_all("a", json.dumps([own, forged, [own], own]).encode()) == [own, own]
+    assert gate.refusals() == [
+        NotTaken("a", "in the name of another robot", 1),
+        NotTaken("a", "not a JSON object", 1),
+    ]
+    assert gate.read_all("a", b"[]") == gate.read_all("a", b"[") == []
 
 
 def test_a_message_in_the_name_of_another_robot_is_refused():

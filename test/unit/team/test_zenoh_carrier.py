@@ -3,6 +3,7 @@
 import builtins
 import json
 import threading
+import time
 
 import pytest
 from zenoh_team import Hub, make_keys, wait_for
@@ -10,9 +11,10 @@ from zenoh_team import Hub, make_keys, wait_for
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.team.carrier import Handlers, OperatorAnswer
-from gspn_framework_package.team.zenoh_carrier import MOST_WAITING, ZenohCarrier
+from gspn_framework_package.team.lanes import LANES, PASSED_BY_ROUTER, PAUSE
+from gspn_framework_package.team.zenoh_carrier import LARGEST_PACK, MOST_WAITING, ZenohCarrier
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
-from gspn_framework_package.team.zenoh_session import key_of, zenoh_library
+from gspn_framework_package.team.zenoh_session import key_of, names_in, zenoh_library
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 
 STATUS = {
@@ -109,12 +111,80 @@ def test_in_partial_synchronisation_nobody_else_is_disturbed(hub):
     connect(one, two, three)
     seen = []
     listener = hub.session("robot_3")
-    listening = listener.declare_subscriber("gspn/run/robot_1/all", seen.append)
+    listening = listener.declare_subscriber("gspn/run/robot_1/all/*", seen.append)
     wait_for(lambda: one.send(EVERYBODY, "hello") or seen)
     del seen[:]
     one.send(["robot_2", "robot_3"], 1)
     wait_for(lambda: 1 in two.numbers() & three.numbers())
     assert "1" not in "".join(bytes(s.payload).decode().split("number")[1] for s in seen)
+    listening.undeclare()
+
+
+def test_in_partial_synchronisation_a_message_to_many_goes_once(hub):
+    one, two = (Robot(hub, "robot_%d" % n, partial=True) for n in (1, 2))
+    connect(one, two)
+    seen = []
+    listener = hub.session("robot_3")
+    listening = listener.declare_subscriber("gspn/run/robot_1/*/**", seen.append)
+    wait_for(lambda: one.send(EVERYBODY, "hello") or seen)
+    one.send(["robot_%d" % n for n in range(2, 10)], "once")
+    one.send("robot_2", "last")
+    wait_for(lambda: "last" in two.numbers() and any(b"last" in bytes(s.payload) for s in seen))
+    assert len([s for s in seen if b"once" in bytes(s.payload)]) == 1
+    listening.undeclare()
+
+
+def test_messages_that_go_out_together_go_as_one(hub):
+    one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
+    connect(one, two)
+    seen = []
+    listener = hub.session("robot_3")
+    listening = listener.declare_subscriber("gspn/run/robot_1/**", seen.append)
+    wait_for(lambda: one.send(EVERYBODY, "hello") or seen)
+    before = one.carrier.sent
+    messages = [{"from": "robot_1", "number": number} for number in range(5)]
+    large = {"from": "robot_1", "number": "large", "text": "x" * LARGEST_PACK}
+    to = [EVERYBODY, "robot_2", EVERYBODY, "robot_2", EVERYBODY]
+    one.carrier.send([*map(Send, to, messages), Send(EVERYBODY, large)])
+    assert one.carrier.sent == before + 6
+    wait_for(lambda: two.numbers() >= {0, 1, 2, 3, 4, "large"})
+    assert [m["number"] for m in two.got if m["number"] in (1, 3)] == [1, 3]
+    wait_for(lambda: any(b'"large"' in bytes(s.payload) for s in seen))
+    texts = [bytes(s.payload).decode() for s in seen]
+    packs = [[m["number"] for m in json.loads(text)] for text in texts if text[0] == "["]
+    assert sorted(packs) == [[0, 2, 4], [1, 3]]
+    listening.undeclare()
+
+
+def test_a_robot_that_sends_fast_waits_for_its_lanes(hub):
+    one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
+    connect(one, two)
+    began = time.monotonic()
+    for number in range(10 * LANES):
+        one.send(EVERYBODY, number)
+    assert time.monotonic() - began > 9 * 0.99 * PAUSE
+    # all arrive, unless this machine was so busy that those of some rounds came at once
+    wait_for(lambda: len(two.numbers() & set(range(10 * LANES))) > 3 * LANES)
+
+
+def test_of_a_flood_the_router_lets_little_through(hub):
+    flooder, other, listener = (hub.session("robot_%d" % n) for n in (1, 2, 3))
+    counts = {"robot_1": 0, "robot_2": 0}
+
+    def count(sample):
+        counts[names_in(str(sample.key_expr))[1]] += 1
+
+    listening = listener.declare_subscriber("gspn/run/*/all/*", count)
+    wait_for(lambda: other.put(key_of("run", "robot_2", "all", "0"), b"{}") or counts["robot_2"])
+    before = counts["robot_2"]
+    began = time.monotonic()
+    for number in range(20_000):
+        flooder.put(key_of("run", "robot_1", "all", str(number % LANES)), b"{}")
+    other.put(key_of("run", "robot_2", "all", "1"), b"{}")
+    wait_for(lambda: counts["robot_2"] > before)
+    for lane in range(LANES):  # the last ones of the flood: then all before them were heard
+        flooder.put(key_of("run", "robot_1", "to", "robot_3", str(lane)), b"{}")
+    assert 0 < counts["robot_1"] <= LANES * (2 + (time.monotonic() - began) / PASSED_BY_ROUTER)
     listening.undeclare()
 
 
@@ -132,7 +202,7 @@ def test_nonsense_is_refused_and_its_sender_is_named(secure):
     one, two = Robot(secure, "robot_1"), Robot(secure, "robot_2")
     connect(one, two)
     attacker = secure.session("robot_3")
-    key = key_of("run", "robot_3", "to", "robot_2")
+    keys = [key_of("run", "robot_3", "to", "robot_2", str(lane)) for lane in range(4)]
     forged = json.dumps({"from": "robot_1", "number": "forged"}).encode()
     wanted = {
         ("robot_3", "not a JSON object"),
@@ -140,7 +210,7 @@ def test_nonsense_is_refused_and_its_sender_is_named(secure):
     }
 
     def refused():
-        for body in (b"nonsense", b"\xff\xfe", b"[]", forged):
+        for key, body in zip(keys, (b"nonsense", b"\xff\xfe", b"[4]", forged)):
             attacker.put(key, body)
         return {(r.robot, r.why) for r in two.carrier.refusals()} >= wanted
 

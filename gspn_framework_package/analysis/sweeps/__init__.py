@@ -1,1 +1,0 @@
-"""Sweeps: the measures of a net or plan for a grid of variations."""
