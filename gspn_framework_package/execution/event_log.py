@@ -78,6 +78,7 @@ from gspn_framework_package.execution.stored_policy import (
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
+from gspn_framework_package.model.compact_json import compact, compact_sorted
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
 
@@ -142,7 +143,7 @@ def next_hash(
 ) -> str:
     """The next link of the hash chain: a hash of the previous link and of a slot's entries, their
     origins and the firings that followed, in their JSON form in the log."""
-    text = json.dumps([previous, entries, origins, firings], sort_keys=True, separators=(",", ":"))
+    text = compact_sorted([previous, entries, origins, firings])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
@@ -223,7 +224,7 @@ class EventLogWriter:
         elif record["kind"] in _WITH_PLANS:
             record = without_large_policies(record, self.path, self._fsync)
         if self._sum is None:
-            return json.dumps(record, separators=(",", ":")) + "\n"
+            return compact(record) + "\n"
         text, self._sum = line_of(record, self._sum)
         return text
 
@@ -237,7 +238,7 @@ def line_of(record: Record, previous: str) -> Tuple[str, str]:
 
     :param previous: the running hash before it ("" for the first line).
     """
-    text = json.dumps(record, separators=(",", ":"))
+    text = compact(record)
     chain = next_sum(previous, text.encode())
     return '%s,"sum":"%s"}\n' % (text[:-1], chain), chain
 

@@ -165,8 +165,10 @@ class Ledger:
 
     def is_cast_out(self, name: str) -> bool:
         """Whether the robot was evicted by force and has not joined since."""
+        if name not in self.cast_out:
+            return False
         robot = self.state.robots.get(name)
-        return name in self.cast_out and (robot is None or robot.phase.gone)
+        return robot is None or robot.phase.gone
 
     def record(
         self, slot: int, entries: Sequence[log_entries.Entry], origins: List[Any], step: Step

@@ -25,6 +25,8 @@ NAMES_LIMIT = 1_000
 TOTAL_LIMIT = 256_000
 """Longest data that one action or task brings, in characters of compact JSON."""
 
+_TEXT = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
+
 _NAME = re.compile(r"(?:(%s)\.)?([A-Za-z_][A-Za-z0-9_]{0,99})" % "|".join(SCOPES))
 
 
@@ -66,7 +68,7 @@ def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, A
         total += len(text)
         if limit is not None and total > limit:
             raise DataError("the data is longer than %d characters as JSON" % limit)
-        kept[name] = json.loads(text)
+        kept[name] = value if type(value) is int else json.loads(text)
     return kept
 
 
@@ -78,7 +80,8 @@ def why_not_kept(value: Any) -> Optional[str]:
 def _as_text(value: Any) -> Tuple[str, Optional[str]]:
     """The value as JSON, and why it cannot be kept (None if it can)."""
     try:
-        text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+        # most values are counters and ids: a whole number need not pass through JSON and back
+        text = repr(value) if type(value) is int else _TEXT(value)
     except (TypeError, ValueError, RecursionError) as error:
         return "", "is not JSON: %.200s" % error
     if len(text) > VALUE_LIMIT:

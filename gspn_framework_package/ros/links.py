@@ -19,6 +19,7 @@ from gspn_framework_package.execution.agreement.interface import (
     Send,
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
+from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.entrance import Entrance
 from gspn_framework_package.ros.facts import RosFacts
@@ -150,7 +151,7 @@ class Link(RosFacts):
         :param to: the receiving robot; "" is everybody.
         """
         self.sent += 1
-        body = json.dumps(message, separators=(",", ":"))
+        body = compact(message)
         neighbours = self._neighbours()
         if to in neighbours:
             neighbours[to]._received(json.loads(body))
@@ -203,7 +204,7 @@ class Link(RosFacts):
         now = time.monotonic()
         for name in [to] if to else list(self._peers):
             if now - self._heard.get(name, now) > self._quiet:
-                self._call(name, service, json.dumps(message, separators=(",", ":")))
+                self._call(name, service, compact(message))
 
     def _call(self, name: str, service: str, body: str) -> None:
         peer = self._peers.get(name)
@@ -312,7 +313,7 @@ class ServiceLink(Link):
                 self._publish(self._publisher, to, message)
                 self._call_quiet(to, message)
                 continue
-            body = json.dumps(message, separators=(",", ":"))
+            body = compact(message)
             neighbours = self._neighbours()
             for name in [to] if to else [*neighbours, *self._peers]:
                 if name in neighbours:

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Tuple
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.worker_pool import WorkerPool
+from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.team.carrier import (
     Handlers,
     NotTaken,
@@ -259,4 +259,4 @@ def _packs(bodies: List[bytes]) -> Iterator[bytes]:
 
 
 def _json(fields: Dict[str, Any]) -> bytes:
-    return json.dumps(fields, separators=(",", ":")).encode()
+    return compact(fields).encode()

@@ -175,18 +175,22 @@ class Proposer:
             return True
         if own and (len(own) >= FLUSH_AT or self._somebody_asks_the_policy()):
             return True
-        origins = self.proposals.origins()
-        if origins and self.consensus.leads():
-            return True
-        members = set(self.electorate.members())
-        without_vote = [
-            origin for origin in origins if origin not in members or origin in state.voteless
-        ]
-        if without_vote and self.electorate.without_ghosts(self.proposals.told_of(without_vote)):
+        if state.others_proposals and self._others_want():
             return True
         if state.frozen_by is not None and state.frozen_since is not None:
             return state.now >= state.frozen_since + 2 * self.config.pace.takeover
         return False
+
+    def _others_want(self) -> bool:
+        """Whether it is for us to propose what others announced: we lead, or they have no vote."""
+        if self.consensus.leads():
+            return True
+        members, voteless = self.electorate.members(), self.state.voteless
+        origins = self.proposals.origins()
+        without_vote = [o for o in origins if o not in members or o in voteless]
+        if not without_vote:
+            return False
+        return bool(self.electorate.without_ghosts(self.proposals.told_of(without_vote)))
 
     def _somebody_asks_the_policy(self) -> bool:
         team, immediate = self.state.ledger.state, self.state.ledger.game.immediate

@@ -19,6 +19,7 @@ from gspn_framework_package.execution.agreement_simulation.plans import (
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.model.compact_json import compact, compact_sorted
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
@@ -122,12 +123,13 @@ class SimulatedNode:
         if self.disk is None:
             log_id = "%s-log%d" % (self.key, len(self.old_disks))
             self.disk = Disk(dict(_header(world.plan), robot=self.name, log=log_id))
+        records = self.disk.records()
         self.replica = world.replica_type(
             world.plan,
             self.name,
             "sim",
             self.disk.header["log"],
-            self.disk.records(),
+            records,
             joining=self.joins,
             pace=world.pace,
             limits=world.limits,
@@ -136,7 +138,7 @@ class SimulatedNode:
         self.trusted = True
         self.plan = world.plan
         self.shows = {}
-        resets = [r for r in self.disk.records() if r["kind"] == "reset"]
+        resets = [r for r in records if r["kind"] == "reset"]
         self.log_id = str((resets or [self.disk.header])[-1]["log"])
         self.carry_out(self.replica.start(world.now))
         if world.robot_events and self.replica is not None and not self.replica.witness:
@@ -263,7 +265,7 @@ class SimulatedNode:
 
     def _write(self, record: Record) -> None:
         assert self.disk is not None
-        self.disk.lines.append(json.dumps(dict(record, mono=self.world.now)))
+        self.disk.lines.append(compact(dict(record, mono=self.world.now)))
         if record["kind"] in ("promised", "accepted"):
             self.disk.votes[record["kind"], tuple(record["ballot"])] = len(self.disk.lines)
             self.world.promised.add((self.log_id, tuple(record["ballot"])))
@@ -395,7 +397,7 @@ class World:
         :param to: the name of the receiver; "" for everybody else.
         """
         if message is not self._last[0]:
-            self._last = (message, json.dumps(message))
+            self._last = (message, compact(message))
         text = self._last[1]
         if message["kind"] != "hello":
             self.protocol_messages += 1 if to else len(self.nodes) - 1
@@ -415,7 +417,7 @@ class World:
         if not effect.message or caller not in self.nodes or self.nodes[caller].life != life:
             return
         self.protocol_messages += 1
-        self._carry(sender, caller, json.dumps(effect.message), "")
+        self._carry(sender, caller, compact(effect.message), "")
 
     def _carry(self, sender: str, to: str, text: str, request: str) -> None:
         weather, chance = self.weather, self.random.random
@@ -494,7 +496,7 @@ class World:
             plan = node.plan.hash() if node.replica.active else ledger.game.plan.hash()
             if plan != ledger.game.plan.hash():
                 raise ViolationError("the host of %s has another plan than its log" % node.key)
-            text = json.dumps(ledger.state.to_json(ledger.game.net), sort_keys=True)
+            text = compact_sorted(ledger.state.to_json(ledger.game.net))
             first, other = known.setdefault((ledger.length, ledger.hash), (node.key, text))
             if text != other:
                 raise ViolationError(

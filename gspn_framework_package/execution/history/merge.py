@@ -4,11 +4,11 @@ logs differ."""
 from __future__ import annotations
 
 import hashlib
-import json
 from typing import Any, Dict, List, NamedTuple, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.slot_check import BrokenRuleError
+from gspn_framework_package.model.compact_json import compact, compact_sorted
 
 COMPARED = ("entries", "origins", "firings", "hash")
 
@@ -172,11 +172,11 @@ def _evictions_by_force(logs: Sequence[EventLog]) -> Set[Tuple[str, int]]:
 
 def _link(previous: str, record: Record) -> str:
     parts = [previous, record["entries"], record["origins"], record["firings"]]
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
+    text = compact_sorted(parts)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()[:32]
 
 
 def _short(record: Record) -> str:
     entries: List[Any] = record["entries"]
-    text = json.dumps(entries, separators=(",", ":"))
+    text = compact(entries)
     return text if len(text) < 200 else text[:200] + "..."

@@ -11,6 +11,7 @@ from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.logged_team import Situation
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.slot_check import BrokenRuleError
+from gspn_framework_package.model.compact_json import compact_sorted
 
 Ballot = Tuple[int, str, str]
 Vote = Tuple[Ballot, str]
@@ -215,4 +216,4 @@ def _is_quorum(voters: Set[str], members: Sequence[str]) -> bool:
 
 
 def _text(batch: Any) -> str:
-    return json.dumps(batch, sort_keys=True)
+    return compact_sorted(batch)

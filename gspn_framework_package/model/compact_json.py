@@ -1,0 +1,14 @@
+"""JSON without blanks, for what is written thousands of times a second: lines of logs, messages,
+links of the hash chain. The encoders are made once; ``json.dumps`` makes one for each call."""
+
+from __future__ import annotations
+
+import json
+
+compact = json.JSONEncoder(separators=(",", ":"), check_circular=False).encode
+"""The JSON text of a value that does not contain itself."""
+
+compact_sorted = json.JSONEncoder(
+    separators=(",", ":"), check_circular=False, sort_keys=True
+).encode
+"""The same with the keys of objects in order, so that equal values have equal texts."""
