@@ -48,6 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     revoked.add_argument("name", metavar="NAME", help="the member")
     revoked.set_defaults(command=_revoke)
     _add_json(revoked)
+    told = "make a key that all robots and operators of a team on ROS share"
+    shared = commands.add_parser("shared", help=told, description=told)
+    shared.add_argument("file", metavar="FILE", help="a new file; copy it to each robot")
+    shared.set_defaults(command=_share)
     shown = commands.add_parser("show", help="show who is in the team, and until when")
     shown.add_argument("folder", metavar="DIR", help="the folder of the team or of one member")
     shown.set_defaults(command=_show)
@@ -77,6 +81,14 @@ def _add(args: argparse.Namespace) -> int:
 
 def _revoke(args: argparse.Namespace) -> int:
     return _tell(keys.revoke(args.folder, args.name), args)
+
+
+def _share(args: argparse.Namespace) -> int:
+    from gspn_framework_package.team.seal import make_team_key
+
+    make_team_key(args.file)
+    print("written: %s" % args.file)
+    return 0
 
 
 def _show(args: argparse.Namespace) -> int:

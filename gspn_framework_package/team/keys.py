@@ -211,9 +211,9 @@ def _issue(
         own = os.path.join(folder, new.name)
         shutil.rmtree(own, ignore_errors=True)  # of an earlier attempt, which the list lacks
         os.mkdir(own, 0o700)
-        _write(os.path.join(own, "authority.pem"), authority.pem)
-        _write(os.path.join(own, "certificate.pem"), _pem(certificate))
-        _write(os.path.join(own, "key.pem"), _key_pem(key))
+        write_private(os.path.join(own, "authority.pem"), authority.pem)
+        write_private(os.path.join(own, "certificate.pem"), _pem(certificate))
+        write_private(os.path.join(own, "key.pem"), _key_pem(key))
         expires = _told(_ends(certificate))
         row = KeyHolder(new.name, new.role, common_name, "%x" % certificate.serial_number, expires)
         rows.append(row)
@@ -243,8 +243,8 @@ class _Authority(NamedTuple):
         made = cls(_signed(builder, key), key)
         own = os.path.join(folder, AUTHORITY)
         os.mkdir(own, 0o700)
-        _write(os.path.join(own, "certificate.pem"), made.pem)
-        _write(os.path.join(own, "key.pem"), _key_pem(key))
+        write_private(os.path.join(own, "certificate.pem"), made.pem)
+        write_private(os.path.join(own, "key.pem"), _key_pem(key))
         return made
 
     @classmethod
@@ -361,8 +361,11 @@ def _key_pem(key: EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
-def _write(path: str, content: bytes) -> None:
-    """Write a file that did not exist, for its owner alone."""
+def write_private(path: str, content: bytes) -> None:
+    """Write a file that did not exist, for its owner alone.
+
+    :raises OSError: it is there, or cannot be written.
+    """
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
         file.write(content)
 
@@ -375,7 +378,7 @@ def _write_team(folder: str, rows: Sequence[KeyHolder]) -> None:
         new = os.path.join(place, TEAM_FILE + ".new")
         with contextlib.suppress(FileNotFoundError):
             os.remove(new)
-        _write(new, (text + "\n").encode())
+        write_private(new, (text + "\n").encode())
         os.replace(new, os.path.join(place, TEAM_FILE))
 
 
@@ -432,14 +435,7 @@ def read_keys(folder: str) -> KeyFolder:
         raise KeysError("names nobody", file=os.path.join(folder, TEAM_FILE))
     certificate = read_certificate(keys.certificate)
     read_certificate(keys.authority)
-    try:
-        mode = os.stat(keys.key).st_mode
-    except OSError as error:
-        raise KeysError("cannot be read (%s)" % error.strerror, file=keys.key) from None
-    if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise KeysError(
-            "others can read this private key", file=keys.key, hint="chmod 600 %s" % keys.key
-        )
+    check_private(keys.key)
     serial = "%x" % certificate.serial_number
     row = next((row for row in rows if row.serial == serial), None)
     if row is None:
@@ -474,6 +470,20 @@ def keys_of_robot(folder: str, robot: str) -> KeyFolder:
             hint="gspn keys add DIR --robots %s" % robot,
         )
     return keys
+
+
+def check_private(path: str, hint: str = "") -> None:
+    """Check that only the owner can read a file with a secret.
+
+    :param hint: what to do if there is no such file.
+    :raises KeysError: there is none, or others can read it.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except OSError as error:
+        raise KeysError("cannot be read (%s)" % error.strerror, file=path, hint=hint) from None
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise KeysError("others can read this private key", file=path, hint="chmod 600 %s" % path)
 
 
 def read_certificate(path: str) -> x509.Certificate:

@@ -1,0 +1,266 @@
+"""Seals the messages of a team that shares one key, for carriers that do not know who sends.
+
+A sealed text is a line with a code (HMAC-SHA256 under the key, over the run and all that follows),
+the session of the sender, a number, a time, the sender and the addressee; then the body::
+
+    gspn1 CODE SESSION NUMBER MILLISECONDS SENDER ADDRESSEE
+    BODY
+
+What stops a recording from being played again: a *session* is one life of a sender's process, with
+a random name. For each session and addressee the numbers grow, and each counts once; one that is
+:data:`WINDOW` behind is too late. A receiver begins with a session that it does not know only with
+a message that is at most :data:`FRESH` seconds old, so that an older session, or a recording
+for a receiver that has restarted, is refused. Recordings younger than that are no more than delayed
+messages to a receiver that has just started, and the agreement copes with these. Orders are not
+delayed: each has to be fresh, counts once, and is younger than the receiver's process.
+
+Whoever has the key can speak for every robot: the key keeps others out, and tells nobody apart.
+"""
+
+from __future__ import annotations
+
+import hmac
+import os
+import threading
+import time
+from collections import OrderedDict
+from functools import lru_cache
+from typing import Callable, Dict, NamedTuple, Tuple
+from urllib.parse import quote, unquote
+
+from gspn_framework_package.model.errors import KeysError
+from gspn_framework_package.team.keys import check_private, write_private
+
+WINDOW = 64
+"""Messages of one session that may arrive in another order."""
+
+FRESH = 30.0
+"""Seconds within which a new session and an order have to arrive; so far may clocks differ."""
+
+MAGIC = "gspn1"
+"""The first word of a sealed text."""
+
+_SESSIONS = 8
+"""Sessions of one sender that are remembered: its lives, and processes of the same name."""
+
+_KEY_BYTES = 32
+_LONGEST_LINE = 4096
+_ALL_SEEN = (1 << WINDOW) - 1
+
+
+class NotSealedError(Exception):
+    """A text is refused; ``sender`` is who it says it is of, as far as it says so."""
+
+    def __init__(self, why: str, sender: str = "") -> None:
+        super().__init__(why)
+        self.why = why
+        self.sender = sender
+
+
+class TeamKey:
+    """A secret that all robots and operators of a team have; it shows itself in no text.
+
+    :param secret: at least 32 bytes.
+    """
+
+    def __init__(self, secret: bytes) -> None:
+        self._secret = secret
+
+    def code(self, text: str) -> str:
+        """The code of a text under this key, in hexadecimal digits."""
+        data = text.encode("utf-8", "surrogatepass")
+        return hmac.digest(self._secret, data, "sha256").hex()
+
+
+def make_team_key(path: str) -> None:
+    """Write a new key into a new file, which only its owner can read.
+
+    :raises KeysError: there is such a file, or it cannot be written.
+    """
+    try:
+        write_private(path, os.urandom(_KEY_BYTES).hex().encode() + b"\n")
+    except FileExistsError:
+        raise KeysError("is there already; nothing was written", file=path) from None
+    except OSError as error:
+        raise KeysError("cannot be written (%s)" % error.strerror, file=path) from None
+
+
+def read_team_key(path: str) -> TeamKey:
+    """The key in a file.
+
+    :raises KeysError: there is none, or others can read the file.
+    """
+    hint = "'gspn keys shared FILE' makes one"
+    check_private(path, hint)
+    try:
+        with open(path, "rb") as file:
+            secret = bytes.fromhex(file.read(1024).decode("ascii").strip())
+    except OSError as error:
+        raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
+    except ValueError:
+        raise KeysError("is not a team key", file=path, hint=hint) from None
+    if len(secret) < _KEY_BYTES:
+        raise KeysError(
+            "a team key has at least %d hexadecimal digits" % (2 * _KEY_BYTES), file=path, hint=hint
+        )
+    return TeamKey(secret)
+
+
+class Opened(NamedTuple):
+    """What a seal kept: who sealed it, and the text."""
+
+    sender: str
+    body: str
+
+
+class _Line(NamedTuple):
+    session: str
+    number: int
+    time: float
+    sender: str
+    to: str
+
+
+class _Numbers:
+    """Which numbers of one stream have come. It begins with its first one; those before are taken
+    as seen."""
+
+    def __init__(self, first: int) -> None:
+        self._newest, self._seen = first, _ALL_SEEN
+
+    def why_not(self, number: int) -> str:
+        """Note a number; why it does not count, "" if it does."""
+        ahead = number - self._newest
+        if ahead > 0:
+            self._seen = ((self._seen << min(ahead, WINDOW)) | 1) & _ALL_SEEN
+            self._newest = number
+            return ""
+        if -ahead >= WINDOW:
+            return "too late"
+        if self._seen >> -ahead & 1:
+            return "a message that came before"
+        self._seen |= 1 << -ahead
+        return ""
+
+
+class Seal:
+    """Seals and opens the texts of one robot or operator; may be used on any thread.
+
+    :param key: the key of the team.
+    :param run: the name of the run; texts of other runs do not open.
+    :param name: who seals: a robot, or an operator.
+    :param clock: seconds since 1970.
+    """
+
+    def __init__(
+        self, key: TeamKey, run: str, name: str, clock: Callable[[], float] = time.time
+    ) -> None:
+        self._key, self._run, self._name, self._clock = key, run, name, clock
+        self._session = os.urandom(8).hex()
+        self._started = clock()
+        self._lock = threading.Lock()
+        self._sent: Dict[str, int] = {}
+        self._heard: Dict[str, OrderedDict[str, Dict[str, _Numbers]]] = {}
+        self._orders: OrderedDict[Tuple[str, int], float] = OrderedDict()
+
+    def close(self, to: str, body: str, purpose: str) -> str:
+        """The sealed text.
+
+        :param to: whom it is for; "" for everybody.
+        :param purpose: what it is, and whatever else goes with it and must not be changed.
+        """
+        with self._lock:
+            number = self._sent[to] = self._sent.get(to, 0) + 1
+        line = "%s %d %d %s %s" % (
+            self._session,
+            number,
+            int(1000 * self._clock()),
+            _word(self._name),
+            _word(to),
+        )
+        return "%s %s %s\n%s" % (MAGIC, self._code(purpose, line, body), line, body)
+
+    def open(self, text: str, purpose: str) -> Opened:
+        """A message that was sealed for us or for everybody.
+
+        :param purpose: as it was sealed.
+        :raises NotSealedError: it was not, or it has come before.
+        """
+        line, body = self._verified(text, purpose)
+        now = self._clock()
+        with self._lock:
+            sessions = self._heard.setdefault(line.sender, OrderedDict())
+            streams = sessions.get(line.session, {})
+            if line.to in streams:
+                sessions.move_to_end(line.session)
+                why = streams[line.to].why_not(line.number)
+            else:
+                why = _age(now - line.time) if abs(now - line.time) > FRESH else ""
+                if not why:
+                    streams[line.to] = _Numbers(line.number)
+                    sessions[line.session] = streams
+                    while len(sessions) > _SESSIONS:
+                        sessions.popitem(last=False)
+        if why:
+            raise NotSealedError(why, line.sender)
+        return Opened(line.sender, body)
+
+    def open_order(self, text: str, purpose: str) -> Opened:
+        """An order that was sealed for us.
+
+        :param purpose: as it was sealed.
+        :raises NotSealedError: it was not, or it is old, or it has come before.
+        """
+        line, body = self._verified(text, purpose)
+        now = self._clock()
+        if line.to != self._name:
+            raise NotSealedError("an order for another robot", line.sender)
+        if abs(now - line.time) > FRESH:
+            raise NotSealedError(_age(now - line.time), line.sender)
+        if line.time < self._started:
+            raise NotSealedError("an order from before this robot started", line.sender)
+        with self._lock:
+            while self._orders and next(iter(self._orders.values())) < now - 4 * FRESH:
+                self._orders.popitem(last=False)
+            if (line.session, line.number) in self._orders:
+                raise NotSealedError("an order that came before", line.sender)
+            self._orders[line.session, line.number] = now
+        return Opened(line.sender, body)
+
+    def _verified(self, text: str, purpose: str) -> Tuple[_Line, str]:
+        first, newline, body = text.partition("\n")
+        words = first.split(" ") if newline and len(first) <= _LONGEST_LINE else []
+        if len(words) != 7 or words[0] != MAGIC:
+            raise NotSealedError("without the key of the team")
+        line = first.split(" ", 2)[2]
+        given = words[1].encode("utf-8", "surrogatepass")
+        if not hmac.compare_digest(self._code(purpose, line, body).encode(), given):
+            raise NotSealedError("not sealed with the key of this team and run")
+        sender, to = _name(words[5]), _name(words[6])
+        if to not in ("", self._name):
+            raise NotSealedError("a message for another robot", sender)
+        return _Line(words[2], int(words[3]), int(words[4]) / 1000.0, sender, to), body
+
+    def _code(self, purpose: str, line: str, body: str) -> str:
+        return self._key.code(
+            "%d:%s%d:%s%s\n%s" % (len(self._run), self._run, len(purpose), purpose, line, body)
+        )
+
+
+def is_sealed(text: str) -> bool:
+    """Whether a text looks sealed."""
+    return text.startswith(MAGIC + " ")
+
+
+def _age(seconds: float) -> str:
+    return "%.0f s old by our clock: a recording, or the clocks differ" % seconds
+
+
+@lru_cache(maxsize=4096)
+def _word(name: str) -> str:
+    """A name as one word, never empty."""
+    return quote(name + ".", safe="")
+
+
+def _name(word: str) -> str:
+    return unquote(word)[:-1]
