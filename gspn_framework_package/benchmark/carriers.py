@@ -32,7 +32,7 @@ from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.plan import Synchronisation
 from gspn_framework_package.team.agent import PrintedVoice, make_agent
-from gspn_framework_package.team.carrier import Handlers, OperatorAnswer
+from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember, make_team, read_keys
 from gspn_framework_package.team.lanes import LANES
@@ -73,7 +73,7 @@ def _route(site: _Site, ready: Any, stop: Any) -> None:
     router.close()
 
 
-def _no_orders(request: object, operator: str) -> OperatorAnswer:
+def _no_orders(request: object, operator: Operator) -> OperatorAnswer:
     return OperatorAnswer(False, "")
 
 

@@ -40,6 +40,12 @@ def add_team_options(parser: argparse.ArgumentParser) -> None:
         help="name of the run, if there are several",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "--team-key-file",
+        default="",
+        metavar="FILE",
+        help="the key of a team on ROS, from 'gspn keys shared', to give it orders",
+    )
     add_way(parser, "ask the robots at this router instead of those on ROS: tls/HOST:7447")
 
 
@@ -61,14 +67,18 @@ def team_client(args: argparse.Namespace) -> TeamClient:
     """
     if args.keys and not args.connect:
         raise UsageError("--keys says nothing without --connect")
+    if args.team_key_file and args.connect:
+        raise UsageError("--team-key-file says nothing with --connect", hint="--keys DIR")
     if args.connect:
         from gspn_framework_package.team.zenoh_operator import ZenohOperator
 
         return ZenohOperator(access_of(args))
     require_ros()
     from gspn_framework_package.ros.operator_client import OperatorClient
+    from gspn_framework_package.team.seal import read_team_key
 
-    return OperatorClient()
+    key = read_team_key(args.team_key_file) if args.team_key_file else None
+    return OperatorClient(key)
 
 
 def access_of(args: argparse.Namespace) -> TeamAccess:

@@ -15,6 +15,7 @@ from gspn_framework_package.ros.voice import RosVoice
 from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.host import HostOptions, ReplicaHost
 from gspn_framework_package.team.jobs import Job
+from gspn_framework_package.team.seal import Seal, read_team_key
 
 
 class ExecutionNode:
@@ -50,7 +51,12 @@ class ExecutionNode:
             host.attempt_progress,
             host.warn,
         )
-        entrance = Entrance(options.transport != Transport.ZENOH.value)
+        entrance = Entrance(
+            options.transport != Transport.ZENOH.value,
+            Seal(read_team_key(options.team_key_file), options.run, robot)
+            if options.team_key_file
+            else None,
+        )
         services = NodeServices(host, namespace, entrance)
         host.connect(
             _carrier(host, plan, namespace, options, services.uri, entrance),

@@ -21,7 +21,7 @@ from gspn_framework_package.execution.agreement.interface import (
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros.entrance import Entrance
+from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance, said
 from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
@@ -178,7 +178,7 @@ class Link(RosFacts):
             namespace=self._namespace,
             service_uri=self._service_uri,
             to=to,
-            body=body,
+            body=self._entrance.sealed(to, body, said(self._namespace, self._service_uri)),
         )
         news.header.stamp = rospy.get_rostime()
         return news
@@ -188,7 +188,12 @@ class Link(RosFacts):
             return
         if news._connection_header.get("callerid") == self._node:
             return  # our own, or from a robot in this process, which has passed it on directly
-        message = self._entrance.read(news.body, news._connection_header, news.sender)
+        message = self._entrance.read(
+            news.body,
+            news._connection_header,
+            said(news.namespace, news.service_uri),
+            news.sender,
+        )
         if message is None:
             return
         if news.sender != self.robot:
@@ -217,14 +222,16 @@ class Link(RosFacts):
             peer.service_uri,
             rospy.names.ns_join(peer.namespace, service),
             service_class,
-            request(self.robot, body),
+            request(self.robot, self._entrance.sealed(name, body, ASKED)),
             lambda response: self._answered(name, response),
         )
 
     def _answered(self, name: str, response: genpy.Message) -> None:
         if not response.agreement:
             return  # it has nothing to say
-        message = self._entrance.read(response.agreement, response._connection_header, name)
+        message = self._entrance.read(
+            response.agreement, response._connection_header, ANSWERED, name
+        )
         if message is not None:
             self._received(message)
 

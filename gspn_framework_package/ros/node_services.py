@@ -10,10 +10,9 @@ from typing import Iterator
 import genpy
 import rospy
 
-from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
-from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.ros.entrance import Entrance
+from gspn_framework_package.model.errors import ExecutionError, RefusedError
+from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance
 from gspn_framework_package.srv import (
     Command,
     CommandRequest,
@@ -28,7 +27,12 @@ from gspn_framework_package.srv import (
     SetPlaceRequest,
     SetPlaceResponse,
 )
-from gspn_framework_package.team.carrier import OperatorRequest, marking_fields
+from gspn_framework_package.team.carrier import (
+    OperatorAnswer,
+    OperatorRequest,
+    marking_fields,
+    sender_of,
+)
 from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask
 from gspn_framework_package.team.worker import Worker
 
@@ -117,13 +121,22 @@ class NodeServices:
         robot = request.robot or self._worker.robot
         if not request.place:
             return SetPlaceResponse(False, "nothing to do: no place was given for %s" % robot, "")
-        answer = self._commands.order(log_entries.SetPlace(robot, request.place))
+        asked = OperatorRequest("set_place", robot, request.place, request.run)
+        answer = self._obey(asked, request)
         return SetPlaceResponse(answer.success, answer.message, "")
 
     def _command(self, request: CommandRequest) -> CommandResponse:
         asked = OperatorRequest(request.command, request.robot, request.argument, request.run)
+        return CommandResponse(*self._obey(asked, request))
+
+    def _obey(self, asked: OperatorRequest, request: genpy.Message) -> OperatorAnswer:
+        """Answer an operator, if this robot takes what he asks."""
+        try:
+            asked, operator = self._entrance.order(asked, request._connection_header)
+        except RefusedError as error:
+            return OperatorAnswer(False, error.message)
         with _as_failed_call():
-            return CommandResponse(*self._commands.answer(asked))
+            return self._commands.answer(asked, operator)
 
     # -- through the worker ------------------------------------------------------------------------
 
@@ -132,7 +145,7 @@ class NodeServices:
 
         :param claimed: the robot that is said to call, if the request says so.
         """
-        message = self._entrance.read(request.agreement, request._connection_header, claimed)
+        message = self._entrance.read(request.agreement, request._connection_header, ASKED, claimed)
         if message is None:
             return ""
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()
@@ -141,7 +154,10 @@ class NodeServices:
             answer = answers.get(timeout=ANSWER_TIME)
         except queue.Empty:
             raise rospy.ServiceException("no answer in time") from None
-        return json.dumps(answer, separators=(",", ":")) if answer else ""
+        if not answer:
+            return ""
+        body = json.dumps(answer, separators=(",", ":"))
+        return self._entrance.sealed(sender_of(message), body, ANSWERED)
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ import rosgraph
 import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.ros.team_orders import TeamOrders
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
@@ -21,6 +22,7 @@ from gspn_framework_package.team.addressing import (
     whom_to_order,
 )
 from gspn_framework_package.team.commands import ORDER_TIME
+from gspn_framework_package.team.seal import TeamKey
 
 
 class NodeAddress(NamedTuple):
@@ -68,10 +70,12 @@ class OperatorClient:
 
     A program that no longer needs it ends its threads with :meth:`close`.
 
+    :param key: the key of the team, to give orders; None if it has none.
     :raises ExecutionError: no master answers, or it knows no execution node.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, key: Optional[TeamKey] = None) -> None:
+        self._orders = TeamOrders(key)
         self.nodes = self._find()  # before rospy calls the master, which has no time limit
         self._calls = ServiceCalls(deadline=ORDER_TIME + PATIENCE)
         if not rospy.core.is_initialized():
@@ -109,15 +113,19 @@ class OperatorClient:
         command: str,
         seconds: float = PATIENCE,
         argument: str = "",
-        nodes: Optional[List[NodeAddress]] = None,
     ) -> Dict[NodeAddress, Optional[Answer]]:
         """The answers of all nodes to a command; None for a node that does not answer within
         ``seconds``."""
+        request = CommandRequest(command=command, argument=argument)
+        return self._gather(dict.fromkeys(self.nodes, request), seconds)
+
+    def _gather(
+        self, requests: Dict[NodeAddress, CommandRequest], seconds: float
+    ) -> Dict[NodeAddress, Optional[Answer]]:
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        asked = self.nodes if nodes is None else nodes
-        for node in asked:
-            self._send(node, CommandRequest(command=command, argument=argument), answers)
-        got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(asked)
+        for node, request in requests.items():
+            self._send(node, request, answers)
+        got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(requests)
         deadline = time.monotonic() + seconds
         while any(answer is None for answer in got.values()):
             try:
@@ -144,7 +152,15 @@ class OperatorClient:
         :raises ExecutionError: no node answers, or nodes of several runs do.
         """
         there = robots_of_run(self.statuses(), run)
-        answers = self.ask_all("breakpoints", argument=argument, nodes=sorted(there))
+        answers = self._gather(
+            {
+                node: self._orders.request(
+                    status["robot"], "breakpoints", "", argument, status["run"]
+                )
+                for node, status in sorted(there.items())
+            },
+            PATIENCE,
+        )
         return [(node.namespace, answer) for node, answer in answers.items()]
 
     def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
@@ -160,7 +176,8 @@ class OperatorClient:
         there = robots_of_run(self.statuses(), run)
         node = whom_to_order(there, command, robot)
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        request = CommandRequest(command, robot, argument, there[node]["run"])
+        asked = there[node]
+        request = self._orders.request(asked["robot"], command, robot, argument, asked["run"])
         self._send(node, request, answers)
         try:
             answer = answers.get(timeout=ORDER_TIME + PATIENCE)

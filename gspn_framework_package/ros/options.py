@@ -57,6 +57,9 @@ class NodeOptions(NamedTuple):
     keys: str = ""
     """With ``zenoh``: the folder of this robot's keys, or one that has it under the robot's name;
     "": the team has none."""
+    team_key_file: str = ""
+    """With ``ros``: a file with the key that the robots and operators of the team share; "": the
+    team has none."""
     stay: bool = False
     """Whether the node keeps running, and answers, when the run is over."""
     max_connections: int = 32
@@ -84,7 +87,7 @@ class NodeOptions(NamedTuple):
         """These options with the transport of the plan, unless they name one, and with the path of
         the keys.
 
-        :raises UsageError: a router is missing, or is given and says nothing; there are no keys.
+        :raises UsageError: a router or keys are missing, or something is given that says nothing.
         """
         transport = self.transport or plan.transport.value
         if transport == Transport.ZENOH.value and not self.router:
@@ -97,8 +100,15 @@ class NodeOptions(NamedTuple):
                 element="~transport",
                 hint="transport:=zenoh, or 'transport': 'zenoh' in the plan",
             )
+        if transport == Transport.ZENOH.value and self.team_key_file:
+            raise UsageError(
+                "a team key says nothing with the transport zenoh",
+                element="~team_key_file",
+                hint="a folder of keys, from 'gspn keys team'",
+            )
         keys = launched_file(self.keys, "~keys") if self.keys else ""
-        return self._replace(transport=transport, keys=keys)
+        key_file = self.team_key_file and launched_file(self.team_key_file, "~team_key_file")
+        return self._replace(transport=transport, keys=keys, team_key_file=key_file)
 
     def log_file(self, robot: str) -> str:
         """The path of the log of ``robot``."""

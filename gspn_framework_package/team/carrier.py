@@ -30,6 +30,16 @@ class OperatorRequest(NamedTuple):
     """The run that is meant; "": whatever run the robot is in."""
 
 
+class Operator(NamedTuple):
+    """Who gives an order."""
+
+    name: str = ""
+    """"" if nobody said."""
+    proof: str = ""
+    """What shows that it is so: ``certificate``, ``team key`` (somebody who has it says so), or
+    nothing."""
+
+
 class OperatorAnswer(NamedTuple):
     """The answer to an :class:`OperatorRequest`."""
 
@@ -52,10 +62,9 @@ class Handlers(NamedTuple):
 
     received: Callable[[Message], None]
     """Takes each protocol message for this robot; returns at once."""
-    command: Callable[[OperatorRequest, str], OperatorAnswer]
-    """Answers an operator, whose name is the second argument ("" if the carrier does not know it).
-    It may take some seconds, because an order waits until it is in the log. It raises
-    ExecutionError if the robot is too busy to answer."""
+    command: Callable[[OperatorRequest, Operator], OperatorAnswer]
+    """Answers an operator. It may take some seconds, because an order waits until it is in the log.
+    It raises ExecutionError if the robot is too busy to answer."""
 
 
 class Carrier(Protocol):

@@ -9,7 +9,7 @@ from typing import Any, Callable, Optional
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.plan_change import digest_of
 from gspn_framework_package.model.errors import DataError, ExecutionError, GspnError, LogError
-from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.worker import Answer, Worker
 
@@ -18,6 +18,16 @@ ANSWER_TIME = 2.0
 
 ORDER_TIME = 5.0
 """Seconds that an operator's order waits to get into the log."""
+
+
+NOBODY = Operator()
+"""An operator of whom nothing is known."""
+
+
+def is_question(request: OperatorRequest) -> bool:
+    """Whether a request orders nothing."""
+    asks = request.command == "breakpoints" and not request.argument
+    return asks or request.command in ("status", "plan")
 
 
 class Commands:
@@ -29,10 +39,9 @@ class Commands:
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
 
-    def answer(self, request: OperatorRequest, operator: str = "") -> OperatorAnswer:
+    def answer(self, request: OperatorRequest, operator: Operator = NOBODY) -> OperatorAnswer:
         """Carry out a request, and wait for the outcome.
 
-        :param operator: the name of the operator, "" if unknown.
         :raises ExecutionError: the worker is too busy to answer a question.
         """
         other = self.other_run(request.run)

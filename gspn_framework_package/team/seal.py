@@ -40,6 +40,12 @@ FRESH = 30.0
 MAGIC = "gspn1"
 """The first word of a sealed text."""
 
+ORDER = "order"
+"""The purpose of an operator's order."""
+
+SEALED = "sealed"
+"""The command of a request whose argument is a sealed order."""
+
 _SESSIONS = 8
 """Sessions of one sender that are remembered: its lives, and processes of the same name."""
 
@@ -157,7 +163,7 @@ class Seal:
     ) -> None:
         self._key, self._run, self._name, self._clock = key, run, name, clock
         self._session = os.urandom(8).hex()
-        self._started = clock()
+        self._started = _milliseconds(clock())
         self._lock = threading.Lock()
         self._sent: Dict[str, int] = {}
         self._heard: Dict[str, OrderedDict[str, Dict[str, _Numbers]]] = {}
@@ -174,19 +180,22 @@ class Seal:
         line = "%s %d %d %s %s" % (
             self._session,
             number,
-            int(1000 * self._clock()),
+            _milliseconds(self._clock()),
             _word(self._name),
             _word(to),
         )
         return "%s %s %s\n%s" % (MAGIC, self._code(purpose, line, body), line, body)
 
-    def open(self, text: str, purpose: str) -> Opened:
+    def open(self, text: str, purpose: str, claimed: str = "") -> Opened:
         """A message that was sealed for us or for everybody.
 
         :param purpose: as it was sealed.
+        :param claimed: who is said to have sealed it; "": nobody says.
         :raises NotSealedError: it was not, or it has come before.
         """
         line, body = self._verified(text, purpose)
+        if claimed not in ("", line.sender):  # before its number counts as come
+            raise NotSealedError("in the name of another robot", line.sender)
         now = self._clock()
         with self._lock:
             sessions = self._heard.setdefault(line.sender, OrderedDict())
@@ -217,7 +226,7 @@ class Seal:
             raise NotSealedError("an order for another robot", line.sender)
         if abs(now - line.time) > FRESH:
             raise NotSealedError(_age(now - line.time), line.sender)
-        if line.time < self._started:
+        if 1000 * line.time < self._started:
             raise NotSealedError("an order from before this robot started", line.sender)
         with self._lock:
             while self._orders and next(iter(self._orders.values())) < now - 4 * FRESH:
@@ -252,6 +261,10 @@ def is_sealed(text: str) -> bool:
     return text.startswith(MAGIC + " ")
 
 
+def _milliseconds(seconds: float) -> int:
+    return int(1000 * seconds)
+
+
 def _age(seconds: float) -> str:
     return "%.0f s old by our clock: a recording, or the clocks differ" % seconds
 
@@ -262,5 +275,6 @@ def _word(name: str) -> str:
     return quote(name + ".", safe="")
 
 
+@lru_cache(maxsize=4096)
 def _name(word: str) -> str:
     return unquote(word)[:-1]

@@ -14,6 +14,7 @@ from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.team.carrier import (
     Handlers,
     NotTaken,
+    Operator,
     OperatorAnswer,
     OperatorRequest,
 )
@@ -75,7 +76,7 @@ class ZenohCarrier:
         self.sent = 0
         self._handlers = handlers
         self._partial = partial
-        self._authenticated = access.keys is not None
+        self._proof = "certificate" if access.keys is not None else ""
         self._gate = MessageGate(LARGEST_MESSAGE, HEARD)
         self._lanes = {"all": Lanes(), "to": Lanes()}
         self._pool = WorkerPool("operator")
@@ -219,12 +220,13 @@ class ZenohCarrier:
 
         :param rest: of the key: what was asked for, and by which operator.
         """
-        kind, operator = rest[0], rest[-1] if len(rest) > 1 and self._authenticated else ""
+        kind = rest[0]
+        operator = Operator(rest[1] if len(rest) > 1 else "", self._proof)
         with self._lock:
             has_room = self._room[kind] > 0
             self._room[kind] -= has_room
         if not has_room:
-            self._gate.refuse(operator, "too many %s at once" % kind)
+            self._gate.refuse(operator.name, "too many %s at once" % kind)
             answer = OperatorAnswer(False, "%s is busy with other %s" % (self.robot, kind))
             self._reply(query, _json(answer._asdict()), *rest)
             return

@@ -3,7 +3,8 @@
 Private parameters: ``plan`` (file or folder), ``robots`` (initial size of the team; 0: as in the
 plan), ``run`` (name of the run; "" takes the first one heard), ``host``, ``port``, ``names``
 (further names of this machine, separated by commas), ``token``, ``viewer_token``, ``token_file``,
-``viewers``.
+``viewers``, ``team_key_file`` (the key of the team, if it has one, so that the page can give
+orders).
 
 Any machine that reaches the master can read its parameters. The node therefore deletes the tokens
 from the parameter server once it has read them, and does not log them to /rosout. With
@@ -22,6 +23,7 @@ import rospy
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.ros.options import launched_file
+from gspn_framework_package.team.seal import TeamKey, read_team_key
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.guard import read_tokens
 from gspn_framework_package.visualizer.project import Project
@@ -58,7 +60,7 @@ def _server() -> WebServer:
         plan = plan.for_robots(robots)
     document = Document(_title(path), plan.net, plan, notes=tuple(plan.notes), file=plan.file or "")
     project = Project()
-    project.show(Session("live", document, RosWatch(plan, _parameter("run", ""))))
+    project.show(Session("live", document, RosWatch(plan, _parameter("run", ""), _team_key())))
     token, viewer_token = _tokens()
     names = [name for name in _parameter("names", "").replace(",", " ").split() if name]
     return WebServer(
@@ -70,6 +72,11 @@ def _server() -> WebServer:
         int(_parameter("viewers", 24)),
         viewer_token,
     )
+
+
+def _team_key() -> Optional[TeamKey]:
+    path = _parameter("team_key_file", "")
+    return read_team_key(launched_file(path, "parameter ~team_key_file")) if path else None
 
 
 def _tokens() -> Tuple[Optional[str], Optional[str]]:

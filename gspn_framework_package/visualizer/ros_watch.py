@@ -43,6 +43,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.ros.team_orders import TeamOrders
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     master_proxy,
@@ -53,6 +54,7 @@ from gspn_framework_package.ros.voice import diagnostic_array
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.team.addressing import read_status
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
+from gspn_framework_package.team.seal import TeamKey
 from gspn_framework_package.visualizer.activity import (
     Activity,
     Fields,
@@ -113,12 +115,14 @@ class RosWatch(Activity):
 
     :param plan: the plan, with its initial robots.
     :param run: the run to show; "" takes the first run of this plan that is heard.
+    :param key: the key of the team, to give orders; None if it has none.
     """
 
     mode = "LIVE"
 
-    def __init__(self, plan: Plan, run: str = "") -> None:
+    def __init__(self, plan: Plan, run: str = "", key: Optional[TeamKey] = None) -> None:
         super().__init__()
+        self._orders = TeamOrders(key, "the page")
         self._plan = plan
         self._net: Net = plan.net
         self._hash = self._given = plan.hash()
@@ -677,8 +681,9 @@ class RosWatch(Activity):
         :raises RefusedError: the order was not carried out.
         """
         command, robot, argument = order
-        request = CommandRequest(command, robot, argument, self._run)
         for namespace in self._first_to_order(command, robot):
+            asked = self._names.get(namespace, "")
+            request = self._orders.request(asked, command, robot, argument, self._run)
             answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
             try:
                 if not self._call(namespace, request, self._ordering, answers):
@@ -705,11 +710,19 @@ class RosWatch(Activity):
         """
         found = Breakpoints.of_names(names_field(fields), self._plan)
         names = json.dumps([*found.places, *found.transitions])
-        request = CommandRequest("breakpoints", "", names, self._run)
         answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
         try:
             known = sorted(n for n, name in self._names.items() if name not in self._follower.gone)
-            asked = [n for n in known if self._call(n, request, self._ordering, answers)]
+            asked = [
+                n
+                for n in known
+                if self._call(
+                    n,
+                    self._orders.request(self._names[n], "breakpoints", "", names, self._run),
+                    self._ordering,
+                    answers,
+                )
+            ]
         except MASTER_ERRORS as error:
             raise RefusedError("the ROS master does not answer (%s)" % error) from None
         silent, refusals = set(asked), []

@@ -4,12 +4,15 @@ import json
 
 import pytest
 
+from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.ros import entrance as module
-from gspn_framework_package.ros.entrance import Entrance
-from gspn_framework_package.team.carrier import NotTaken
+from gspn_framework_package.ros.entrance import ASKED, Entrance, said
+from gspn_framework_package.team.carrier import NotTaken, Operator, OperatorRequest
 from gspn_framework_package.team.gate import BURST, LARGEST_MESSAGE
+from gspn_framework_package.team.seal import SEALED, Seal, TeamKey
 
 NODE = {"callerid": "/robot_2/executor"}
+KEY = TeamKey(b"k" * 32)
 HELLO = json.dumps({"from": "robot_2", "kind": "hello"})
 
 
@@ -22,8 +25,8 @@ def entrance(monkeypatch):
 
 
 def test_a_message_is_taken_from_the_robot_that_it_names(entrance):
-    assert entrance.read(HELLO, NODE, "robot_2") == json.loads(HELLO)
-    assert entrance.read(HELLO, NODE) == json.loads(HELLO)  # a call that names nobody itself
+    assert entrance.read(HELLO, NODE, ASKED, "robot_2") == json.loads(HELLO)
+    assert entrance.read(HELLO, NODE, ASKED) == json.loads(HELLO)  # a call that names nobody itself
     assert not entrance.refusals()
 
 
@@ -38,27 +41,120 @@ def test_a_message_is_taken_from_the_robot_that_it_names(entrance):
     ],
 )
 def test_who_sends_nonsense_is_named(entrance, text, claimed, why):
-    assert entrance.read(text, NODE, claimed) is None
+    assert entrance.read(text, NODE, ASKED, claimed) is None
     named = "%s (node /robot_2/executor)" % claimed
     assert entrance.refusals() == [NotTaken(named, why, 1)]
 
 
 def test_a_sender_without_a_name_is_counted_too(entrance):
-    assert entrance.read("{}", None) is None
+    assert entrance.read("{}", None, ASKED) is None
     assert [kind.robot for kind in entrance.refusals()] == ["node without a name"]
 
 
 def test_a_flood_is_braked_and_hurts_no_other_node(entrance):
-    taken = sum(entrance.read(HELLO, NODE, "robot_2") is not None for _ in range(3 * int(BURST)))
+    taken = sum(
+        entrance.read(HELLO, NODE, ASKED, "robot_2") is not None for _ in range(3 * int(BURST))
+    )
     assert taken < 2.5 * BURST  # it is refilled while this test runs
     assert set(entrance.braked) == {module.BRAKE}
     (kind,) = entrance.refusals()
     assert (kind.why, kind.times) == ("too many messages", len(entrance.braked))
     other = HELLO.replace("robot_2", "robot_3")
-    assert entrance.read(other, {"callerid": "/robot_3"}, "robot_3") is not None
+    assert entrance.read(other, {"callerid": "/robot_3"}, ASKED, "robot_3") is not None
 
 
 def test_a_team_that_does_not_talk_over_ros_takes_nothing_there():
     entrance = Entrance(is_open=False)
-    assert entrance.read(HELLO, NODE, "robot_2") is None
+    assert entrance.read(HELLO, NODE, ASKED, "robot_2") is None
     assert entrance.refusals()[0].why == "the team does not talk over ROS"
+
+
+def keyed(name, run="run", key=KEY):
+    return Entrance(seal=Seal(key, run, name))
+
+
+@pytest.fixture
+def one(entrance):
+    return keyed("robot_1")
+
+
+def test_with_a_key_a_message_is_taken_from_who_has_it(one):
+    text = keyed("robot_2").sealed("", HELLO, said("/a", "rosrpc://b:1"))
+    assert one.read(text, NODE, said("/a", "rosrpc://b:1"), "robot_2") == json.loads(HELLO)
+    assert not one.refusals()
+
+
+@pytest.mark.parametrize(
+    ("sender", "purpose", "claimed", "why"),
+    [
+        (Entrance(), ASKED, "robot_2", "without the key of the team"),
+        (keyed("robot_2", key=TeamKey(b"x" * 32)), ASKED, "robot_2", "not sealed with the key"),
+        (keyed("robot_2", run="other"), ASKED, "robot_2", "not sealed with the key"),
+        (keyed("robot_2"), said("/a", "rosrpc://thief:1"), "robot_2", "not sealed with the key"),
+        (keyed("robot_2"), ASKED, "robot_3", "in the name of another robot"),
+        (keyed("robot_3"), ASKED, "robot_3", "in the name of another robot"),
+    ],
+)
+def test_with_a_key_nothing_else_is_taken(one, sender, purpose, claimed, why):
+    text = sender.sealed("", HELLO, ASKED)
+    assert one.read(text, NODE, purpose, claimed) is None
+    (kind,) = one.refusals()
+    assert kind.robot == "%s (node /robot_2/executor)" % claimed and why in kind.why
+
+
+def test_a_message_that_is_played_again_is_refused(one):
+    text = keyed("robot_2").sealed("robot_1", HELLO, ASKED)
+    assert one.read(text, NODE, ASKED, "robot_2")
+    assert one.read(text, {"callerid": "/thief"}, ASKED, "robot_2") is None
+    assert one.refusals() == [NotTaken("robot_2 (node /thief)", "a message that came before", 1)]
+
+
+def test_without_a_key_a_sealed_message_is_named_as_such(entrance):
+    assert entrance.read(keyed("robot_2").sealed("", HELLO, ASKED), NODE, ASKED) is None
+    assert "which this robot does not have" in entrance.refusals()[0].why
+
+
+PAUSE = OperatorRequest("pause", "robot_2", "", "run")
+
+
+def sealed_order(request, to="robot_1", **options):
+    seal = Seal(options.get("key", KEY), "run", "ann")
+    return OperatorRequest(SEALED, "", seal.close(to, json.dumps(request._asdict()), "order"))
+
+
+def test_an_order_is_taken_with_the_key_and_questions_without(one):
+    assert one.order(sealed_order(PAUSE), NODE) == (PAUSE, Operator("ann", "team key"))
+    for question in (OperatorRequest("status"), OperatorRequest("breakpoints")):
+        assert one.order(question, NODE) == (question, Operator("node /robot_2/executor"))
+    assert not one.refusals()
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        (lambda: PAUSE, "--team-key-file"),
+        (lambda: OperatorRequest("breakpoints", "", '["p1"]'), "--team-key-file"),
+        (lambda: sealed_order(PAUSE, key=TeamKey(b"x" * 32)), "not sealed with the key"),
+        (lambda: sealed_order(PAUSE, to="robot_3"), "for another robot"),
+        (lambda: sealed_order(PAUSE._replace(argument=7)), "not an order"),
+        (lambda: OperatorRequest(SEALED, "", "nonsense"), "without the key"),
+    ],
+)
+def test_an_order_without_the_right_is_refused_and_counted(one, given, why):
+    with pytest.raises(RefusedError, match=why):
+        one.order(given(), {"callerid": "/thief"})
+    (kind,) = one.refusals()
+    assert (kind.robot, kind.times) == ("node /thief", 1)
+
+
+def test_an_order_is_not_taken_twice(one):
+    order = sealed_order(PAUSE)
+    one.order(order, NODE)
+    with pytest.raises(RefusedError, match="came before"):
+        one.order(order, NODE)
+
+
+def test_a_team_without_a_key_takes_orders_from_everybody(entrance):
+    assert entrance.order(PAUSE, NODE) == (PAUSE, Operator("node /robot_2/executor"))
+    with pytest.raises(RefusedError, match="no team key"):
+        entrance.order(sealed_order(PAUSE), NODE)

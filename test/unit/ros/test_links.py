@@ -13,6 +13,7 @@ from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros import facts, links
 from gspn_framework_package.ros.entrance import Entrance
+from gspn_framework_package.team.seal import Seal, TeamKey
 
 OTHER = {"callerid": "/robot_2/executor"}
 
@@ -43,13 +44,20 @@ def make(monkeypatch):
     monkeypatch.setattr(links.rospy, "get_rostime", rospy.Time)
     made = []
 
-    def make(robot, run="run", **options):
-        # each as in a process of its own
-        monkeypatch.setattr(links, "_NEIGHBOURS", links._Neighbours())
+    def make(robot, run="run", key=None):
         monkeypatch.setattr(links.rospy, "get_name", lambda: "/%s/executor" % robot)
         got = []
-        link = links.TopicLink(robot, run, "/" + robot, got.append, None, 5.0, Entrance(**options))
+        link = links.TopicLink(
+            robot,
+            run,
+            "/" + robot,
+            got.append,
+            None,
+            5.0,
+            Entrance(seal=Seal(key, run, robot) if key else None),
+        )
         link.got = got
+        link._neighbours = dict  # each as in a process of its own
         made.append(link)
         return link
 
@@ -101,3 +109,37 @@ def test_an_answer_is_taken_from_the_robot_that_was_asked(make):
     assert one.got == [] and [kind.times for kind in one.refusals()] == [1]
     one._answered("robot_2", response)
     assert one.got == [json.loads(body)]
+
+
+KEY, OTHER_KEY = TeamKey(b"k" * 32), TeamKey(b"o" * 32)
+
+
+def test_a_team_with_a_key_hears_its_own_and_nobody_else(make):
+    one, two = make("robot_1", key=KEY), make("robot_2", key=KEY)
+    outsider, plain = make("robot_2", key=OTHER_KEY), make("robot_2")
+    good = said(two, number=1)
+    redirected, renamed = came(good), came(good)
+    redirected.service_uri = "rosrpc://thief:1"
+    renamed.sender = "robot_3"
+    for news in (redirected, renamed, said(outsider, number=2), said(plain, number=3)):
+        one._on_message(came(news, {"callerid": "/thief"}))
+    assert one.got == [] and one._peers == {} and one._heard == {}
+    one._on_message(came(good))
+    one._on_message(came(good, {"callerid": "/thief"}))  # played again
+    assert [message["number"] for message in one.got] == [1]
+    assert list(one._peers) == ["robot_2"]
+    assert {kind.robot for kind in one.refusals()} == {
+        "robot_2 (node /thief)",
+        "robot_3 (node /thief)",
+    }
+    assert sum(kind.times for kind in one.refusals()) == 5
+
+
+def test_what_one_robot_is_told_is_not_taken_by_another(make):
+    one, two, three = (make(robot, key=KEY) for robot in ("robot_1", "robot_2", "robot_3"))
+    told = came(said(two, to="robot_3"))
+    three._on_message(told)
+    told.to = "robot_1"
+    one._on_message(told)
+    assert (len(three.got), len(one.got)) == (1, 0)
+    assert [kind.why for kind in one.refusals()] == ["a message for another robot"]

@@ -125,6 +125,11 @@ def test_a_file_is_looked_for_where_roslaunch_was_started_too(tmp_path, monkeypa
         ({"transport": "zenoh"}, "needs a router"),
         ({"router": "tcp/x:1"}, "say nothing with the transport ros"),
         ({"keys": "keys"}, "say nothing with the transport ros"),
+        (
+            {"transport": "zenoh", "router": "tcp/x:1", "team_key_file": "k"},
+            "a team key says nothing with the transport zenoh",
+        ),
+        ({"team_key_file": "no/such.key"}, "~team_key_file"),
     ],
 )
 def test_a_transport_that_makes_no_sense_is_refused(plan, given, says):

@@ -15,7 +15,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import PlanError, RefusedError
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team.agent import PrintedVoice, make_agent
-from gspn_framework_package.team.carrier import OperatorRequest
+from gspn_framework_package.team.carrier import Operator, OperatorRequest
 from gspn_framework_package.team.host import HostOptions
 
 NET = {
@@ -129,7 +129,7 @@ class Team:
 
     def ask(self, robot, command, about="", argument="", run=""):
         request = OperatorRequest(command, about, argument, run)
-        return self.hosts[robot].handlers.command(request, "ann")
+        return self.hosts[robot].handlers.command(request, Operator("ann"))
 
     def status(self, robot):
         return json.loads(self.ask(robot, "status").message)

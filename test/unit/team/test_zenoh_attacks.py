@@ -13,7 +13,7 @@ from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.team.agent import PrintedVoice, make_agent
-from gspn_framework_package.team.carrier import Handlers, OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.lanes import LANES
@@ -161,6 +161,6 @@ def test_somebody_with_other_keys_joins_neither_the_run_nor_its_votes(hub, team)
     for message in [greeting, *votes]:
         stranger.send([Send(EVERYBODY, {**message, "from": THIEF})])
     team.goes_on()
-    answer = team.hosts["robot_1"].handlers.command(OperatorRequest("status"), "")
+    answer = team.hosts["robot_1"].handlers.command(OperatorRequest("status"), Operator())
     status = json.loads(answer.message)
     assert THIEF not in [robot["robot"] for robot in status["robots"]]

@@ -10,7 +10,7 @@ from zenoh_team import Hub, make_keys, wait_for
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.model.errors import ExecutionError, UsageError
-from gspn_framework_package.team.carrier import Handlers, OperatorAnswer
+from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer
 from gspn_framework_package.team.lanes import LANES, PASSED_BY_ROUTER, PAUSE
 from gspn_framework_package.team.zenoh_carrier import LARGEST_PACK, MOST_WAITING, ZenohCarrier
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
@@ -229,7 +229,7 @@ def test_operators_ask_order_and_are_named(secure):
     assert ann.order("retry", "robot_1", "") == (True, "done")
     request, operator = one.asked[-1]
     assert (request.command, request.robot, request.run) == ("retry", "robot_1", "run")
-    assert operator == "ann"
+    assert operator == Operator("ann", "certificate")
     one.answer = lambda request: OperatorAnswer(False, "no such place")
     assert ann.order("set_place", "robot_1", "X") == (False, "no such place")
     told = dict(ann.breakpoints("", "run"))
@@ -252,14 +252,14 @@ def test_a_watcher_sees_and_orders_nothing(secure):
     assert {request.command for request, _ in one.asked} == {"status"}
 
 
-def test_no_name_is_believed_without_keys():
+def test_no_name_is_proved_without_keys():
     hub = Hub()
     try:
         one = Robot(hub, "robot_1")
         somebody = hub.keep(ZenohOperator(hub.access("ann")))
         wait_for(lambda: somebody.statuses())
         assert somebody.order("pause", "", "")[0]
-        assert one.asked[-1][1] == ""
+        assert one.asked[-1][1] == Operator("operator", "")  # says it, and nothing shows it
     finally:
         hub.close()
 
