@@ -112,7 +112,7 @@ def read_team_key(path: str) -> TeamKey:
     return TeamKey(secret)
 
 
-class Opened(NamedTuple):
+class Unsealed(NamedTuple):
     """What a seal kept: who sealed it, and the text."""
 
     sender: str
@@ -186,7 +186,7 @@ class Seal:
         )
         return "%s %s %s\n%s" % (MAGIC, self._code(purpose, line, body), line, body)
 
-    def open(self, text: str, purpose: str, claimed: str = "") -> Opened:
+    def open(self, text: str, purpose: str, claimed: str = "") -> Unsealed:
         """A message that was sealed for us or for everybody.
 
         :param purpose: as it was sealed.
@@ -212,9 +212,9 @@ class Seal:
                         sessions.popitem(last=False)
         if why:
             raise NotSealedError(why, line.sender)
-        return Opened(line.sender, body)
+        return Unsealed(line.sender, body)
 
-    def open_order(self, text: str, purpose: str) -> Opened:
+    def open_order(self, text: str, purpose: str) -> Unsealed:
         """An order that was sealed for us.
 
         :param purpose: as it was sealed.
@@ -234,7 +234,7 @@ class Seal:
             if (line.session, line.number) in self._orders:
                 raise NotSealedError("an order that came before", line.sender)
             self._orders[line.session, line.number] = now
-        return Opened(line.sender, body)
+        return Unsealed(line.sender, body)
 
     def _verified(self, text: str, purpose: str) -> Tuple[_Line, str]:
         first, newline, body = text.partition("\n")
