@@ -43,6 +43,7 @@ def for_pip(manifest):
         "python_requires": ">=3.8",
         "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
         "extras_require": {
+            "bags": ["mcap>=1.1", "rosbags>=0.9.20"],
             "fast": ["numba"],
             "history": ["duckdb"],
             "team": [
@@ -53,6 +54,21 @@ def for_pip(manifest):
         },
         "entry_points": {"console_scripts": ["gspn = %s.cli.main:main" % PACKAGE]},
     }
+
+
+def packages(by_catkin):
+    """Return what is installed. pip also installs the definitions of the messages, which catkin
+    installs as ROS does."""
+    found = {
+        "packages": find_packages(include=[PACKAGE, PACKAGE + ".*"]),
+        "package_dir": {"": "."},
+        "package_data": {PACKAGE: data_files()},
+    }
+    if not by_catkin:
+        found["packages"].append(PACKAGE + ".msg_files")
+        found["package_dir"][PACKAGE + ".msg_files"] = "msg"
+        found["package_data"][PACKAGE + ".msg_files"] = ["*.msg"]
+    return found
 
 
 manifest = ElementTree.parse("package.xml").getroot()
@@ -66,8 +82,6 @@ setup(
     maintainer=manifest.findtext("maintainer"),
     maintainer_email=manifest.find("maintainer").get("email"),
     license=manifest.findtext("license"),
-    packages=find_packages(include=[PACKAGE, PACKAGE + ".*"]),
-    package_dir={"": "."},
-    package_data={PACKAGE: data_files()},
     **({} if by_catkin else for_pip(manifest)),
+    **packages(by_catkin),
 )

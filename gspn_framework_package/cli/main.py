@@ -49,6 +49,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "check": Verb(".check", "check whether a plan may run, before any robot moves"),
     "run": Verb(".run", "execute a plan without ROS, its agents on threads"),
     "simulate": Verb(".simulate", "simulate many runs of a net or plan, with confidence intervals"),
+    "sweep": Verb(
+        ".sweep", "measure a net or plan for many teams, rates, durations or policies at once"
+    ),
     "analyse": Verb(
         ".analyse", "analyse a net, or a plan under its policy: structure, state space, time"
     ),
@@ -63,6 +66,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     ),
     "replay": Verb(
         ".replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
+    ),
+    "export": Verb(
+        ".export", "write recorded runs for other tools: as a rosbag, an MCAP file or a table"
     ),
     "compare": Verb(
         ".compare", "compare runs with what their plan predicts: intervals, and an alarm per place"

@@ -89,20 +89,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plot the picture."""
-    if Path(args.output).suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise UsageError("a picture must end in .png, .svg or .pdf, unlike '%s'" % args.output)
     if (args.what == "passage") != (args.condition is not None):
         raise UsageError("--what passage and --condition belong together")
     if args.fit and (args.what != "tokens" or args.time is not None):
         raise UsageError("--what and --time do not apply to --fit")
-    try:
-        import matplotlib
-    except ImportError:
-        raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
-    matplotlib.use("Agg")
-    # Its warnings about fonts and layouts are for programmers; unknown letters in names are drawn
-    # as boxes.
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    begin_picture(args.output)
     subject, notes = read_subject(args)
     if args.fit:
         return _plot_fit(subject, notes, args)
@@ -114,12 +105,30 @@ def run(args: argparse.Namespace) -> int:
             args,
         )
 
-    _save(working(make, limits.memory), args.output)
+    save_picture(working(make, limits.memory), args.output)
     print_notes(notes)
     return 0
 
 
-def _save(figure: Any, path: str) -> None:
+def begin_picture(path: str) -> None:
+    """Get ready to save a picture at ``path``.
+
+    :raises UsageError: the name is not that of a picture, or matplotlib is not installed.
+    """
+    if Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise UsageError("a picture must end in .png, .svg or .pdf, unlike '%s'" % path)
+    try:
+        import matplotlib
+    except ImportError:
+        raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
+    matplotlib.use("Agg")
+    # Its warnings about fonts and layouts are for programmers; unknown letters in names are drawn
+    # as boxes.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+
+
+def save_picture(figure: Any, path: str) -> None:
+    """Save a figure of matplotlib."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         figure.savefig(path, dpi=150)
@@ -138,7 +147,7 @@ def _plot_fit(subject: Union[Net, Plan], notes: List[str], args: argparse.Namesp
         raise UsageError(
             "%d places are too many for one picture" % len(names), hint="choose some with --only"
         )
-    _save(fit_figure({name: fitted[name] for name in names}), args.output)
+    save_picture(fit_figure({name: fitted[name] for name in names}), args.output)
     print_notes([*notes, *learned.report.notes])
     return 0
 

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Iterator, List, Tuple
 
+from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.simulation import Simulation, simulate
@@ -18,6 +19,7 @@ from gspn_framework_package.cli.against import add_against_arguments, refuse_aim
 from gspn_framework_package.cli.continued import beginning_of, simulate_from
 from gspn_framework_package.cli.continued import notes as continued_notes
 from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.virtual_log import simulate_to_log
@@ -109,6 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="level of the confidence intervals (default %(default)s)",
     )
+    add_on_argument(parser)
     add_against_arguments(parser.add_argument_group("an old plan against a new one"))
 
 
@@ -127,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_aims(args)
     if args.log:
         return simulate_to_log(subject, notes, args)
-    with ProgressLine() as progress:
+    with open_executor(args.on) as executor, ProgressLine() as progress:
         result = simulate(
             subject,
             time=args.time,
@@ -142,6 +145,7 @@ def run(args: argparse.Namespace) -> int:
             measures=args.measure,
             batches=args.batches,
             progress=progress,
+            on=executor,
         )
     return _print(result, notes, args)
 

@@ -329,3 +329,12 @@ def read_policy(path: str) -> Policy:
     except GspnError as error:
         error.located(file=path)
         raise
+
+
+def read_policy_of(path: str) -> Policy:
+    """Read the policy of a plan, or a policy file. :raises GspnError: the file is neither."""
+    if not os.path.isdir(path):
+        data = read_document(path).data
+        if isinstance(data, dict) and "net" not in data and "rows" in data:
+            return read_policy(path)
+    return read_plan(path).policy

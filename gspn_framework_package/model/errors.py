@@ -106,6 +106,10 @@ class KeysError(InputError):
     """The keys of a team are missing, damaged, expired or revoked."""
 
 
+class WorkersError(InputError):
+    """The workers of a long computation cannot be had, have other versions, or died too often."""
+
+
 class RefusedError(GspnError):
     """The input is well formed, but the answer is no: for example, a plan must not run, or a
     property does not hold."""

@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from operator import itemgetter
 from typing import (
+    Any,
     Callable,
     Dict,
     Iterable,
@@ -109,6 +110,10 @@ class Policy:
                 )
             )
         return cls(places, rows, scopes)
+
+    def __getstate__(self) -> Dict[str, Any]:
+        """What travels to another process: all but the search tree, which is made again."""
+        return {**self.__dict__, "_table": None}
 
     def scope_numbers(self) -> Dict[str, int]:
         """Return the number of the scope of each place that is in one, from 1 on; all others have

@@ -8,25 +8,36 @@ from typing import Any, Dict
 import rospy
 from std_msgs.msg import String
 
-from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message
+from gspn_framework_package.execution.team_messages import activity_fields
+from gspn_framework_package.msg import FiredTransition, Marking, RobotActivity, TeamState
+from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, stamped
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 
 class RosFacts:
-    """Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition) and
-    ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place, state, visit,
-    attempt, waits_for, needs_operator, feedback, ended, finished, fault; at most ten a second, the
-    last one latched).
+    """Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, in the
+    namespace of the robot and latched:
+
+    - ``activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place, place_number, state,
+      visit, attempt, task, waits_for, needs_operator, feedback, ended, finished, fault) and
+      ``robot_activity`` (RobotActivity), at most ten a second;
+    - ``marking`` (Marking) and ``team_state`` (TeamState), while somebody subscribes.
 
     :param namespace: absolute namespace of the robot.
     """
 
     def __init__(self, namespace: str) -> None:
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
-        self._activity = rospy.Publisher(
-            rospy.names.ns_join(namespace, "activity"), String, latch=True, queue_size=10
-        )
+
+        def latched(name: str, kind: Any) -> Any:
+            return rospy.Publisher(
+                rospy.names.ns_join(namespace, name), kind, latch=True, queue_size=10
+            )
+
+        self._activity = latched("activity", String)
+        self._robot = latched("robot_activity", RobotActivity)
+        self._marking = latched("marking", Marking)
+        self._team = latched("team_state", TeamState)
 
     def tell_firing(self, fields: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
@@ -34,8 +45,19 @@ class RosFacts:
 
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""
-        return bool(self._activity.get_num_connections())
+        return bool(self._activity.get_num_connections() or self._robot.get_num_connections())
 
     def tell_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
         self._activity.publish(json.dumps(activity))
+        self._robot.publish(stamped(RobotActivity(**activity_fields(activity))))
+
+    def is_team_watched(self) -> bool:
+        """See :class:`Carrier`."""
+        return bool(self._marking.get_num_connections() or self._team.get_num_connections())
+
+    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
+        """See :class:`Carrier`."""
+        self._marking.publish(stamped(Marking(**marking)))
+        robots = [stamped(RobotActivity(**robot)) for robot in team["robots"]]
+        self._team.publish(stamped(TeamState(**{**team, "robots": robots})))

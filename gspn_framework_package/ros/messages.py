@@ -16,8 +16,13 @@ plan."""
 def fired_message(fields: Dict[str, Any]) -> FiredTransition:
     """The message that reports a firing on ``fired_transitions``.
 
-    :param fields: see :func:`~gspn_framework_package.team.carrier.firing_fields`.
+    :param fields: see :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
     """
-    message = FiredTransition(**fields)
+    message: FiredTransition = stamped(FiredTransition(**fields))
+    return message
+
+
+def stamped(message: Any) -> Any:
+    """The message, with the present time in its header."""
     message.header.stamp = rospy.get_rostime()
     return message

@@ -11,6 +11,7 @@ import genpy
 import rospy
 
 from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.execution.team_messages import marking_lists
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance
 from gspn_framework_package.srv import (
@@ -27,12 +28,7 @@ from gspn_framework_package.srv import (
     SetPlaceRequest,
     SetPlaceResponse,
 )
-from gspn_framework_package.team.carrier import (
-    OperatorAnswer,
-    OperatorRequest,
-    marking_fields,
-    sender_of,
-)
+from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest, sender_of
 from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask
 from gspn_framework_package.team.worker import Worker
 
@@ -98,7 +94,7 @@ class NodeServices:
     def _read_state(self) -> GetStateResponse:
         """The response of ``get_state``; called on the worker thread."""
         view = self._worker.view()
-        places, counts = marking_fields(view.marking, view.net)
+        places, counts = marking_lists(view.marking, view.net)
         return GetStateResponse(
             self._worker.robot,
             view.place,

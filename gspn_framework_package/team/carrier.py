@@ -11,11 +11,9 @@ not invent any. A carrier that knows which robot sent a message drops one that n
 
 from __future__ import annotations
 
-import json
-from typing import Any, Callable, Dict, List, NamedTuple, Protocol, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Protocol
 
-from gspn_framework_package.execution.agreement.interface import Fired, Message, Send
-from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.execution.agreement.interface import Message, Send
 
 
 class OperatorRequest(NamedTuple):
@@ -80,7 +78,8 @@ class Carrier(Protocol):
     def tell_firing(self, fields: Dict[str, Any]) -> None:
         """Publish a firing that this robot decided, or a local transition of its own.
 
-        :param fields: see :func:`firing_fields`.
+        :param fields: see
+            :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
         """
 
     def is_watched(self) -> bool:
@@ -96,46 +95,19 @@ class Carrier(Protocol):
     def refusals(self) -> List[NotTaken]:
         """What came in so far and was not taken."""
 
+    def is_team_watched(self) -> bool:
+        """Whether somebody wants :meth:`tell_team` now."""
+
+    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
+        """Publish the marking and the state of the whole team, as this robot's log has them.
+
+        :param marking: see
+            :func:`~gspn_framework_package.execution.team_messages.marking_fields`.
+        :param team: see :func:`~gspn_framework_package.execution.team_messages.team_fields`.
+        """
+
     def close(self) -> None:
         """Send nothing more, and release everything."""
-
-
-def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
-    """A firing as a JSON object, with the fields of the ROS message ``FiredTransition`` but for its
-    header.
-
-    :param run: the name of the run.
-    """
-    firing = fired.firing
-    moved = [move for move in firing.moves if move.target is not None]
-    places, counts = marking_fields(firing.marking, fired.plan.net)
-    details: Dict[str, Any] = {}
-    if firing.cause:
-        details["cause"] = dict(firing.cause)
-    if firing.tasks:
-        details["tasks"] = [list(move) for move in firing.tasks]
-    return {
-        "plan": fired.plan.hash(),
-        "run": run,
-        "transition": firing.transition,
-        "robot": firing.robot,
-        "incarnation": firing.incarnation,
-        "visit": firing.visit,
-        "robots": [move.robot for move in moved],
-        "robot_places": [str(move.target) for move in moved],
-        "places": places,
-        "counts": counts,
-        "slot": firing.slot,
-        "index": firing.index,
-        "private_move": fired.private,
-        "hash": fired.hash,
-        "details": json.dumps(details) if details else "",
-    }
-
-
-def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
-    """A marking as two lists, place names and counts, with every place of the net."""
-    return [place.name for place in net.places], list(marking)
 
 
 def sender_of(message: Message) -> str:

@@ -21,11 +21,12 @@ from gspn_framework_package.execution.breakpoints import (
 )
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_messages import firing_fields
 from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.team.carrier import Carrier, Handlers, firing_fields
+from gspn_framework_package.team.carrier import Carrier, Handlers
 from gspn_framework_package.team.commands import Commands
 from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
@@ -267,7 +268,10 @@ class ReplicaHost(Worker):
         if action_due is not None and action_due <= now + LOOK_AGAIN:
             self._narrator.note_change()  # the action side waits for something
         self._take_inputs()
-        told = self._narrator.poll(now, self._carrier, self._activity, self._report.diagnosis)
+        report = self._report
+        told = self._narrator.poll(
+            now, self._carrier, self._activity, report.team, report.diagnosis
+        )
         due = min(self._wake_at, told)
         if action_due is not None:
             due = min(due, action_due)

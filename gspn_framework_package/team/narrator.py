@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any, Callable, Dict, Mapping, Tuple
 
+from gspn_framework_package.execution.team_messages import Fields
 from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.sides import Voice
 
@@ -16,6 +17,9 @@ ACTIVITY_PERIOD = 0.1
 
 UNHEARD_PERIOD = 1.0
 """The same while nobody watches."""
+
+TEAM_PERIOD = 0.2
+"""Minimum number of seconds between two publications of the marking and the team's state."""
 
 DIAGNOSIS_PERIOD = 1.0
 """Seconds between two diagnoses."""
@@ -39,6 +43,8 @@ class Narrator:
         self._changed = True
         self._activity_at = 0.0
         self._watched, self._look_at = False, 0.0
+        self._team_told: Tuple[Fields, Fields] = ({}, {})
+        self._team_at = 0.0
         self._diagnosis_at = 0.0
         self._reason = ""
         self._reason_since = 0.0
@@ -78,6 +84,7 @@ class Narrator:
         now: float,
         carrier: Carrier,
         activity: Callable[[], Dict[str, Any]],
+        team: Callable[[], Tuple[Fields, Fields]],
         diagnosis: Callable[[], Diagnosis],
     ) -> float:
         """Publish what is due; returns when to call this next, unless something changes before.
@@ -85,6 +92,8 @@ class Narrator:
         :param now: the time (monotonic seconds).
         :param carrier: publishes the activity.
         :param activity: returns what the robot does, a JSON object.
+        :param team: returns the marking and the state of the team, as :meth:`Carrier.tell_team`
+            takes them.
         :param diagnosis: returns how the robot is.
         """
         if now >= self._look_at:
@@ -101,11 +110,19 @@ class Narrator:
                 carrier.tell_activity(told)
             self._note_reason(told["waits_for"], now)
         self._tell_reason(now)
+        if now >= self._team_at:
+            self._team_at = now + TEAM_PERIOD
+            if carrier.is_team_watched():
+                state = team()
+                if state != self._team_told:
+                    self._team_told = state
+                    carrier.tell_team(*state)
         if now >= self._diagnosis_at:
             self._diagnosis_at = now + DIAGNOSIS_PERIOD
             if self._voice.is_asked():
                 self._voice.diagnose(*diagnosis())
-        return min(self._activity_at, self._diagnosis_at) if self._changed else self._diagnosis_at
+        due = min(self._team_at, self._diagnosis_at)
+        return min(self._activity_at, due) if self._changed else due
 
     def _note_reason(self, reason: str, now: float) -> None:
         if reason != self._reason:

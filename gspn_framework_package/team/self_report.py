@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_messages import (
+    Fields,
+    marking_fields,
+    team_fields,
+)
 from gspn_framework_package.execution.team_state import told_phase
 from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
 from gspn_framework_package.model.net import Net
@@ -130,14 +135,17 @@ class SelfReport:
         :param progress: the last feedback of the action.
         """
         view, state = self.view(), self._replica.ledger.state
+        robot = state.robots.get(self._robot)
         return {
             "robot": self._robot,
             "run": self._run,
             "plan": plan,
             "place": view.place,
+            "place_number": self._net.place_index[view.place] if view.place else -1,
             "state": view.robot_state,
             "visit": view.visit,
             "attempt": attempt,
+            "task": robot.task.id if robot is not None and robot.task is not None else "",
             "waits_for": self.waits_for(),
             "needs_operator": self.needs_operator(),
             "feedback": progress,
@@ -146,6 +154,13 @@ class SelfReport:
             "fault": self._is_faulty(),
             "refused": self._refused_as_json(),
         }
+
+    def team(self) -> Tuple[Fields, Fields]:
+        """The marking and the state of the team, as the log has them (see
+        :meth:`Carrier.tell_team`)."""
+        ledger = self._replica.ledger
+        about = (ledger.game, ledger.state, self._run, ledger.game.plan.hash())
+        return marking_fields(*about), team_fields(*about)
 
     def diagnosis(self) -> Diagnosis:
         """How the robot is."""

@@ -147,6 +147,13 @@ class ZenohCarrier:
             return bool(status.matching)
         return False
 
+    def is_team_watched(self) -> bool:
+        """Never: who watches over Zenoh reads the firings, and asks for the status."""
+        return False
+
+    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
+        """See :meth:`is_team_watched`."""
+
     def close(self) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         self._session.close()

@@ -22,7 +22,8 @@ class Sights(NamedTuple):
     """What a watch calls, on Zenoh's threads, with the robot that it comes from."""
 
     fired: Callable[[str, Dict[str, Any]], None]
-    """Takes a firing (see :func:`~gspn_framework_package.team.carrier.firing_fields`)."""
+    """Takes a firing; its fields are those of
+    :func:`~gspn_framework_package.execution.team_messages.firing_fields`."""
     activity: Callable[[str, Dict[str, Any]], None]
     """Takes what a robot does."""
 

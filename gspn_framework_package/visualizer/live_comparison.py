@@ -31,7 +31,13 @@ import threading
 from dataclasses import replace
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, PACES, Alarm, Monitor
+from gspn_framework_package.analysis.monitoring.monitor import (
+    ALARM_EVERY,
+    PACES,
+    Alarm,
+    Monitor,
+    Stream,
+)
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
@@ -52,8 +58,9 @@ CURVES = 12
 SECONDS = 120.0
 """Time limit of the prediction, in seconds."""
 
-Listener = Callable[[List[Alarm], Sequence[Alarm]], None]
-"""Called once per period with the alarms that last and the new ones."""
+Listener = Callable[[List[Alarm], Sequence[Alarm], Sequence[Tuple[str, float]]], None]
+"""Called once per period with the alarms that last, the new ones, and what is watched, each with
+how near its alarm is (0 to 1)."""
 
 
 class _Attempt(NamedTuple):
@@ -305,7 +312,8 @@ class LiveComparison:
             self._hub.publish({"k": "note", "level": "warning", "robot": alarm.robot, "text": text})
         lasting = monitor.on
         if self._listener is not None:
-            self._listener(lasting, new)
+            levels = [(_name(stream), _level(stream)) for stream in monitor.streams]
+            self._listener(lasting, new, levels)
         self._points.append((round(now, 2), [sum(follower.counts), *follower.counts]))
         if len(self._points) > 2 * POINTS:
             self._points = self._points[::2]
@@ -323,13 +331,12 @@ class LiveComparison:
                 {
                     "kind": stream.kind,
                     "name": _name(stream),
-                    "level": round(min(level, 1.0), 3),
+                    "level": round(level, 3),
                     "on": stream.on,
                     "says": stream.alarms[-1].describe() if stream.on and stream.alarms else "",
                 }
                 for stream in monitor.streams
-                for nearest in [stream.nearest()]
-                for level in [nearest.value / nearest.threshold]
+                for level in [_level(stream)]
                 if stream.kind in PACES or stream.on or level > 0.25
             ],
             alarms=[alarm.describe() for alarm in lasting],
@@ -360,7 +367,13 @@ def _begun_at(plan: Plan, board: Board) -> Plan:
     return replace(plan, net=plan.net.with_marking(tuple(board.marking))).with_robots(robots)
 
 
-def _name(stream: Any) -> str:
+def _level(stream: Stream) -> float:
+    """How near the alarm of a stream is, 0 to 1."""
+    nearest = stream.nearest()
+    return min(nearest.value / nearest.threshold, 1.0)
+
+
+def _name(stream: Stream) -> str:
     parts = [part for part in (stream.place, stream.robot, stream.transition) if part]
     return ", ".join(parts) or "the team"
 

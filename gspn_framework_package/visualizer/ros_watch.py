@@ -21,7 +21,6 @@ from typing import (
     List,
     Mapping,
     Optional,
-    Sequence,
     Set,
     Tuple,
     Type,
@@ -29,10 +28,8 @@ from typing import (
 
 import genpy
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
-from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution.breakpoints import Breakpoints
 from gspn_framework_package.execution.enabled_set import EnabledSet
@@ -50,7 +47,6 @@ from gspn_framework_package.ros.transport.registration import (
     published_topics,
 )
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
-from gspn_framework_package.ros.voice import diagnostic_array
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.team.addressing import read_status
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
@@ -72,6 +68,7 @@ from gspn_framework_package.visualizer.fired_follower import (
 )
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import LiveComparison
+from gspn_framework_package.visualizer.ros_prediction import RosPrediction
 from gspn_framework_package.visualizer.submissions import submission
 
 ACTIVITY = "/activity"
@@ -188,9 +185,8 @@ class RosWatch(Activity):
         }
         info = {"commands": sorted([*self.commands, "deploy"]), "says": "a team of robots on ROS"}
         hub.restart(self.mode, self._follower.board(self._status), info)
-        self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._comparison = LiveComparison(
-            self._plan, hub, complete=False, listener=self._publish_diagnostics
+            self._plan, hub, complete=False, listener=RosPrediction(self._plan, self._run).tell
         )
         self._subscribe(FIRED_TOPIC, FiredTransition, "fired")
         self._subscribe("/world/room", String, "room")
@@ -626,32 +622,6 @@ class RosWatch(Activity):
 
     def _note(self, level: str, robot: str, text: str) -> None:
         self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
-
-    def _publish_diagnostics(self, lasting: List[Alarm], new: Sequence[Alarm]) -> None:
-        """Publish on ``/diagnostics`` whether the run goes as predicted; called once per second, on
-        a thread of its own."""
-        for alarm in new:
-            rospy.logwarn("the run departs from the plan: %s", alarm.describe())
-        if self._diagnostics.get_num_connections():
-            self._diagnostics.publish(
-                diagnostic_array(
-                    "%s: gspn prediction, run %s" % (rospy.get_name(), self._run),
-                    self._plan.name,
-                    1 if lasting else 0,
-                    "; ".join(alarm.describe() for alarm in lasting[:3])
-                    or "the run goes as predicted",
-                    {
-                        "alarms": len(lasting),
-                        "false alarms": "one in %g days" % (ALARM_EVERY / DAY),
-                        **{
-                            ", ".join(p for p in (alarm.place, alarm.robot) if p) or "team": (
-                                alarm.describe()
-                            )
-                            for alarm in lasting
-                        },
-                    },
-                )
-            )
 
     # -- the page's orders -------------------------------------------------------------------------
 

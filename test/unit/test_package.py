@@ -67,6 +67,7 @@ ROSDEP_KEYS = {
     "jsonschema": "python3-jsonschema",
     "lxml": "python3-lxml",
     "matplotlib": "python3-matplotlib",
+    "distributed": "",
     "numba": "",
     "numpy": "python3-numpy",
     "playwright": "",
@@ -79,6 +80,8 @@ ROSDEP_KEYS = {
     "waitress": "python3-waitress",
     "werkzeug": "python3-flask",  # Flask is built on it
     "yaml": "python3-yaml",
+    "mcap": "",
+    "rosbags": "",
     "zenoh": "",
 }
 

@@ -1,12 +1,17 @@
 """Discrete-event simulation of a net, or of a plan as it runs.
 
-``runs`` is the entry point, ``estimates`` what it returns. ``kernel`` has the inner loops, which
-``machine`` has in two forms, compiled and plain; ``kernel_run`` calls them. ``plan_tables`` makes
-arrays of a plan for ``plan_run``; ``race_run`` does both for a net. A plan that is read like a net
-needs the policy in every marking: ``marking_table``.
+``runs`` is the entry point, ``estimates`` what it returns, ``batches`` its tasks. ``kernel`` has
+the inner loops, which ``machine`` has in two forms, compiled and plain; ``kernel_run`` calls them.
+``plan_tables`` makes arrays of a plan for ``plan_run``; ``race_run`` does both for a net. A plan
+that is read like a net needs the policy in every marking: ``marking_table``.
 """
 
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation
-from gspn_framework_package.analysis.simulation.runs import simulate
+from gspn_framework_package.analysis.simulation.runs import (
+    Asked,
+    SimulationWork,
+    finished,
+    simulate,
+)
 
-__all__ = ["Estimate", "Samples", "Simulation", "simulate"]
+__all__ = ["Asked", "Estimate", "Samples", "Simulation", "SimulationWork", "finished", "simulate"]

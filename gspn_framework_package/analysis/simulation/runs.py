@@ -12,27 +12,29 @@ True
 from __future__ import annotations
 
 import math
-import time as clock
-from dataclasses import replace
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
+from contextlib import nullcontext
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.plan.reading import NET, RUN, checked_reading
-from gspn_framework_package.analysis.plan.rules import PlanRules
-from gspn_framework_package.analysis.simulation import estimates, kernel, machine
+from gspn_framework_package.analysis.simulation import estimates
+from gspn_framework_package.analysis.simulation.batches import (
+    Played,
+    RunBatch,
+    Subject,
+    added,
+    joined,
+    play_batch,
+    player,
+)
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation
-from gspn_framework_package.analysis.simulation.kernel_run import KernelRun
-from gspn_framework_package.analysis.simulation.marking_table import MarkingTable, TableRuns
-from gspn_framework_package.analysis.simulation.plan_run import PlanRun
-from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
-from gspn_framework_package.analysis.simulation.race_run import RaceRun
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.condition import Condition, either, parse_condition
-from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.condition import either
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import PlanTiming
 
 MOST_REPLICATIONS = 10**6
 """Most replications until a wanted precision is given up."""
@@ -42,13 +44,6 @@ FIRST_REPLICATIONS = 30
 
 RARE = 0.01
 """By default, the precision is wanted of all throughputs of at least this part of the largest."""
-
-_COMPILED_EVENTS = 500_000
-_PLAIN_EVENTS = 5_000
-"""Events between two looks at the watch."""
-
-_PLAIN_SECONDS = 5.0
-"""The compiled kernel takes over if plain Python would need this much longer."""
 
 
 def simulate(
@@ -68,6 +63,7 @@ def simulate(
     samples: bool = False,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    on: Optional[Executor] = None,
 ) -> Simulation:
     """Simulate many independent runs from the initial marking, or one long run.
 
@@ -87,95 +83,196 @@ def simulate(
         the condition.
     :param batches: divide one run, after its warm-up, into so many batches (batch means).
     :param samples: whether the result has the values of each run.
+    :param on: who computes it: this process, by default. The result is the same to the last bit.
     :raises UsageError: a number makes no sense, or neither ``time`` nor a condition is given.
     :raises ExpressionError: the condition cannot be parsed.
     :raises RefusedError: nothing decides a choice, there is a timeless cycle, or a run neither ends
         nor goes on.
     :raises CancelledError: ``cancel`` returned true.
     """
-    plan = subject if isinstance(subject, Plan) else None
-    as_run = checked_reading(timing) == RUN and plan is not None
-    most = replications
-    if most is None:
-        most = 1000 if precision is None else MOST_REPLICATIONS
-    _check_numbers(subject, time, most, warmup, until, confidence)
-    _check_options(
-        as_run,
-        plan is not None and not as_run,
+    asked = Asked(
         time,
         replications,
+        seed,
+        warmup,
+        until,
+        confidence,
+        timing,
         losses,
         precision,
-        measures,
+        tuple(measures),
         batches,
     )
-    condition = until if plan is None else either(plan.until, until)
-    watch = Watch(progress, cancel)
-    runner: Union[_KernelRunner, _TableRunner]
-    if plan is None:
-        assert isinstance(subject, Net)
-        run: KernelRun = RaceRun(subject, _deadlock_or(condition, subject))
-        runner = _KernelRunner(run, [], time, warmup, seed, watch)
-    elif as_run:
-        reading = PlanTiming(plan)
-        run = PlanRun(PlanTables(plan, reading, condition, losses))
-        runner = _KernelRunner(run, reading.assumptions, time, warmup, seed, watch)
-    else:
-        runner = _TableRunner(plan, time, warmup, condition, seed, watch)
-    known = set(runner.net.place_index) | set(runner.net.transition_index)
-    for name in measures:
-        if name not in known:
-            raise UsageError(
-                "there is no place or transition '%s'" % name, hint="--measure takes their names"
+    with LocalExecutor() if on is None else nullcontext(on) as executor:
+        work = SimulationWork(subject, asked, executor.workers)
+        for _ in finished([work], executor, Watch(progress, cancel)):
+            pass
+    return work.result(samples)
+
+
+class Asked(NamedTuple):
+    """What is asked of a simulation; see :func:`simulate`."""
+
+    time: float = math.inf
+    replications: Optional[int] = None
+    seed: int = 0
+    warmup: float = 0.0
+    until: Optional[str] = None
+    confidence: float = 0.95
+    timing: str = RUN
+    losses: float = 0.0
+    precision: Optional[float] = None
+    measures: Tuple[str, ...] = ()
+    batches: Optional[int] = None
+
+
+class SimulationWork:
+    """The simulation of one subject, in rounds of tasks.
+
+    :param workers: how many work on it at once.
+    :param name: what an error is about; empty if that needs no word.
+    :raises GspnError: see :func:`simulate`.
+    """
+
+    def __init__(
+        self, subject: Union[Net, Plan], asked: Asked, workers: int = 1, name: str = ""
+    ) -> None:
+        plan = subject if isinstance(subject, Plan) else None
+        as_run = checked_reading(asked.timing) == RUN and plan is not None
+        few = 1000 if asked.precision is None else MOST_REPLICATIONS
+        self._most = few if asked.replications is None else asked.replications
+        _check_numbers(subject, asked, self._most)
+        _check_options(as_run, plan is not None and not as_run, asked)
+        self._plan, self._as_run, self._asked, self._workers = plan, as_run, asked, workers
+        self._name = name
+        self._condition = asked.until if plan is None else either(plan.until, asked.until)
+        played = Subject(
+            subject,
+            as_run,
+            asked.time,
+            asked.warmup,
+            self._condition,
+            asked.losses,
+            asked.seed,
+        )
+        self._player = player(played)
+        self._net = self._player.net
+        self._workload = Workload(player, play_batch, played, self._player)
+        known = set(self._net.place_index) | set(self._net.transition_index)
+        for name in asked.measures:
+            if name not in known:
+                raise UsageError(
+                    "there is no place or transition '%s'" % name,
+                    hint="--measure takes their names",
+                )
+        self._parts: List[Samples] = []
+        self._spent: List[Dict[int, float]] = [{} for _ in self._net.places]
+        self._events = self._done = 0
+        self._precision: Optional[Dict[str, Any]] = None
+
+    def tasks(self) -> List[WorkItem]:
+        """The tasks of the next round; none if there is nothing more to do."""
+        asked, done = self._asked, self._done
+        if asked.batches is not None:
+            return (
+                []
+                if done
+                else [WorkItem(self._workload, RunBatch(0, 1, 1, asked.batches), 1, self._name)]
             )
-    notes = runner.notes
-    if batches is not None:
-        assert isinstance(runner, _KernelRunner)
-        runner.batch(batches)
-        notes += _correlated(runner.samples())
-        reached = None
-    elif precision is None:
-        runner.add(most)
-        reached = None
-    else:
-        reached = _add_until(runner, most, precision, measures, condition, confidence)
-    found = runner.samples()
-    result = estimates.summary(
-        runner.net,
-        found,
-        runner.shares(),
-        condition is not None,
-        plan=plan,
-        events=runner.events,
-        time=time,
-        warmup=warmup,
-        replications=1 if batches is not None else len(found.clock),
-        seed=seed,
-        confidence=confidence,
-        timing=RUN if as_run else NET,
-        batches=batches,
-        precision=reached,
-        notes=tuple(notes),
-    )
-    return result._replace(samples=found) if samples else result
+        end = self._most
+        if asked.precision is not None:
+            reached = (self._precision or {}).get("reached")
+            if reached is not None and reached <= asked.precision:
+                return []
+            end = min(done + max(FIRST_REPLICATIONS, done // 2), end)
+        size = self._player.size
+        planned = math.ceil(end / self._workers)
+        return [
+            WorkItem(self._workload, RunBatch(first, count, planned), count, self._name)
+            for first in range(done, end, size)
+            for count in (min(size, end - first),)
+        ]
+
+    def take(self, round_: Sequence[Played]) -> None:
+        """Take the results of a round of tasks, in their order."""
+        for played in round_:
+            self._parts.append(played.samples)
+            added(self._spent, played.spent)
+            self._events += played.events
+            self._done += len(played.samples.clock)
+        if self._asked.precision is not None:
+            names, values = _wanted(self._net, self._samples(), self._asked, self._condition)
+            reached = estimates.relative(values)
+            self._precision = {
+                "wanted": self._asked.precision,
+                "reached": reached if math.isfinite(reached) else None,
+                "measures": names,
+            }
+
+    def _samples(self) -> Samples:
+        self._parts = [joined(self._parts)]
+        return self._parts[0]
+
+    def result(self, samples: bool = False) -> Simulation:
+        """What the replications show; ``samples``: whether with the values of each."""
+        asked = self._asked
+        found = self._samples()
+        notes = self._player.notes
+        if asked.batches is not None:
+            notes = notes + _correlated(found)
+        whole = sum(found.seconds.tolist())
+        result = estimates.summary(
+            self._net,
+            found,
+            [spent if sum(spent.values()) > 0.999999 * whole else {} for spent in self._spent],
+            self._condition is not None,
+            plan=self._plan,
+            events=self._events,
+            time=asked.time,
+            warmup=asked.warmup,
+            replications=1 if asked.batches is not None else len(found.clock),
+            seed=asked.seed,
+            confidence=asked.confidence,
+            timing=RUN if self._as_run else NET,
+            batches=asked.batches,
+            precision=self._precision,
+            notes=tuple(notes),
+        )
+        return result._replace(samples=found) if samples else result
 
 
-def _deadlock_or(condition: Optional[str], net: Net) -> Optional[Condition]:
-    names = [p.name for p in net.places]
-    return None if condition is None else parse_condition(condition, names, ["deadlock"])
+def finished(works: Sequence[SimulationWork], executor: Executor, watch: Watch) -> Iterator[int]:
+    """Do some simulations together, so that no worker waits for the others of one of them; yield
+    the number of each as soon as it is done.
+
+    :raises GspnError: see :func:`simulate`.
+    """
+    rounds = {number: work.tasks() for number, work in enumerate(works)}
+    while rounds:
+        places = [(number, k) for number, tasks in rounds.items() for k in range(len(tasks))]
+        tasks = [rounds[number][k] for number, k in places]
+        results: Dict[int, Dict[int, Played]] = {number: {} for number in rounds}
+        following = {}
+        for at, played in executor.map(tasks, "runs", watch):
+            number, k = places[at]
+            results[number][k] = played
+            if len(results[number]) == len(rounds[number]):
+                found = results.pop(number)
+                works[number].take([found[k] for k in range(len(found))])
+                more = works[number].tasks()
+                if more:
+                    following[number] = more
+                else:
+                    yield number
+        rounds = following
 
 
-def _check_numbers(
-    subject: Union[Net, Plan],
-    time: float,
-    replications: int,
-    warmup: float,
-    until: Optional[str],
-    confidence: float,
-) -> None:
+def _check_numbers(subject: Union[Net, Plan], asked: Asked, replications: int) -> None:
+    time, warmup, confidence = asked.time, asked.warmup, asked.confidence
     if math.isnan(time) or time <= 0:
         raise UsageError("a run of %g s is not possible" % time)
-    if math.isinf(time) and until is None and not (isinstance(subject, Plan) and subject.until):
+    ends = asked.until is not None or isinstance(subject, Plan) and subject.until is not None
+    if math.isinf(time) and not ends:
         raise UsageError("how long is a run?", hint="give a time, or a condition that ends it")
     if replications < 1:
         raise UsageError("%d replications make no sense" % replications)
@@ -187,16 +284,8 @@ def _check_numbers(
         )
 
 
-def _check_options(
-    as_run: bool,
-    table: bool,
-    time: float,
-    replications: Optional[int],
-    losses: float,
-    precision: Optional[float],
-    measures: Sequence[str],
-    batches: Optional[int],
-) -> None:
+def _check_options(as_run: bool, table: bool, asked: Asked) -> None:
+    losses, precision, batches = asked.losses, asked.precision, asked.batches
     if not (math.isfinite(losses) and losses >= 0):
         raise UsageError("%g losses per second are not possible" % losses)
     if losses and not as_run:
@@ -206,7 +295,7 @@ def _check_options(
             "a relative precision of %g is not possible" % precision,
             hint="give a number between 0 and 1, e.g. 0.01",
         )
-    if measures and precision is None:
+    if asked.measures and precision is None:
         raise UsageError("measures are for a wanted precision", hint="give --precision as well")
     if batches is None:
         return
@@ -214,47 +303,20 @@ def _check_options(
         raise UsageError("batches are for nets, and for plans that are simulated as they run")
     if batches < 2:
         raise UsageError("%d batches make no interval" % batches, hint="take 20 or more")
-    if math.isinf(time):
+    if math.isinf(asked.time):
         raise UsageError("how long is the run?", hint="give a time as well")
-    if precision is not None or replications is not None:
+    if precision is not None or asked.replications is not None:
         raise UsageError("batches divide one run: they exclude a precision and replications")
 
 
 # -- how many ------------------------------------------------------------------------------------
 
 
-def _add_until(
-    runner: Any,
-    most: int,
-    precision: float,
-    measures: Sequence[str],
-    condition: Optional[str],
-    confidence: float,
-) -> Dict[str, Any]:
-    """Add replications until the precision is reached or there are ``most``."""
-    done = 0
-    reached = math.inf
-    while done < most and not reached <= precision:
-        runner.add(min(max(FIRST_REPLICATIONS, done // 2), most - done))
-        found = runner.samples()
-        done = len(found.clock)
-        names, values = _wanted(runner.net, found, measures, condition, confidence)
-        reached = estimates.relative(values)
-    return {
-        "wanted": precision,
-        "reached": reached if math.isfinite(reached) else None,
-        "measures": names,
-    }
-
-
 def _wanted(
-    net: Net,
-    samples: Samples,
-    measures: Sequence[str],
-    condition: Optional[str],
-    confidence: float,
+    net: Net, samples: Samples, asked: Asked, condition: Optional[str]
 ) -> Tuple[List[str], List[Estimate]]:
-    names: List[str] = list(measures)
+    confidence = asked.confidence
+    names: List[str] = list(asked.measures)
     if not names:
         if condition is not None and samples.over.all():
             return ["time_to_condition"], [estimates.mean(samples.clock, confidence)]
@@ -287,191 +349,4 @@ def _correlated(samples: Samples) -> List[str]:
     ]
 
 
-# -- by the kernel ---------------------------------------------------------------------------------
-
-
-class _KernelRunner:
-    """Replications of a plan as it runs, or of a net."""
-
-    def __init__(
-        self,
-        run: KernelRun,
-        notes: Sequence[str],
-        time: float,
-        warmup: float,
-        seed: int,
-        watch: Watch,
-    ) -> None:
-        self.net = run.net
-        self.notes = list(notes)
-        self.events = 0
-        self._time, self._warmup, self._seed, self._watch = time, warmup, seed, watch
-        self._run = run
-        self._began = clock.monotonic()
-        self._compile: Optional[Callable[[], None]] = None
-        if machine.may_compile():
-            if machine.is_loaded():
-                self._run.compile()
-            else:
-                self._compile = self._run.compile
-        self._rows: List[Tuple[float, float, Any, Any, bool]] = []
-        self._spent: List[Dict[int, float]] = [{} for _ in self.net.places]
-
-    def add(self, count: int) -> None:
-        """Run so many further replications."""
-        total = len(self._rows) + count
-        for number in range(len(self._rows), total):
-            self._begin(number)
-            status = kernel.AT_STOP
-            if self._warmup > 0:
-                status = self._go(self._warmup, total)
-                self._run.forget()
-            if status == kernel.AT_STOP:
-                status = self._go(self._time, total)
-            self._keep(max(self._run.now - self._warmup, 0.0), status)
-            self.events += self._run.firings_so_far
-
-    def batch(self, count: int) -> None:
-        """Run once, in so many batches."""
-        self._begin(0)
-        if self._warmup > 0:
-            self._expect(self._go(self._warmup, 1))
-            self._run.forget()
-        length = (self._time - self._warmup) / count
-        for k in range(count):
-            self._expect(self._go(self._warmup + (k + 1) * length, 1))
-            self._keep(length, kernel.AT_STOP)
-            self._run.forget()
-        self.events = self._run.firings_so_far
-
-    def _begin(self, number: int) -> None:
-        words = np.random.SeedSequence(self._seed % 2**64, spawn_key=(number,)).generate_state(
-            4, np.uint32
-        )
-        self._run.begin(words.tolist())
-
-    def _expect(self, status: int) -> None:
-        if status != kernel.AT_STOP:
-            raise RefusedError(
-                "the run ends after %g s, so that it has no batches" % self._run.now,
-                hint="take replications instead",
-            )
-
-    def _go(self, stop: float, total: int) -> int:
-        """Go on until ``stop`` or the end of the run; ``total`` replications are planned."""
-        run = self._run
-        while True:
-            status = run.go(stop, _COMPILED_EVENTS if run.compiled else _PLAIN_EVENTS)
-            firings = self.events + run.firings_so_far
-            self._watch.step("firings", firings)
-            if self._compile is not None and firings > machine.WORTH_COMPILING:
-                part = len(self._rows) / total
-                if math.isfinite(self._time):
-                    part += run.now / self._time / total
-                spent = clock.monotonic() - self._began
-                if math.isinf(self._time) or spent / max(part, 1e-9) - spent > _PLAIN_SECONDS:
-                    self._compile()
-                    self._compile = None
-            if status == kernel.STUCK:
-                marking = run.state.level[: len(self.net.places)]
-                raise RefusedError(
-                    "a run stays in (%s) without end, which does not satisfy the end condition"
-                    % ", ".join(
-                        "%s: %d" % item
-                        for item in self.net.named(tuple(marking), zeros=False).items()
-                    ),
-                    hint="give a time as well",
-                )
-            if status != kernel.MORE:
-                return status
-
-    def _keep(self, seconds: float, status: int) -> None:
-        state = self._run.state
-        self._rows.append(
-            (
-                self._run.now,
-                seconds,
-                np.array(state.firings, dtype=np.float64),
-                np.array(state.area),
-                status == kernel.UNTIL,
-            )
-        )
-        spent = np.array(state.spent)
-        starts = np.array(state.spent_from)
-        there = np.flatnonzero(spent)
-        places = np.searchsorted(starts, there, side="right") - 1
-        counts = there - starts[places]
-        for p, count, time in zip(places.tolist(), counts.tolist(), spent[there].tolist()):
-            self._spent[p][count] = self._spent[p].get(count, 0.0) + time
-
-    def samples(self) -> Samples:
-        """The values of each replication so far."""
-        return Samples(
-            np.array([row[0] for row in self._rows]),
-            np.array([row[1] for row in self._rows]),
-            np.array([row[2] for row in self._rows]),
-            np.array([row[3] for row in self._rows]),
-            np.array([row[4] for row in self._rows], dtype=bool),
-        )
-
-    def shares(self) -> List[Dict[int, float]]:
-        """For each place, number of tokens -> seconds; empty where counts were too large."""
-        whole = sum(row[1] for row in self._rows)
-        return [spent if sum(spent.values()) > 0.999999 * whole else {} for spent in self._spent]
-
-
-# -- by the table of markings ----------------------------------------------------------------------
-
-
-class _TableRunner:
-    """Replications of a plan that is read like a net."""
-
-    def __init__(
-        self,
-        plan: Plan,
-        time: float,
-        warmup: float,
-        condition: Optional[str],
-        seed: int,
-        watch: Watch,
-    ) -> None:
-        rules = PlanRules(replace(plan, until=condition))
-        self.net = rules.net
-        self.notes: List[str] = []
-        self._table = MarkingTable(rules)
-        self._time, self._warmup, self._watch = time, warmup, watch
-        self._random = np.random.Generator(np.random.PCG64(seed))
-        self._runs: List[TableRuns] = []
-
-    def add(self, count: int) -> None:
-        """Run so many further replications."""
-        runs = TableRuns(self._table, count, self._time, self._warmup, self._random)
-        runs.go(self._watch)
-        self._runs.append(runs)
-
-    @property
-    def events(self) -> int:
-        """The number of firings so far."""
-        return sum(runs.events for runs in self._runs)
-
-    def samples(self) -> Samples:
-        """The values of each replication so far."""
-
-        def joined(name: str) -> Any:
-            return np.concatenate([getattr(runs, name) for runs in self._runs])
-
-        ends = joined("clock")
-        seconds = np.maximum(ends - self._warmup, 0.0)
-        return Samples(ends, seconds, joined("firings"), joined("tokens"), joined("over"))
-
-    def shares(self) -> List[Dict[int, float]]:
-        """For each place, number of tokens -> seconds."""
-        whole: List[Dict[int, float]] = [{} for _ in self.net.places]
-        for runs in self._runs:
-            for share, more in zip(whole, runs.shares):
-                for count, seconds in more.items():
-                    share[count] = share.get(count, 0.0) + seconds
-        return whole
-
-
-__all__ = ["Estimate", "Samples", "Simulation", "simulate"]
+__all__ = ["Asked", "Estimate", "Samples", "Simulation", "SimulationWork", "simulate", "finished"]

@@ -19,6 +19,7 @@ from robots import ROOT, Robot, RobotTestCase, chain
 from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.msg import Marking, RobotActivity, TeamState
 from gspn_framework_package.srv import GetPlace, GetState, SetPlace
 
 ACTIONS = """
@@ -75,6 +76,7 @@ class ServicesTest(RobotTestCase):
             self.assertEqual(
                 dict(zip(state.places, state.counts)), {"A": 2, "B": 0, "C": 0, "stock": 2}
             )
+            self.typed_messages_say_the_same(robot)
             nothing = robot.call("set_place", SetPlace, "", "", "", "")
             self.assertFalse(nothing.success)
             self.assertIn("no place was given", nothing.message)
@@ -96,6 +98,25 @@ class ServicesTest(RobotTestCase):
             for node in nodes:  # nothing is left for 'rosnode cleanup'
                 with self.assertRaises(rosgraph.MasterException):
                     rosgraph.Master("/test").lookupNode(node)
+
+    def typed_messages_say_the_same(self, robot):
+        def latest(topic, kind):
+            return rospy.wait_for_message("/%s/%s" % (robot.name, topic), kind, timeout=20)
+
+        own = latest("robot_activity", RobotActivity)
+        self.assertEqual((own.robot, own.place, own.place_number), ("robot_1", "A", 0))
+        self.assertEqual((own.state, own.state_name), (RobotActivity.DOING, "Doing"))
+        marking = latest("marking", Marking)
+        self.assertEqual(
+            dict(zip(marking.places, marking.counts)), {"A": 2, "B": 0, "C": 0, "stock": 2}
+        )
+        team = latest("team_state", TeamState)
+        self.assertEqual(
+            [(r.robot, r.place, r.state) for r in team.robots],
+            [("robot_1", "A", RobotActivity.DOING), ("robot_2", "A", RobotActivity.DOING)],
+        )
+        self.assertEqual((team.run, team.plan, team.ended), (own.run, own.plan, False))
+        self.assertGreater(team.header.stamp.to_sec(), 0)
 
     def test_the_operators_verbs(self):
         team = self.start()

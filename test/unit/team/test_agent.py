@@ -77,7 +77,7 @@ class Wire:
 
     def __init__(self):
         self.carriers = {}
-        self.firings, self.activities, self.refused = [], [], []
+        self.firings, self.activities, self.teams, self.refused = [], [], [], []
 
     def carrier(self, host):
         self.carriers[host.robot] = carrier = InMemory(self, host)
@@ -103,6 +103,12 @@ class InMemory:
 
     def tell_firing(self, fields):
         self.wire.firings.append(json.loads(json.dumps(fields)))
+
+    def is_team_watched(self):
+        return True
+
+    def tell_team(self, marking, team):
+        self.wire.teams.append((marking, team))
 
     def tell_activity(self, activity):
         self.wire.activities.append(json.loads(json.dumps(activity)))
@@ -183,6 +189,9 @@ def test_robots_without_ros_run_a_plan_together(write, team, capfd, synchronisat
     assert sorted(set(agreed)) == ["meet", "seen"]
     assert team.wire.activities[-1]["finished"] is True
     assert [3] in [activity["feedback"] for activity in team.wire.activities]
+    marking, state = team.wire.teams[-1]
+    assert dict(zip(marking["places"], marking["counts"]))["Home"] == 2
+    assert [robot["place"] for robot in state["robots"]] == ["Home", "Home"]
     assert "robot_1: does Look (visit 1)" in capfd.readouterr().err
 
 

@@ -6,8 +6,9 @@ import pytest
 
 from gspn_framework_package.execution.agreement.interface import Fired
 from gspn_framework_package.execution.firing import Firing, Move
+from gspn_framework_package.execution.team_messages import firing_fields
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.team.carrier import firing_fields, sender_of
+from gspn_framework_package.team.carrier import sender_of
 
 
 def fired():

@@ -1,0 +1,36 @@
+"""The executor that a text names, as ``--on`` of the command line takes it."""
+
+from __future__ import annotations
+
+from gspn_framework_package.analysis.executors.executor import Executor, LocalExecutor
+from gspn_framework_package.model.errors import UsageError
+
+FORMS = "local, processes, processes:N or dask:ADDRESS"
+
+_MOST_PROCESSES = 1024
+
+
+def open_executor(text: str) -> Executor:
+    """The executor that ``text`` names, one of :data:`FORMS`.
+
+    :raises UsageError: it names none.
+    :raises WorkersError: the executor cannot be had: Dask is not installed or does not answer.
+    """
+    kind, colon, rest = text.partition(":")
+    if text == "local":
+        return LocalExecutor()
+    if kind == "processes" and (rest or not colon):
+        from gspn_framework_package.analysis.executors.processes import ProcessExecutor
+
+        if not colon:
+            return ProcessExecutor()
+        if rest.isdecimal() and 1 <= int(rest) <= _MOST_PROCESSES:
+            return ProcessExecutor(int(rest))
+        raise UsageError(
+            "--on %.80s: the number of processes is from 1 to %d" % (text, _MOST_PROCESSES)
+        )
+    if kind == "dask" and rest:
+        from gspn_framework_package.analysis.executors.dask_cluster import DaskExecutor
+
+        return DaskExecutor(rest)
+    raise UsageError("--on %.80s: there is no such executor" % text, hint="take %s" % FORMS)

@@ -1,0 +1,1 @@
+"""Sweeps: the measures of a net or plan for a grid of variations."""

@@ -1,0 +1,239 @@
+"""A sweep: the measures of a net or plan for each point of a grid of variations.
+
+All points are measured together: their replications are handed out as they come, so no worker waits
+for the slowest point.
+
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> net = (NetBuilder().place("up", tokens=1).place("down")
+...        .exponential("fail", rate=1.0, inputs="up", outputs="down")
+...        .exponential("repair", rate=3.0, inputs="down", outputs="up").build())
+>>> sweep = Sweep(net, [read_variation("rate:repair=1,3,9")], exact=True)
+>>> [(point.values, round(point.measures["throughput"]["fail"][0], 3)) for point in sweep.run()]
+[((1.0,), 0.5), ((3.0,), 0.75), ((9.0,), 0.9)]
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from contextlib import nullcontext
+from fnmatch import fnmatchcase
+from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+from gspn_framework_package import __version__
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
+from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.plan.subnets import TITLES
+from gspn_framework_package.analysis.simulation import Asked, Simulation, SimulationWork, finished
+from gspn_framework_package.analysis.sweeps.variation import (
+    Value,
+    Variation,
+    grid,
+    read_variation,
+    varied,
+)
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.formats.net_json import net_to_json
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy
+
+Measures = Dict[str, Dict[str, Tuple[float, Optional[float]]]]
+"""Measure -> name of the place, transition or subnet (or "") -> mean, half width (None: unbounded).
+"""
+
+WHOLE = ("end_time", "reached", "time_to_condition")
+"""Measures of a run as a whole."""
+
+
+class Point(NamedTuple):
+    """A point of the grid that was measured.
+
+    :ivar number: in the order of the grid, from 0.
+    :ivar values: a value for each variation.
+    :ivar key: a digest of all that the measures depend on.
+    :ivar replications: how many runs; 0: the measures are exact.
+    """
+
+    number: int
+    values: Tuple[Value, ...]
+    key: str
+    measures: Measures
+    replications: int
+
+
+class Sweep:
+    """What is to be measured.
+
+    :param subject: a net or a validated plan.
+    :param variations: what is varied.
+    :param asked: how each point is simulated.
+    :param exact: compute the steady state instead of simulating.
+    :param limits: of the exact analysis.
+    :param policies: the policies of the variation ``policy``, by the names of their files.
+    :ivar keys: the key of each point, in the order of the grid.
+    :raises GspnError: a variation does not fit the subject, or the settings make no sense.
+    """
+
+    def __init__(
+        self,
+        subject: Union[Net, Plan],
+        variations: Sequence[Variation],
+        asked: Asked = Asked(),  # noqa: B008 (immutable)
+        *,
+        exact: bool = False,
+        limits: Limits = Limits(),  # noqa: B008 (immutable)
+        policies: Optional[Mapping[str, Policy]] = None,
+    ) -> None:
+        self.variations = tuple(variations)
+        self.points = grid(variations)
+        self.asked, self.exact = asked, exact
+        self._limits = limits
+        self._subjects = [
+            varied(subject, variations, values, policies or {}, asked.timing)
+            for values in self.points
+        ]
+        self.keys = [self._key(subject) for subject in self._subjects]
+
+    def _key(self, subject: Union[Net, Plan]) -> str:
+        content = plan_to_json(subject) if isinstance(subject, Plan) else net_to_json(subject)
+        how: Any = {"exact": self.asked.timing} if self.exact else self.asked._asdict()
+        text = json.dumps([__version__, how, content], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def title(self, number: int) -> str:
+        """A point in words: ``robots=3, rate:check=0.5``."""
+        return ", ".join(
+            "%s=%s" % (variation.name, "%g" % value if isinstance(value, float) else value)
+            for variation, value in zip(self.variations, self.points[number])
+        )
+
+    def run(
+        self,
+        known: Optional[Mapping[str, Point]] = None,
+        on: Optional[Executor] = None,
+        watch: Optional[Watch] = None,
+    ) -> Iterator[Point]:
+        """Yield each point as soon as it is measured.
+
+        :param known: points that were measured before, by their keys; they come first.
+        :param on: who computes; this process, by default.
+        :param watch: told of the progress, and asked whether to stop.
+        :raises GspnError: a point cannot be measured; the message names it.
+        """
+        missing = []
+        for number, key in enumerate(self.keys):
+            if known is not None and key in known:
+                yield known[key]._replace(number=number, values=self.points[number])
+            else:
+                missing.append(number)
+        watch = watch or Watch()
+        with LocalExecutor() if on is None else nullcontext(on) as executor:
+            measured = self._analysed if self.exact else self._simulated
+            yield from measured(missing, executor, watch)
+
+    def _point(self, number: int, measures: Measures, replications: int) -> Point:
+        return Point(number, self.points[number], self.keys[number], measures, replications)
+
+    def _simulated(
+        self, numbers: Sequence[int], executor: Executor, watch: Watch
+    ) -> Iterator[Point]:
+        works = [
+            SimulationWork(self._subjects[n], self.asked, executor.workers, self.title(n))
+            for n in numbers
+        ]
+        for i in finished(works, executor, watch):
+            result = works[i].result()
+            yield self._point(numbers[i], measures_of(result), result.replications)
+
+    def _analysed(
+        self, numbers: Sequence[int], executor: Executor, watch: Watch
+    ) -> Iterator[Point]:
+        shared = (self._limits, self.asked.timing)
+        workload = Workload(_same, _analyse, shared)
+        items = [WorkItem(workload, self._subjects[n], 1, self.title(n)) for n in numbers]
+        for i, measures in executor.map(items, "points", watch):
+            yield self._point(numbers[i], measures, 0)
+
+
+def _same(shared: Any) -> Any:
+    return shared
+
+
+def _analyse(shared: Any, subject: Any, watch: Watch) -> Measures:
+    limits, timing = shared
+
+    def cancelled() -> bool:
+        watch.step("points", 0)
+        return False
+
+    found = Analysis(
+        subject,
+        limits=limits,
+        timing=timing if isinstance(subject, Plan) else None,
+        structure=False,
+        cancel=cancelled,
+    ).measures
+    return {
+        "mean_tokens": {name: (value, 0.0) for name, value in found.mean_tokens.items()},
+        "throughput": {name: (value, 0.0) for name, value in found.throughput.items()},
+    }
+
+
+def measures_of(result: Simulation) -> Measures:
+    """All means of a simulation."""
+    found: Dict[str, Mapping[str, Any]] = {
+        "mean_tokens": result.mean_tokens,
+        "throughput": result.throughput,
+        **result.subnets,
+    }
+    for name in WHOLE:
+        estimate = getattr(result, name)
+        if estimate is not None:
+            found[name] = {"": estimate}
+    return {
+        measure: {
+            name: (e.mean, e.half_width if math.isfinite(e.half_width) else None)
+            for name, e in values.items()
+            if math.isfinite(e.mean)
+        }
+        for measure, values in found.items()
+    }
+
+
+def chosen(
+    subject: Union[Net, Plan], wanted: Sequence[str], conditional: bool
+) -> List[Tuple[str, str]]:
+    """The measures that names stand for, as pairs (measure, name).
+
+    :param wanted: transitions (throughput), places (mean tokens), :data:`WHOLE`, or a measure of
+        subnets with a subnet (``subnet_time:lift``); names may be patterns. If there are none:
+        when runs end if they end at a condition, else all throughputs.
+    :raises UsageError: nothing has such a name.
+    """
+    net = subject.net if isinstance(subject, Plan) else subject
+    subnets = list(subject.subnets) if isinstance(subject, Plan) else []
+    every = [("throughput", t.name) for t in net.transitions]
+    if not wanted:
+        return [("end_time", ""), ("reached", "")] if conditional else every
+    every += [("mean_tokens", p.name) for p in net.places]
+    named = [(name, pair) for pair in every for name in (pair[1],)]
+    named += [(name, (name, "")) for name in WHOLE]
+    named += [(m + ":" + s, (m, s)) for m in TITLES for s in subnets]
+    found: Dict[Tuple[str, str], None] = {}
+    for pattern in wanted:
+        pairs = [pair for name, pair in named if name == pattern or fnmatchcase(name, pattern)]
+        if not pairs:
+            raise UsageError(
+                "there is no '%s' to measure" % pattern,
+                hint="--measure takes transitions, places, %s" % ", ".join(WHOLE),
+            )
+        found.update(dict.fromkeys(pairs))
+    return list(found)
+
+
+__all__ = ["Point", "Sweep", "chosen", "read_variation"]

@@ -1,0 +1,245 @@
+"""``gspn sweep``: measures a net or plan for many variations: teams, rates, durations, policies."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
+
+from gspn_framework_package.analysis.executors import open_executor
+from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.analysis.plan.reading import READINGS, RUN
+from gspn_framework_package.analysis.simulation import Asked
+from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen
+from gspn_framework_package.analysis.sweeps.variation import FORMS, read_variation
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
+from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.on import add_on_argument
+from gspn_framework_package.cli.plot import begin_picture, save_picture
+from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+from gspn_framework_package.cli.sweep_figure import sweep_figure
+from gspn_framework_package.cli.sweep_store import SUFFIX, PointStore
+from gspn_framework_package.formats.plan_file import read_policy_of
+from gspn_framework_package.model.errors import InputError
+
+Rows = List[Tuple[str, ...]]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_subject_arguments(parser)
+    parser.add_argument(
+        "--vary",
+        action="append",
+        required=True,
+        metavar="NAME=VALUES",
+        help="%s; may be repeated: every combination is measured" % FORMS,
+    )
+    parser.add_argument(
+        "--measure",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a transition (throughput), a place (mean tokens), end_time, reached or "
+        "time_to_condition, or a pattern; may be repeated (default: all throughputs)",
+    )
+    parser.add_argument(
+        "--output",
+        metavar="FILE.csv",
+        help="write the table to FILE.csv, and keep what was measured in FILE.csv%s: the same "
+        "command then measures only what is missing there" % SUFFIX,
+    )
+    parser.add_argument(
+        "--plot", metavar="FILE", help="plot the measures over the first variation (.png .svg .pdf)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    add_on_argument(parser)
+    how = parser.add_argument_group("how each point is measured")
+    how.add_argument(
+        "--exact", action="store_true", help="compute the steady state in place of simulating"
+    )
+    how.add_argument(
+        "--time",
+        type=numbers.number(0.0, math.inf, above=0.0),
+        default=math.inf,
+        metavar="T",
+        help="length of a run (s)",
+    )
+    how.add_argument("--until", metavar="CONDITION", help="a condition that ends a run")
+    how.add_argument(
+        "--warmup",
+        type=numbers.seconds,
+        default=0.0,
+        metavar="T",
+        help="time (s) at the start of a run that the means leave out",
+    )
+    how.add_argument(
+        "--replications", type=numbers.replications, metavar="N", help="runs (default 1000)"
+    )
+    how.add_argument(
+        "--precision",
+        type=numbers.number(0.0, 1.0, above=0.0),
+        metavar="R",
+        help="at each point, take as many runs as make every interval at most this part of its "
+        "mean wide on either side",
+    )
+    how.add_argument("--timing", choices=READINGS, default=RUN, help="how to read a plan")
+    how.add_argument(
+        "--seed",
+        type=numbers.whole(0, 2**63 - 1),
+        default=0,
+        metavar="N",
+        help="seed of the random numbers, the same at every point (default 0)",
+    )
+    how.add_argument(
+        "--confidence",
+        type=numbers.number(0.0, 1.0, above=0.0),
+        default=0.95,
+        metavar="P",
+        help="level of the confidence intervals (default %(default)s)",
+    )
+    add_limit_arguments(parser.add_argument_group("limits of --exact"))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure what is missing, and print the table."""
+    if args.plot:
+        begin_picture(args.plot)
+    variations = [read_variation(text) for text in args.vary]
+    subject, notes = read_subject(args)
+    conditional = args.until is not None or getattr(subject, "until", None) is not None
+    wanted = chosen(subject, args.measure, conditional and not args.exact)
+    files = [
+        str(v) for variation in variations if variation.kind == "policy" for v in variation.values
+    ]
+    asked = Asked(
+        args.time,
+        args.replications,
+        args.seed,
+        args.warmup,
+        args.until,
+        args.confidence,
+        args.timing,
+        precision=args.precision,
+        measures=tuple(name for _, name in wanted if name) if args.precision else (),
+    )
+    sweep = Sweep(
+        subject,
+        variations,
+        asked,
+        exact=args.exact,
+        limits=limits_of(args),
+        policies={file: read_policy_of(file) for file in files},
+    )
+    store = PointStore(args.output + SUFFIX) if args.output else None
+    kept = sum(key in store.known for key in sweep.keys) if store else 0
+
+    def work(progress: Progress, cancel: Cancel) -> List[Point]:
+        found = []
+        known = dict(store.known) if store else {}
+        with open_executor(args.on) as executor:
+            for point in sweep.run(known, executor, Watch(progress, cancel)):
+                found.append(point)
+                if store is not None:
+                    store.add(point)
+        return sorted(found)
+
+    try:
+        points = working(work, MEMORY)
+    finally:
+        if store is not None:
+            store.close()
+    if args.output:
+        _write(args.output, sweep, points, wanted)
+    if args.plot:
+        save_picture(sweep_figure(sweep, points, wanted), args.plot)
+    if args.json:
+        print(json.dumps(_json(sweep, points, wanted, kept, notes), indent=2, allow_nan=False))
+        return 0
+    print_notes(notes)
+    print("%d points, %d of them known before" % (len(points), kept))
+    print("\n".join(_aligned(_table(sweep, points, wanted))))
+    return 0
+
+
+def _measured(
+    points: Sequence[Point], wanted: Sequence[Tuple[str, str]]
+) -> Iterator[Tuple[Point, str, str, float, Optional[float]]]:
+    for point in points:
+        for measure, name in wanted:
+            if name in point.measures.get(measure, {}):
+                yield (point, measure, name, *point.measures[measure][name])
+
+
+def _write(
+    path: str, sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]
+) -> None:
+    """Write the table, all of it or nothing."""
+    new = Path(path + ".new")
+    try:
+        with new.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            names = [variation.name for variation in sweep.variations]
+            writer.writerow((*names, "measure", "name", "mean", "half_width", "replications"))
+            for point, measure, name, mean, half in _measured(points, wanted):
+                written = "" if half is None else half
+                row = (*point.values, measure, name, mean, written, point.replications)
+                writer.writerow(row)
+        os.replace(new, path)
+    except OSError as error:
+        raise InputError("it cannot be written (%s)" % error.strerror, file=path) from None
+
+
+def _json(
+    sweep: Sweep,
+    points: Sequence[Point],
+    wanted: Sequence[Tuple[str, str]],
+    kept: int,
+    notes: Sequence[str],
+) -> Dict[str, Any]:
+    found = []
+    for point in points:
+        measures: Dict[str, Dict[str, Any]] = {}
+        for _, measure, name, mean, half in _measured([point], wanted):
+            measures.setdefault(measure, {})[name] = {"mean": mean, "half_width": half}
+        values = dict(zip((v.name for v in sweep.variations), point.values))
+        found.append({"values": values, "replications": point.replications, "measures": measures})
+    return {
+        "vary": {variation.name: list(variation.values) for variation in sweep.variations},
+        "points": found,
+        "kept": kept,
+        "exact": sweep.exact,
+        "seed": sweep.asked.seed,
+        "confidence": sweep.asked.confidence,
+        "notes": list(notes),
+    }
+
+
+def _table(sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]) -> Rows:
+    rows: Rows = [(*(v.name for v in sweep.variations), *(name or m for m, name in wanted))]
+    for point in points:
+        cells = []
+        for measure, name in wanted:
+            found = point.measures.get(measure, {}).get(name)
+            cells.append("" if found is None else _estimate(*found))
+        rows.append((*map(_short, point.values), *cells))
+    return rows
+
+
+def _estimate(mean: float, half: Optional[float]) -> str:
+    return "%.5g" % mean + (" ± %.2g" % half if half else "")
+
+
+def _short(value: object) -> str:
+    return "%g" % value if isinstance(value, float) else str(value)
+
+
+def _aligned(rows: Rows) -> List[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip() for row in rows]

@@ -1,0 +1,109 @@
+"""The store of a sweep: what was measured, a line for each point, beside the table that it makes.
+
+A point is known by its key, which depends on all that its measures depend on. Points are appended
+as they are measured, so that an interrupted sweep keeps them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import IO, Any, Dict, Optional
+
+from gspn_framework_package.analysis.sweeps.sweep import Measures, Point
+from gspn_framework_package.model.errors import DataError, InputError
+
+SUFFIX = ".points.jsonl"
+_FIRST = {"gspn_sweep": 1}
+
+
+class PointStore:
+    """The points in one file, which is made with the first of them.
+
+    :ivar known: key -> point; numbers and values are to be put in by who knows the grid.
+    :raises DataError: the file is not the store of a sweep.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = Path(path)
+        self.known: Dict[str, Point] = {}
+        self._file: Optional[IO[str]] = None
+        self._whole = 0
+        try:
+            lines = self.path.read_bytes().splitlines(keepends=True)
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise InputError("it cannot be read (%s)" % error.strerror, file=path) from None
+        for number, line in enumerate(lines, 1):
+            if number == len(lines) and not line.endswith(b"\n"):
+                break  # cut off while it was written: measured again
+            self._take(line, number)
+            self._whole += len(line)
+
+    def _take(self, line: bytes, number: int) -> None:
+        try:
+            data = json.loads(line)
+            if number == 1:
+                if data != _FIRST:
+                    raise ValueError
+                return
+            key, runs = data["key"], data["replications"]
+            if not isinstance(key, str) or type(runs) is not int:
+                raise ValueError
+            self.known[key] = Point(0, (), key, _measures(data["measures"]), runs)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            raise DataError(
+                "this is no point of a sweep",
+                file=str(self.path),
+                line=number,
+                hint="move the file away, and all points are measured anew",
+            ) from None
+
+    def add(self, point: Point) -> None:
+        """Keep a point. :raises InputError: the file cannot be written."""
+        if point.key in self.known:
+            return
+        self.known[point.key] = point
+        try:
+            if self._file is None:
+                self._file = self._opened()
+            self._file.write(
+                json.dumps(
+                    {
+                        "key": point.key,
+                        "replications": point.replications,
+                        "measures": point.measures,
+                    }
+                )
+                + "\n"
+            )
+            self._file.flush()
+        except OSError as error:
+            raise InputError(
+                "it cannot be written (%s)" % error.strerror, file=str(self.path)
+            ) from None
+
+    def _opened(self) -> IO[str]:
+        file = self.path.open("a", encoding="utf-8")
+        file.truncate(self._whole)
+        if not self._whole:
+            file.write(json.dumps(_FIRST) + "\n")
+        return file
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def _measures(data: Any) -> Measures:
+    found: Measures = {}
+    for measure, values in data.items():
+        found[measure] = {}
+        for name, (mean, half) in values.items():
+            if not math.isfinite(mean) or not (half is None or half >= 0):
+                raise ValueError
+            found[measure][name] = float(mean), half
+    return found

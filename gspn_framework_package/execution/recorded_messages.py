@@ -1,0 +1,134 @@
+"""The messages that a run would have published, made of its event logs.
+
+One log tells everything that the team agreed on. The log of a robot itself also tells when exactly
+its own phases began, so with several logs of a run each robot's activity comes from its own.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.execution.agreement.interface import Fired
+from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
+from gspn_framework_package.execution.team_messages import (
+    Fields,
+    firing_fields,
+    marking_fields,
+    robot_fields,
+    team_fields,
+)
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.errors import LogError
+
+FIRED = "/fired_transitions"
+"""The topic of the firings of all teams."""
+
+
+class RecordedMessage(NamedTuple):
+    """A message of a run: when it would have been published (s since 1970), its topic, the name of
+    its type in this package, and its fields but for the header."""
+
+    time: float
+    topic: str
+    kind: str
+    fields: Fields
+
+
+def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
+    """Yield the messages of one or more runs, in the order of their times.
+
+    :param logs: event logs; those of one run each tell of their own robot. The largest log of a run
+        also tells of the team, and of the robots whose logs are not there.
+    :raises LogError: a log cannot be followed.
+    """
+    runs: Dict[str, List[LogFile]] = {}
+    for log in logs:
+        runs.setdefault(str(log.header["run"]), []).append(log)
+    streams = []
+    for of_run in runs.values():
+        main = max(of_run, key=lambda log: log.size)
+        others = {str(log.header["robot"]) for log in of_run if log is not main} - {""}
+        streams += [_messages_of(log, log is main, others) for log in of_run]
+    return heapq.merge(*streams, key=lambda message: message.time)
+
+
+def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[RecordedMessage]:
+    """The messages that one log tells of.
+
+    :param whole: tell of the team and of all robots, but for ``others``, whose logs do; otherwise
+        of the robot that keeps the log.
+    """
+    reader = _LogReader(log)
+    told: Dict[str, Fields] = {}
+    with log.open() as file:
+        for number, (record, _) in enumerate(log.records(file, log.begin, 2), 2):
+            for message in reader.messages(record, number):
+                robot = message.fields["robot"] if message.kind == "RobotActivity" else ""
+                if robot in others if whole else not robot or robot != log.header["robot"]:
+                    continue
+                if message.kind != "FiredTransition":
+                    new = {name: v for name, v in message.fields.items() if name != "slot"}
+                    if told.get(message.topic) == new:
+                        continue
+                    told[message.topic] = new
+                yield message
+
+
+class _LogReader:
+    """Reads one log, record by record."""
+
+    def __init__(self, log: LogFile) -> None:
+        self._log = log
+        self._run = str(log.header["run"])
+        self._keeper = str(log.header["robot"])
+        self._clock: Optional[LogClock] = None
+        self._began = 0.0
+        self._replayer = Replayer(TokenGame(log.plan, agents=bool(log.header.get("agents"))))
+
+    def messages(self, record: Record, number: int) -> List[RecordedMessage]:
+        """The messages that follow from a record, unchanged ones included.
+
+        :param number: of its line.
+        """
+        try:
+            now = self._time(record)
+            before = self._replayer.game
+            step = self._replayer.take(record)
+            if step is None:
+                return []
+            found = []
+            for at, firing in enumerate(step.firings):
+                games = [game for begins, game in step.adopted if begins <= at]
+                plan = (games[-1] if games else before).plan
+                fired = Fired(firing, False, str(record.get("hash", "")), plan)
+                found.append((FIRED, "FiredTransition", firing_fields(fired, self._run)))
+            found += self._state()
+            return [RecordedMessage(now, *message) for message in found]
+        except LogError as error:
+            raise error.located(file=self._log.path, line=number) from None
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise LogError(
+                "the record is damaged (%r)" % error, file=self._log.path, line=number
+            ) from None
+
+    def _time(self, record: Record) -> float:
+        """Seconds since 1970 on a clock that does not jump: the wall clock of the first record, and
+        what has gone since."""
+        if self._clock is None:
+            self._clock = LogClock(0.0)
+            self._began = float(record.get("wall") or 0.0)
+        return self._began + self._clock.read(record)
+
+    def _state(self) -> List[Tuple[str, str, Fields]]:
+        game, state = self._replayer.game, self._replayer.state
+        about = (self._run, game.plan.hash())
+        place = "/" + self._keeper if self._keeper else ""
+        found = [
+            (place + "/marking", "Marking", marking_fields(game, state, *about)),
+            (place + "/team_state", "TeamState", team_fields(game, state, *about)),
+        ]
+        for name, robot in state.robots.items():
+            fields = robot_fields(game, state, robot, *about)
+            found.append(("/%s/robot_activity" % name, "RobotActivity", fields))
+        return found

@@ -1,0 +1,142 @@
+"""What a team does, as the fields of messages that tools can read: ``FiredTransition``,
+``RobotActivity``, ``Marking`` and ``TeamState`` (see ``msg/``). Live robots publish them, and
+``gspn export`` makes them of a log.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Dict, List, Mapping, Tuple
+
+from gspn_framework_package.execution.agreement.interface import Fired
+from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.net import Marking, Net
+
+Fields = Dict[str, Any]
+"""Name -> value of the fields of a message, but for its header."""
+
+STATES = ("", "Doing", "Done", "Waiting", "Paused", "Failed", "Inactive", "Lost", "Left")
+"""The states of ``RobotActivity``, at the numbers of its constants; "": UNKNOWN."""
+
+
+_SAME = (
+    "run",
+    "plan",
+    "robot",
+    "place",
+    "place_number",
+    "visit",
+    "attempt",
+    "task",
+    "waits_for",
+    "needs_operator",
+    "feedback",
+)
+"""The fields of ``RobotActivity`` that have the same name and value in ``activity``."""
+
+
+def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
+    """A firing as a JSON object, with the fields of the ROS message ``FiredTransition`` but for its
+    header.
+
+    :param run: the name of the run.
+    """
+    firing = fired.firing
+    moved = [move for move in firing.moves if move.target is not None]
+    places, counts = marking_lists(firing.marking, fired.plan.net)
+    details: Dict[str, Any] = {}
+    if firing.cause:
+        details["cause"] = dict(firing.cause)
+    if firing.tasks:
+        details["tasks"] = [list(move) for move in firing.tasks]
+    return {
+        "plan": fired.plan.hash(),
+        "run": run,
+        "transition": firing.transition,
+        "robot": firing.robot,
+        "incarnation": firing.incarnation,
+        "visit": firing.visit,
+        "robots": [move.robot for move in moved],
+        "robot_places": [str(move.target) for move in moved],
+        "places": places,
+        "counts": counts,
+        "slot": firing.slot,
+        "index": firing.index,
+        "private_move": fired.private,
+        "hash": fired.hash,
+        "details": json.dumps(details) if details else "",
+    }
+
+
+def marking_lists(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
+    """A marking as two lists, place names and counts, with every place of the net."""
+    return [place.name for place in net.places], list(marking)
+
+
+def robot_fields(
+    game: TokenGame, state: TeamState, robot: RobotState, run: str, plan: str
+) -> Fields:
+    """The fields of the ``RobotActivity`` of a robot, as a log tells it.
+
+    :param game: the rules that the team follows now.
+    :param state: its state.
+    :param robot: the robot, one of the state.
+    :param run: the name of the run.
+    :param plan: the hash of the plan that the team follows.
+    """
+    phase = told_phase(state, robot)
+    gone = robot.phase.gone
+    waits = state.ended is None and not gone and not phase.told.acts
+    return {
+        "run": run,
+        "plan": plan,
+        "robot": robot.name,
+        "place": "" if gone else game.net.places[robot.place].name,
+        "place_number": -1 if gone else robot.place,
+        "state": STATES.index(phase.told.state),
+        "state_name": phase.told.state,
+        "visit": robot.visit,
+        "attempt": robot.attempt,
+        "task": robot.task.id if robot.task is not None else "",
+        "waits_for": game.why_waiting(state, robot) if waits else "",
+        "needs_operator": phase.told.needs_operator and state.ended is None,
+        "feedback": [],
+    }
+
+
+def activity_fields(activity: Mapping[str, Any]) -> Fields:
+    """The fields of the ``RobotActivity`` in what a live robot says of itself.
+
+    :param activity: the JSON object of the topic ``activity``.
+    """
+    fields = {name: activity[name] for name in _SAME}
+    state = activity["state"]
+    return {**fields, "state": STATES.index(state), "state_name": state}
+
+
+def marking_fields(game: TokenGame, state: TeamState, run: str, plan: str) -> Fields:
+    """The fields of ``Marking``. The parameters are those of :func:`robot_fields`."""
+    places, counts = marking_lists(state.marking, game.net)
+    return {"run": run, "plan": plan, "slot": state.next_slot, "places": places, "counts": counts}
+
+
+def team_fields(game: TokenGame, state: TeamState, run: str, plan: str) -> Fields:
+    """The fields of ``TeamState``, whose ``robots`` are :func:`robot_fields`. The parameters are
+    those of that function."""
+    waiting: List[str] = [task.id for _, queue in sorted(state.queues.items()) for task in queue]
+    return {
+        "run": run,
+        "plan": plan,
+        "slot": state.next_slot,
+        "paused": state.paused,
+        "ended": state.ended is not None,
+        "ended_why": state.ended or "",
+        "finished": state.finished,
+        "fault": state.fault,
+        "waiting_tasks": waiting,
+        "robots": [
+            robot_fields(game, state, state.robots[name], run, plan)
+            for name in sorted(state.robots)
+        ],
+    }

@@ -1,0 +1,297 @@
+"""Writes files of ROS messages without ROS: rosbags (version 2.0), and MCAP files, which Foxglove
+and PlotJuggler open as well. The library ``rosbags`` encodes the messages, and ``mcap`` writes MCAP
+files; both are optional.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Dict, List, Mapping, Optional, Protocol, Type
+
+from gspn_framework_package.model.errors import InputError, UsageError
+
+PACKAGE = "gspn_framework_package"
+
+KINDS = ("RobotActivity", "Marking", "TeamState", "Prediction", "FiredTransition")
+"""The types of messages that can be written, in an order in which none needs a later one."""
+
+INSTALL = 'pip install "gspn_framework_package[bags]" or pip install rosbags mcap'
+"""What installs the libraries."""
+
+COLUMNS = (
+    "time",
+    "run",
+    "robot",
+    "place",
+    "place_number",
+    "state",
+    "visit",
+    "attempt",
+    "task",
+    "needs_operator",
+    "waits_for",
+)
+"""The columns of a CSV file; ``time`` is in seconds since 1970."""
+
+
+class MessageFile(Protocol):
+    """A file of messages that is being written. It appears under its name when it is closed; if
+    anything fails before, nothing is left of it."""
+
+    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """Append a message.
+
+        :param time: seconds since 1970, not before the last message.
+        :param topic: its topic.
+        :param kind: the name of its type in this package, one of :data:`KINDS`.
+        :param fields: its fields but for the header.
+        """
+
+    def __enter__(self) -> MessageFile: ...
+
+    def __exit__(
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        traceback: Optional[TracebackType],
+    ) -> None: ...
+
+
+class Encoder:
+    """Encodes messages as ROS 1 does, by the definitions in ``msg/``.
+
+    :raises UsageError: the library is not installed.
+    """
+
+    def __init__(self) -> None:
+        try:
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        except ModuleNotFoundError as error:
+            raise _not_installed(error) from None
+        self.store = get_typestore(Stores.ROS1_NOETIC)
+        types: Dict[str, Any] = {}
+        for kind in KINDS:
+            types.update(get_types_from_msg(definition(kind), full_name(kind)))
+        self.store.register(types)
+        self._sequence: Dict[str, int] = {}
+
+    def definition(self, kind: str) -> str:
+        """The definition of a type with those of the types that it contains."""
+        text: str = self.store.generate_msgdef(full_name(kind), ros_version=1)[0]
+        return text
+
+    def encode(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> bytes:
+        """A message as bytes, with ``time`` in its header."""
+        number = self._sequence[topic] = self._sequence.get(topic, -1) + 1
+        message = self._message(kind, fields, self._header(number, time))
+        return bytes(self.store.serialize_ros1(message, full_name(kind)))
+
+    def _message(self, kind: str, fields: Mapping[str, Any], header: Any) -> Any:
+        import numpy as np
+
+        values = dict(fields)
+        for name, value in fields.items():
+            if kind == "TeamState" and name == "robots":
+                values[name] = [self._message("RobotActivity", robot, header) for robot in value]
+            elif name in ("counts", "feedback"):
+                values[name] = np.array(value, dtype=np.int32)
+            elif name == "levels":
+                values[name] = np.array(value, dtype=np.float64)
+        return self.store.types[full_name(kind)](header=header, **values)
+
+    def _header(self, number: int, time: float) -> Any:
+        types = self.store.types
+        nanoseconds = round(time * 1e9)
+        stamp = types["builtin_interfaces/msg/Time"](
+            sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
+        )
+        return types["std_msgs/msg/Header"](seq=number, stamp=stamp, frame_id="")
+
+
+class _WrittenFile:
+    """The common part: writes beside the file, and renames at the end."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        folder, name = os.path.split(os.path.abspath(path))
+        self._beside = os.path.join(folder, ".%s.%d.part" % (name, os.getpid()))
+
+    def _opened(self, mode: str, **how: Any) -> IO[Any]:
+        try:
+            return open(self._beside, mode, **how)
+        except OSError as error:
+            raise _cannot_write(self._path, error) from None
+
+    def _finish(self) -> None:
+        """Complete what is written and close it."""
+        raise NotImplementedError
+
+    def __exit__(
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        traceback: Optional[TracebackType],
+    ) -> None:
+        try:
+            self._finish()
+            if error is None:
+                os.replace(self._beside, self._path)
+        except OSError as problem:
+            raise _cannot_write(self._path, problem) from None
+        finally:
+            if os.path.exists(self._beside):
+                os.unlink(self._beside)
+
+
+class BagFile(_WrittenFile):
+    """A rosbag.
+
+    :param path: the file.
+    :param encoder: encodes the messages.
+    :raises InputError: the file cannot be written.
+    """
+
+    def __init__(self, path: str, encoder: Encoder) -> None:
+        from rosbags.rosbag1 import Writer
+
+        super().__init__(path)
+        self._encoder = encoder
+        self._writer = Writer(Path(self._beside))
+        try:
+            self._writer.open()
+        except OSError as error:
+            raise _cannot_write(path, error) from None
+        self._connections: Dict[str, Any] = {}
+
+    def __enter__(self) -> BagFile:
+        return self
+
+    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """See :class:`MessageFile`."""
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic, full_name(kind), typestore=self._encoder.store
+            )
+        data = self._encoder.encode(time, topic, kind, fields)
+        self._writer.write(self._connections[topic], round(time * 1e9), data)
+
+    def _finish(self) -> None:
+        self._writer.close()
+
+
+class McapFile(_WrittenFile):
+    """An MCAP file with messages of ROS 1. The parameters are those of :class:`BagFile`.
+
+    :raises UsageError: the library is not installed.
+    """
+
+    def __init__(self, path: str, encoder: Encoder) -> None:
+        try:
+            from mcap.writer import Writer
+        except ModuleNotFoundError as error:
+            raise _not_installed(error) from None
+        super().__init__(path)
+        self._encoder = encoder
+        self._file = self._opened("wb")
+        self._writer = Writer(self._file)
+        self._writer.start(profile="ros1", library=PACKAGE)
+        self._schemas: Dict[str, int] = {}
+        self._channels: Dict[str, int] = {}
+        self._counts: Dict[str, int] = {}
+
+    def __enter__(self) -> McapFile:
+        return self
+
+    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """See :class:`MessageFile`."""
+        if kind not in self._schemas:
+            self._schemas[kind] = self._writer.register_schema(
+                name="%s/%s" % (PACKAGE, kind),
+                encoding="ros1msg",
+                data=self._encoder.definition(kind).encode(),
+            )
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(
+                topic=topic, message_encoding="ros1", schema_id=self._schemas[kind]
+            )
+        count = self._counts[topic] = self._counts.get(topic, -1) + 1
+        at = round(time * 1e9)
+        self._writer.add_message(
+            channel_id=self._channels[topic],
+            log_time=at,
+            publish_time=at,
+            sequence=count,
+            data=self._encoder.encode(time, topic, kind, fields),
+        )
+
+    def _finish(self) -> None:
+        with self._file:
+            self._writer.finish()
+
+
+class CsvFile(_WrittenFile):
+    """A table of what each robot did: a row for each :data:`RobotActivity <KINDS>`. Messages of
+    other types are left out.
+
+    :param path: the file.
+    :raises InputError: the file cannot be written.
+    """
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self._file = self._opened("w", newline="", encoding="utf-8")
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(COLUMNS)
+
+    def __enter__(self) -> CsvFile:
+        return self
+
+    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """See :class:`MessageFile`."""
+        if kind == "RobotActivity":
+            row: List[Any] = ["%.6f" % time]
+            row += [fields["state_name" if name == "state" else name] for name in COLUMNS[1:]]
+            self._rows.writerow(int(v) if isinstance(v, bool) else v for v in row)
+
+    def _finish(self) -> None:
+        self._file.close()
+
+
+def full_name(kind: str) -> str:
+    """The full name of a type of this package, as ``rosbags`` writes it."""
+    return "%s/msg/%s" % (PACKAGE, kind)
+
+
+def definition(kind: str) -> str:
+    """The text of the definition of a message type of this package.
+
+    :raises InputError: the package was installed without its definitions.
+    """
+    here = Path(__file__).resolve().parents[1]
+    # in the wheel, in the checkout, and in the install space of catkin
+    folders = (here / "msg_files", here.parent / "msg", *_shares(here))
+    for folder in folders:
+        file = folder / (kind + ".msg")
+        if file.is_file():
+            return file.read_text(encoding="utf-8")
+    raise InputError(
+        "the definition of the message %s is not there" % kind,
+        file=str(folders[0]),
+        hint="install the package again",
+    )
+
+
+def _shares(here: Path) -> List[Path]:
+    """Where the definitions are for a package in PREFIX/lib/python3/dist-packages."""
+    return [parent / "share" / PACKAGE / "msg" for parent in list(here.parents)[3:4]]
+
+
+def _not_installed(error: ModuleNotFoundError) -> UsageError:
+    return UsageError("the Python library '%s' is not installed" % error.name, hint=INSTALL)
+
+
+def _cannot_write(path: str, error: OSError) -> InputError:
+    return InputError("cannot be written (%s)" % (error.strerror or error), file=path)
