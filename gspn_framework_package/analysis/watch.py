@@ -33,13 +33,17 @@ class Watch:
         self._start = time.monotonic()
         self._last = self._start
 
+    def cancelled(self) -> bool:
+        """Whether the work was cancelled."""
+        return self._cancel is not None and self._cancel()
+
     def step(self, what: str, count: int) -> None:
         """Report that ``count`` of ``what`` are done.
 
         :raises CancelledError: the work was cancelled.
         :raises LimitError: the time limit is exceeded.
         """
-        if self._cancel is not None and self._cancel():
+        if self.cancelled():
             raise CancelledError("cancelled after %d %s" % (count, what))
         now = time.monotonic()
         if now - self._start > self._seconds:

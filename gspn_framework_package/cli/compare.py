@@ -8,6 +8,7 @@ import math
 import re
 from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
 
+from gspn_framework_package.analysis.executors import Executor, open_executor
 from gspn_framework_package.analysis.monitoring.comparison import (
     Observed,
     PredictedMeasure,
@@ -30,6 +31,7 @@ from gspn_framework_package.analysis.monitoring.prediction import (
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import Attempt, AttemptFollower, gather
 from gspn_framework_package.execution.event_log import LogFile, log_files
@@ -73,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="seed of the simulated runs (default 0)",
     )
+    add_on_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.epilog = (
         "Exit codes: 0 the run goes as predicted, 1 it departs from the plan, 2 wrong input."
@@ -148,7 +151,7 @@ class _Result(NamedTuple):
 def run(args: argparse.Namespace) -> int:
     """Compare, and print the result."""
     plan = read_plan(args.plan)
-    with ProgressLine() as progress:
+    with open_executor(args.on) as executor, ProgressLine() as progress:
         runs, notes = _read_runs(plan, log_files(args.logs), progress)
         result = _compare(
             plan,
@@ -158,6 +161,7 @@ def run(args: argparse.Namespace) -> int:
             args.replications,
             args.seed,
             progress,
+            executor,
         )
     if args.json:
         print(json.dumps(result.to_json(), indent=2, allow_nan=False))
@@ -219,6 +223,7 @@ def _compare(
     replications: int,
     seed: int,
     progress: ProgressLine,
+    executor: Executor,
 ) -> _Result:
     spans = [
         Span(
@@ -228,7 +233,7 @@ def _compare(
         )
         for r in runs
     ]
-    sample = predict(spans, replications=replications, seed=seed, progress=progress)
+    sample = predict(spans, replications=replications, seed=seed, progress=progress, on=executor)
     comparison = compare(plan, sample, _observed(runs))
     paces = expected_paces(plan, sample)
     monitors = [_watch(plan, r, paces, alarm_every, progress) for r in runs]

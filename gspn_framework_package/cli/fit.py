@@ -7,12 +7,14 @@ import json
 import os
 from typing import Any, List, Mapping, NamedTuple, Sequence, Tuple
 
+from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, PlaceFit, fit_plan
 from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.execution.attempts import (
     Attempt,
@@ -56,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "functions",
     )
     add_choice(parser)
+    add_on_argument(parser)
     parser.add_argument("--force", action="store_true", help="overwrite NEW_PLAN if it exists")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     parser.epilog = "Exit codes: 0 the plan was written, 2 not a plan, or not logs of its net."
@@ -84,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     path = plan_path(args.output)
     if not args.force:
         refuse_existing(path, "give the name of a new file, or --force")
-    learned = learn(plan, args.logs, FamilyChoice(args.durations), args.seed)
+    learned = learn(plan, args.logs, FamilyChoice(args.durations), args.seed, args.on)
     new = learned.report.apply(plan, learned.logs)
     data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
     notes = write_plan(new, data, args.output)
@@ -102,9 +105,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def learn(plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int) -> Learned:
+def learn(
+    plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int, on: str = "local"
+) -> Learned:
     """Read logs and fit the plan, with a progress line; an interrupt ends it.
 
+    :param on: who fits, as ``--on`` says.
     :raises LogError: a log cannot be read, or is of another net.
     """
     files = log_files(paths)
@@ -130,7 +136,8 @@ def learn(plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int) -> 
             attempts += found
             notes += told
             runs += of
-        report = fit_plan(plan, attempts, events, choice, seed=seed, progress=tell)
+        with open_executor(on) as executor:
+            report = fit_plan(plan, attempts, events, choice, seed=seed, progress=tell, on=executor)
         report = report._replace(notes=(*notes, *report.notes))
         names = tuple(os.path.basename(name) for name in (*files, *bags))
         return Learned(report, names, runs, len(attempts))

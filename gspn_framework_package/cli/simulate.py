@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Iterator, List, Tuple
 
 from gspn_framework_package.analysis.executors import open_executor
-from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.simulation import Simulation, simulate
 from gspn_framework_package.cli import numbers
@@ -21,6 +20,7 @@ from gspn_framework_package.cli.continued import notes as continued_notes
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_of
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.virtual_log import simulate_to_log
 
@@ -39,43 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run a plan once, with the token game itself, and record it as an event log "
         "(a new file) for verify, replay and fit",
     )
-    parser.add_argument(
-        "--time",
-        type=numbers.number(0.0, math.inf, above=0.0),
-        default=math.inf,
-        metavar="T",
-        help="length of a run (s)",
-    )
-    parser.add_argument(
-        "--until", metavar="CONDITION", help='a condition that ends a run, e.g. "done >= 3"'
-    )
-    parser.add_argument(
-        "--warmup",
-        type=numbers.seconds,
-        default=0.0,
-        metavar="T",
-        help="time (s) at the start of a run that the means leave out",
-    )
-    parser.add_argument(
-        "--replications",
-        type=numbers.replications,
-        metavar="N",
-        help="runs (default 1000); with --precision, the most (default a million)",
-    )
-    parser.add_argument(
-        "--timing",
-        choices=READINGS,
-        default=RUN,
-        help="how to read a plan: as it runs (default), or as the race of its net's rates; a net "
-        "always has the latter",
-    )
-    parser.add_argument(
-        "--precision",
-        type=numbers.number(0.0, 1.0, above=0.0),
-        metavar="R",
-        help="stop when every interval is at most this part of its mean wide on either side, e.g. "
-        "0.01",
-    )
+    add_run_arguments(parser)
     parser.add_argument(
         "--measure",
         action="append",
@@ -89,27 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.whole(2, numbers.MOST_REPLICATIONS),
         metavar="N",
         help="one long run of a plan in place of many, divided into N batches",
-    )
-    parser.add_argument(
-        "--losses",
-        type=numbers.number(0.0, 1e6),
-        default=0.0,
-        metavar="RATE",
-        help="of a plan: how often each robot is lost (1/s)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=numbers.whole(0, 2**63 - 1),
-        default=0,
-        metavar="N",
-        help="seed of the random numbers (default 0)",
-    )
-    parser.add_argument(
-        "--confidence",
-        type=numbers.number(0.0, 1.0, above=0.0),
-        default=0.95,
-        metavar="P",
-        help="level of the confidence intervals (default %(default)s)",
     )
     add_on_argument(parser)
     add_against_arguments(parser.add_argument_group("an old plan against a new one"))
@@ -131,22 +74,8 @@ def run(args: argparse.Namespace) -> int:
     if args.log:
         return simulate_to_log(subject, notes, args)
     with open_executor(args.on) as executor, ProgressLine() as progress:
-        result = simulate(
-            subject,
-            time=args.time,
-            replications=args.replications,
-            seed=args.seed,
-            warmup=args.warmup,
-            until=args.until,
-            confidence=args.confidence,
-            timing=args.timing,
-            losses=args.losses,
-            precision=args.precision,
-            measures=args.measure,
-            batches=args.batches,
-            progress=progress,
-            on=executor,
-        )
+        asked = asked_of(args, args.measure)._replace(batches=args.batches)
+        result = simulate(subject, progress=progress, on=executor, **asked._asdict())
     return _print(result, notes, args)
 
 

@@ -5,23 +5,20 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import math
 import os
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.limits import MEMORY
-from gspn_framework_package.analysis.plan.reading import READINGS, RUN
-from gspn_framework_package.analysis.simulation import Asked
 from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen
 from gspn_framework_package.analysis.sweeps.variation import FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.plot import begin_picture, save_picture
+from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_of
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.sweep_figure import sweep_figure
 from gspn_framework_package.cli.sweep_store import SUFFIX, PointStore
@@ -64,46 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--exact", action="store_true", help="compute the steady state in place of simulating"
     )
-    how.add_argument(
-        "--time",
-        type=numbers.number(0.0, math.inf, above=0.0),
-        default=math.inf,
-        metavar="T",
-        help="length of a run (s)",
-    )
-    how.add_argument("--until", metavar="CONDITION", help="a condition that ends a run")
-    how.add_argument(
-        "--warmup",
-        type=numbers.seconds,
-        default=0.0,
-        metavar="T",
-        help="time (s) at the start of a run that the means leave out",
-    )
-    how.add_argument(
-        "--replications", type=numbers.replications, metavar="N", help="runs (default 1000)"
-    )
-    how.add_argument(
-        "--precision",
-        type=numbers.number(0.0, 1.0, above=0.0),
-        metavar="R",
-        help="at each point, take as many runs as make every interval at most this part of its "
-        "mean wide on either side",
-    )
-    how.add_argument("--timing", choices=READINGS, default=RUN, help="how to read a plan")
-    how.add_argument(
-        "--seed",
-        type=numbers.whole(0, 2**63 - 1),
-        default=0,
-        metavar="N",
-        help="seed of the random numbers, the same at every point (default 0)",
-    )
-    how.add_argument(
-        "--confidence",
-        type=numbers.number(0.0, 1.0, above=0.0),
-        default=0.95,
-        metavar="P",
-        help="level of the confidence intervals (default %(default)s)",
-    )
+    add_run_arguments(how)
     add_limit_arguments(parser.add_argument_group("limits of --exact"))
 
 
@@ -118,17 +76,7 @@ def run(args: argparse.Namespace) -> int:
     files = [
         str(v) for variation in variations if variation.kind == "policy" for v in variation.values
     ]
-    asked = Asked(
-        args.time,
-        args.replications,
-        args.seed,
-        args.warmup,
-        args.until,
-        args.confidence,
-        args.timing,
-        precision=args.precision,
-        measures=tuple(name for _, name in wanted if name) if args.precision else (),
-    )
+    asked = asked_of(args, [name for _, name in wanted if name] if args.precision else [])
     sweep = Sweep(
         subject,
         variations,
@@ -203,16 +151,8 @@ def _json(
     kept: int,
     notes: Sequence[str],
 ) -> Dict[str, Any]:
-    found = []
-    for point in points:
-        measures: Dict[str, Dict[str, Any]] = {}
-        for _, measure, name, mean, half in _measured([point], wanted):
-            measures.setdefault(measure, {})[name] = {"mean": mean, "half_width": half}
-        values = dict(zip((v.name for v in sweep.variations), point.values))
-        found.append({"values": values, "replications": point.replications, "measures": measures})
     return {
-        "vary": {variation.name: list(variation.values) for variation in sweep.variations},
-        "points": found,
+        **sweep.to_json(points, wanted),
         "kept": kept,
         "exact": sweep.exact,
         "seed": sweep.asked.seed,

@@ -55,6 +55,7 @@ QUESTIONS = (
     "settling",
     "rewards",
     "simulate",
+    "sweep",
     "predict",
     "optimise",
 )

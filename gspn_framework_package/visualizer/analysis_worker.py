@@ -30,15 +30,13 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.analysis_jobs import ALL
 from gspn_framework_package.visualizer.optimise_form import request_of, simulated_of
 from gspn_framework_package.visualizer.optimised import PolicyChanges
+from gspn_framework_package.visualizer.simulation_form import asked_of, number, sweep_in_parts
 
 MEMORY_BYTES = 4 << 30
 TIMES = 200
 
 PREDICTED = 400
 """Simulated runs for the prediction of a live run."""
-
-REPLICATIONS = 100_000
-"""Largest number of simulated runs that the page may ask for."""
 
 LIKELY = 40
 """How many of the most probable states are reported individually."""
@@ -76,6 +74,9 @@ def _analyse(request: Dict[str, Any]) -> None:
     subject = _subject(request)
     if "simulate" in request:
         _say(part={"simulation": _simulate(subject, request["simulate"], progress)})
+        return
+    if "sweep" in request:
+        sweep_in_parts(subject, request["sweep"], progress, lambda part: _say(part={"sweep": part}))
         return
     if "predict" in request:
         _say(part={"prediction": _predict(subject, request["predict"], progress)})
@@ -141,25 +142,7 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
     """Simulate many runs and return the estimates, with confidence intervals."""
     from gspn_framework_package.analysis.simulation import simulate
 
-    if not isinstance(asked, dict):
-        raise UsageError("'simulate' is an object")
-    replications = _number(asked, "replications", 1000.0)
-    if replications is None or not 1 <= replications <= REPLICATIONS:
-        raise UsageError("the number of runs is from 1 to %d" % REPLICATIONS)
-    time = _number(asked, "time")
-    until = asked.get("until") or None
-    if until is not None and not isinstance(until, str):
-        raise UsageError("'until' is a condition")
-    result = simulate(
-        subject,
-        time=math.inf if time is None else time,
-        replications=int(replications),
-        seed=int(_number(asked, "seed", 0.0) or 0),
-        warmup=_number(asked, "warmup", 0.0) or 0.0,
-        until=until,
-        confidence=_number(asked, "confidence", 0.95) or 0.0,
-        progress=progress,
-    )
+    result = simulate(subject, progress=progress, **asked_of(asked, "simulate")._asdict())
     return {**result.to_json(), "titles": {key: TITLES[key] for key in result.subnets}}
 
 
@@ -175,7 +158,7 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
 
     if not isinstance(subject, Plan) or not isinstance(asked, dict):
         raise UsageError("only a run of a plan can be predicted")
-    time = _number(asked, "time")
+    time = number(asked, "time")
     if not time:
         raise UsageError("how long is a run?", hint="'predict' needs a 'time'")
     plan = replace(subject, until=None)  # the growth is that of a run that goes on
@@ -186,15 +169,6 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
         "paces": expected_paces(plan, sample),
         "growth": {name: list(growth(sample, values)) for name, values in counts},
     }
-
-
-def _number(asked: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
-    value = asked.get(key, default)
-    if value is not None and (
-        isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0
-    ):
-        raise UsageError("'%s' is a number of at least 0" % key)
-    return value
 
 
 def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:

@@ -25,6 +25,17 @@ def flawed():
     )
 
 
+def machine():
+    return (
+        NetBuilder("machine")
+        .place("up", 1)
+        .place("down")
+        .exponential("fail", 1.0, inputs="up", outputs="down")
+        .exponential("repair", 3.0, inputs="down", outputs="up")
+        .build()
+    )
+
+
 def analysed(page):
     page.wait_for_selector("[data-state='done']")
 
@@ -141,11 +152,7 @@ def test_questions_are_answered(show_net, open_page):
 
 
 def test_runs_are_simulated_with_confidence_intervals(show_net, open_page):
-    net = NetBuilder("machine").place("up", 1).place("down")
-    net.exponential("fail", 1.0, inputs="up", outputs="down").exponential(
-        "repair", 3.0, inputs="down", outputs="up"
-    )
-    page = open_page(show_net(net.build()).address)
+    page = open_page(show_net(machine()).address)
     page.keyboard.press("3")
     page.click("summary:has-text('Simulated runs')")
     page.fill("#an-sim-runs", "300")
@@ -163,6 +170,32 @@ def test_runs_are_simulated_with_confidence_intervals(show_net, open_page):
     page.fill("#an-sim-warmup", "1000")
     page.click("button:has-text('Simulate runs')")
     page.wait_for_selector("[data-state='failed']:has-text('warm-up of 1000 s does not fit')")
+
+
+def test_a_sweep_shows_its_points_and_a_plot_of_each_measure(show_net, open_page):
+    page = open_page(show_net(machine()).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('Simulated runs')")
+    page.fill("#an-sim-runs", "100")
+    page.click("summary:text-is('Sweep')")
+    page.fill("#an-sweep-vary", "tokens:up=1..3")
+    page.fill("#an-sweep-also", "rate:nothing=1")
+    page.fill("#an-sweep-measure", "fail, down")
+    page.click("button:text-is('Sweep')")
+    page.wait_for_selector(
+        "[data-state='failed']:has-text(\"no exponential transition 'nothing'\")"
+    )
+    page.fill("#an-sweep-also", "rate:repair=3,6")
+    page.click("button:text-is('Sweep')")
+    page.wait_for_selector("#answers:has-text('6 of 6 points')")
+    analysed(page)
+    rows = [row.split("\t") for row in page.inner_text("#sweep-points tbody").splitlines()]
+    assert [row[:2] for row in rows] == [[n, r] for n in "123" for r in "36"]
+    means = [float(row[2].split("±")[0]) for row in rows]
+    assert abs(means[0] - 0.75) < 0.05 and means[0] < means[1] < means[2]
+    assert page.locator("#answers svg.plot").count() == 2
+    assert page.locator("#answers svg.plot >> nth=0 >> path").count() == 2
+    assert page.inner_text("#answers .key >> nth=0").split("●")[1].strip() == "rate:repair=3"
 
 
 def test_every_property_of_the_thesis_is_answered(show_net, open_page):

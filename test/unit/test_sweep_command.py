@@ -80,6 +80,7 @@ def test_json_and_policies_of_files(sweep, tmp_path):
     data = json.loads(out)
     assert [point["values"]["policy"] for point in data["points"]] == [TOKENS, str(policy)]
     assert data["points"][0]["measures"]["throughput"]["t1"]["mean"] > 0
+    assert data["vary"] == [{"name": "policy", "values": [TOKENS, str(policy)]}]
     assert (data["kept"], data["exact"], data["seed"]) == (0, False, 0)
 
 

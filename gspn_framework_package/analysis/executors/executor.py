@@ -132,6 +132,9 @@ class _Heard(Watch):
         self.reports = False
         self._watch = watch
 
+    def cancelled(self) -> bool:
+        return self._watch.cancelled()
+
     def step(self, what: str, count: int) -> None:
         self.reports = True
         self._watch.step(what, count)

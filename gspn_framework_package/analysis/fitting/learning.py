@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import enum
 import math
-import time
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import (
     Any,
-    Callable,
     Dict,
     Iterable,
     List,
@@ -22,6 +21,7 @@ from typing import (
 
 import numpy as np
 
+from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.fitting.durations import DurationFit, Sample, fit_duration
 from gspn_framework_package.analysis.fitting.testing import (
     SAMPLES,
@@ -32,6 +32,7 @@ from gspn_framework_package.analysis.fitting.testing import (
     test_of_fit,
     wilson,
 )
+from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.duration import Duration, Evidence, Kind
 from gspn_framework_package.model.plan import Plan
 
@@ -56,8 +57,6 @@ _SIGNIFICANT = 0.05
 """The level of all tests of one kind together, whose notes a person should read."""
 
 _TIMEOUT = "timeout"
-
-Progress = Callable[[str, int, float], None]
 
 
 class AttemptLike(Protocol):
@@ -254,6 +253,7 @@ def fit_plan(
     seed: int = 0,
     samples: int = SAMPLES,
     progress: Optional[Progress] = None,
+    on: Optional[Executor] = None,
 ) -> FitReport:
     """Learn from attempts.
 
@@ -265,8 +265,18 @@ def fit_plan(
     :param seed: of the simulated tests; the same data and seed give the same report.
     :param samples: simulated samples of each test of fit; 0: no such tests.
     :param progress: called from time to time with what is counted, the count, and the seconds.
+    :param on: who fits and tests the places: this process, by default. The result is the same.
     """
-    return _Learning(plan, choice, seed, samples, progress).learn(attempts, events or {})
+    with LocalExecutor() if on is None else nullcontext(on) as executor:
+        learning = _Learning(plan, choice, seed, samples)
+        return learning.learn(attempts, events or {}, executor, Watch(progress, interval=0.0))
+
+
+_OfPlace = Tuple[PlaceFit, List[str], Dict[str, List[Tuple[float, str]]]]
+
+
+def _learn_place(shared: Any, piece: Any, _: Watch) -> _OfPlace:
+    return _Learning(*shared).learn_place(*piece)
 
 
 class _Learning:
@@ -278,31 +288,36 @@ class _Learning:
         choice: FamilyChoice,
         seed: int,
         samples: int,
-        progress: Optional[Progress],
     ) -> None:
         self.plan = plan
         self.choice = choice
         self.seed = seed
         self.samples = samples
-        self.progress = progress
         self.notes: List[str] = []
         self._doubts: Dict[str, List[Tuple[float, str]]] = {}
         """Kind of test -> the p-values of all of them, each with what to say if it is small."""
 
-    def learn(self, attempts: Iterable[AttemptLike], events: Mapping[str, EventsLike]) -> FitReport:
-        begin = time.monotonic()
+    def learn(
+        self,
+        attempts: Iterable[AttemptLike],
+        events: Mapping[str, EventsLike],
+        executor: Executor,
+        watch: Watch,
+    ) -> FitReport:
         by_place: Dict[str, List[AttemptLike]] = {}
         for attempt in attempts:
             by_place.setdefault(attempt.place, []).append(attempt)
+        seen = [place for place in self.plan.action_places if place in by_place]
+        shared = (self.plan, self.choice, self.seed, self.samples)
+        workload = Workload(tuple, _learn_place, shared)
+        items = [WorkItem(workload, (place, by_place[place])) for place in seen]
         places = {}
-        for place in self.plan.action_places:
-            if place in by_place:
-                # each place has its own numbers, whatever other places there are
-                source = np.random.SeedSequence([self.seed % 2**64, len(place), *place.encode()])
-                generator = np.random.Generator(np.random.PCG64(source))
-                places[place] = self._place(place, by_place[place], generator)
-            if self.progress is not None:
-                self.progress("places fitted", len(places), time.monotonic() - begin)
+        learned = executor.ordered(items, "places fitted", watch)
+        for place, (found, notes, doubts) in zip(seen, learned):
+            places[place] = found
+            self.notes += notes
+            for kind, told in doubts.items():
+                self._doubts.setdefault(kind, []).extend(told)
         unseen = [
             place
             for place in self.plan.action_places
@@ -315,6 +330,13 @@ class _Learning:
         return FitReport(places, rates, tuple(self.notes))
 
     # -- a place -----------------------------------------------------------------------------------
+
+    def learn_place(self, place: str, attempts: List[AttemptLike]) -> _OfPlace:
+        """The fit of a place, with the notes and doubts about it."""
+        # each place has its own numbers, whatever other places there are
+        source = np.random.SeedSequence([self.seed % 2**64, len(place), *place.encode()])
+        generator = np.random.Generator(np.random.PCG64(source))
+        return self._place(place, attempts, generator), self.notes, self._doubts
 
     def _place(self, place: str, attempts: List[AttemptLike], generator: Any) -> PlaceFit:
         done = [a for a in attempts if a.completed and not a.failed]

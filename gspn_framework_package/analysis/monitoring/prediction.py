@@ -12,13 +12,15 @@ chance in the run and for what is not known about the plan. Short logs give wide
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
-from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.simulation import machine, simulate
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
@@ -29,6 +31,9 @@ REPLICATIONS = 1000
 
 GROUPS = 40
 """Groups of replications with the same parameters, if some parameters are uncertain."""
+
+_BATCH = 50
+"""Replications that are computed together, if no parameters are uncertain."""
 
 LEAST_REPLICATIONS = 80
 MOST_FIRINGS = 20_000_000
@@ -79,63 +84,73 @@ def predict(
     seed: int = 0,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    on: Optional[Executor] = None,
 ) -> RunSample:
     """Simulate runs like those of ``spans``.
 
     :param spans: runs of one net; the same parameters are drawn for all of them.
     :param replications: how many of each; fewer, if they are very long.
+    :param on: who computes: this process, by default. The result is the same.
     :raises RefusedError: the plan cannot be simulated, for example for a timeless cycle.
     :raises CancelledError: ``cancel`` returned true.
     """
     if not spans or any(span.seconds <= 0 for span in spans):
         raise UsageError("a run of no length cannot be predicted")
-    watch = Watch(progress, cancel)
     generator = np.random.Generator(np.random.PCG64(seed))
     uncertain = is_uncertain(spans[0].plan)
-    done: List[RunSample] = []
-    made = group = 0
-    while made < replications:
-        size = math.ceil(replications / GROUPS) if uncertain else replications
-        if not done:
-            size = min(size, 10)  # a first look at how long they are
-        size = min(size, replications - made)
-        factors = draw_parameters(spans[0].plan, generator) if uncertain else None
-        sample, firings = _group(spans, factors, size, seed + group, cancel)
-        done.append(sample._replace(group=np.full(size, float(group if uncertain else 0))))
-        made += size
-        group += 1
-        if group == 1:
-            affordable = int(MOST_FIRINGS / max(firings / size, 1.0))
-            replications = max(min(replications, affordable), min(replications, LEAST_REPLICATIONS))
-            if replications * firings / size > machine.WORTH_COMPILING and machine.may_compile():
-                # each group alone is too small for the simulation to find it worth while
-                machine.compiled_kernel()
-        watch.step("runs predicted", made)
+    workload = Workload(tuple, _play_group, tuple(spans))
+
+    def group(number: int, size: int, *, compiled: bool) -> WorkItem:
+        parameters = draw_parameters(spans[0].plan, generator) if uncertain else None
+        told = float(number if uncertain else 0)
+        return WorkItem(workload, _Group(parameters, size, seed + number, told, compiled), size)
+
+    with LocalExecutor() if on is None else nullcontext(on) as executor:
+        watch = Watch(progress, cancel)
+        usual = math.ceil(replications / GROUPS) if uncertain else _BATCH
+        first = min(usual, 10, replications)  # a first look at how long they are
+        done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
+        each = max(done[0].firings.sum() / first, 1.0)
+        affordable = max(int(MOST_FIRINGS / each), min(replications, LEAST_REPLICATIONS))
+        rest = min(replications, affordable) - first
+        # each group alone is too small for the simulation to find it worth while
+        compiled = rest * each / executor.workers > machine.WORTH_COMPILING
+        items = [
+            group(number, min(usual, rest - made), compiled=compiled)
+            for number, made in enumerate(range(0, rest, usual), 1)
+        ]
+        done += executor.ordered(items, "runs predicted", watch)
     return RunSample(*(np.concatenate(parts) for parts in zip(*done)))
 
 
-def _group(
-    spans: Sequence[Span],
-    parameters: Optional[Parameters],
-    size: int,
-    seed: int,
-    cancel: Optional[Cancel],
-) -> Tuple[RunSample, float]:
-    """Replications with one set of parameters, and the number of their firings."""
+class _Group(NamedTuple):
+    """So many replications with the same parameters; ``compiled``: whether the compiled kernel is
+    worth while for them."""
+
+    parameters: Optional[Parameters]
+    size: int
+    seed: int
+    told: float
+    compiled: bool
+
+
+def _play_group(spans: Sequence[Span], group: _Group, watch: Watch) -> RunSample:
+    size, parameters = group.size, group.parameters
+    if group.compiled and machine.may_compile():
+        machine.compiled_kernel()
     seconds = np.zeros(size)
     came = np.ones(size, dtype=bool)
     net = spans[0].plan.net
     firings, tokens = np.zeros((size, len(net.transitions))), np.zeros((size, len(net.places)))
-    events = 0
     for number, span in enumerate(spans):
         plan = span.plan if parameters is None else parameters.apply(span.plan)
         result = simulate(
             plan,
             time=span.seconds * (PATIENCE if span.to_condition else 1.0),
             replications=size,
-            seed=(seed * 1_000_003 + number) % 2**62,
+            seed=(group.seed * 1_000_003 + number) % 2**62,
             samples=True,
-            cancel=cancel,
+            cancel=watch.cancelled,
         )
         part = result.samples
         assert part is not None
@@ -143,8 +158,7 @@ def _group(
         firings += part.firings
         tokens += part.tokens
         came &= part.over
-        events += result.events
-    return RunSample(seconds, firings, tokens, came, np.zeros(size)), float(events)
+    return RunSample(seconds, firings, tokens, came, np.full(size, group.told))
 
 
 def expected_paces(plan: Plan, sample: RunSample) -> Dict[str, float]:

@@ -136,6 +136,23 @@ class Sweep:
             measured = self._analysed if self.exact else self._simulated
             yield from measured(missing, executor, watch)
 
+    def to_json(self, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]) -> Dict[str, Any]:
+        """What was varied, and the wanted measures of these points, as plain JSON values."""
+        found = []
+        for point in sorted(points):
+            measures: Dict[str, Dict[str, Any]] = {}
+            for measure, name in wanted:
+                if name in point.measures.get(measure, {}):
+                    mean, half = point.measures[measure][name]
+                    measures.setdefault(measure, {})[name] = {"mean": mean, "half_width": half}
+            values = dict(zip((v.name for v in self.variations), point.values))
+            found.append(
+                {"values": values, "replications": point.replications, "measures": measures}
+            )
+        vary = [{"name": v.name, "values": list(v.values)} for v in self.variations]
+        named = [{"measure": measure, "name": name} for measure, name in wanted]
+        return {"vary": vary, "measures": named, "points": found}
+
     def _point(self, number: int, measures: Measures, replications: int) -> Point:
         return Point(number, self.points[number], self.keys[number], measures, replications)
 
@@ -166,17 +183,12 @@ def _same(shared: Any) -> Any:
 
 def _analyse(shared: Any, subject: Any, watch: Watch) -> Measures:
     limits, timing = shared
-
-    def cancelled() -> bool:
-        watch.step("points", 0)
-        return False
-
     found = Analysis(
         subject,
         limits=limits,
         timing=timing if isinstance(subject, Plan) else None,
         structure=False,
-        cancel=cancelled,
+        cancel=watch.cancelled,
     ).measures
     return {
         "mean_tokens": {name: (value, 0.0) for name, value in found.mean_tokens.items()},

@@ -2,11 +2,13 @@
 
 import os
 import platform
+import random
 import signal
 import socket
 import subprocess
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,10 +24,14 @@ from gspn_framework_package.analysis.executors import (
 )
 from gspn_framework_package.analysis.executors.dask_cluster import DaskExecutor
 from gspn_framework_package.analysis.executors.processes import ProcessExecutor
+from gspn_framework_package.analysis.fitting import fit_plan
+from gspn_framework_package.analysis.monitoring.prediction import Span, predict
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.execution.attempts import Attempt
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import (
     CancelledError,
     RefusedError,
@@ -129,6 +135,36 @@ def test_one_long_run_is_one_task(processes):
     plan = read_plan(str(PLANS / "tokens"))
     asked = {"time": 50.0, "batches": 5}
     assert simulate(plan, on=processes, **asked) == simulate(plan, **asked)
+
+
+def test_a_fit_is_the_same(processes):
+    plan = read_plan(str(PLANS / "tokens"))
+    source = random.Random(5)
+    seen = []
+    for place in plan.action_places[:3]:
+        for n in range(40):
+            took = source.gammavariate(4.0, 0.5)
+            seen.append(Attempt("r", place, n, 0, n * 10.0, n * 10.0 + took, n % 9 > 0))
+    here = fit_plan(plan, seen, samples=20)
+    there = fit_plan(plan, seen, samples=20, on=processes)
+    assert there.to_json() == here.to_json()
+    assert sum(fit.test is not None for fit in here.places.values()) >= 2
+
+
+def test_a_prediction_is_the_same(processes):
+    plan = read_plan(str(PLANS / "tokens"))
+    learned = replace(
+        plan,
+        durations={p: Duration.gamma(4.0, 1.0) for p in plan.action_places},
+        evidence={("durations", p): Evidence(9, ("a.jsonl",)) for p in plan.action_places},
+    )
+    for subject in (plan, learned):
+        spans = [Span(subject, 3.0), Span(subject, 5.0)]
+        here = predict(spans, replications=120, seed=2)
+        there = predict(spans, replications=120, seed=2, on=processes)
+        assert here.size == 120
+        for ours, theirs in zip(here, there):
+            assert ours.tobytes() == theirs.tobytes()
 
 
 def test_results_come_with_their_number_and_all_workers_help(executor):

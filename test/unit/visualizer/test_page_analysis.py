@@ -139,6 +139,24 @@ def test_simulated_runs_have_limits(refusal, simulate):
     assert error and "Traceback" not in error
 
 
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        ([], "is an object"),
+        ({"time": 1}, "what is varied?"),
+        ({"time": 1, "vary": "robots=1"}, "a list of texts"),
+        ({"time": 1, "vary": ["tokens:a=1"] * 21}, "more than 20 entries"),
+        ({"time": 1, "vary": ["tokens:a=1..401"]}, "at most 400 points"),
+        ({"time": 1, "vary": ["policy=/etc/passwd"]}, "no policies from files"),
+        ({"time": 1, "vary": ["speed=1"]}, "write robots"),
+        ({"time": 1, "vary": ["tokens:a=1"], "measure": ["x"]}, "no 'x' to measure"),
+        ({"vary": ["tokens:a=1"]}, "how long is a run"),
+    ],
+)
+def test_a_sweep_that_makes_no_sense_is_refused(refusal, sweep, message):
+    assert message in refusal(sweep=sweep)
+
+
 @pytest.mark.parametrize("rewards", [{"a": "x"}, {"nothing": 1}, [1]])
 def test_rewards_that_make_no_sense_are_refused(refusal, rewards):
     error = refusal(timing=True, rewards=rewards)

@@ -3,10 +3,11 @@
 import { $, h, number, plural, toast } from "./dom.js";
 import { AnswerViews } from "./analysis_views.js";
 import { BackgroundJob } from "./jobs.js";
+import { sweepFields, sweepOf } from "./sweep.js";
 
 /** The question of a request in readable words. */
 function questionText(request) {
-  const { reach, cover, mean_time_to: condition, at, settling, rewards, simulate } = request;
+  const { reach, cover, mean_time_to: condition, at, settling, rewards, simulate, sweep } = request;
   const numbers = (named) =>
     Object.entries(named)
       .map(([name, value]) => `${name} = ${value}`)
@@ -17,6 +18,7 @@ function questionText(request) {
   if (at) return `until ${number(at[at.length - 1])} s`;
   if (settling !== undefined) return `within ${number(settling)}`;
   if (rewards) return numbers(rewards);
+  if (sweep) return sweep.vary.join(", ");
   if (simulate) {
     const length = simulate.time ? ` of ${number(simulate.time)} s` : "";
     const end = simulate.until ? `, until ${simulate.until}` : "";
@@ -86,6 +88,13 @@ export class AnalysisPanel extends EventTarget {
     });
     const rewards = text("an-rewards", "p1 = 0.5, t2 = 3");
     const runs = this.simulationFields(text);
+    const sweep = sweepFields(text);
+    const fields = (named) =>
+      h(
+        "div",
+        { class: "form" },
+        ...Object.values(named).flatMap(({ label, input }) => field(input.id, label, input)),
+      );
     const times = () => {
       const end = Math.max(0, Number(until.value) || 0),
         count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
@@ -187,12 +196,18 @@ export class AnalysisPanel extends EventTarget {
           class: "muted",
           text: "Many independent runs, with confidence intervals; also for nets too large to analyse, or unbounded.",
         }),
-        h(
-          "div",
-          { class: "form" },
-          ...Object.values(runs).flatMap(({ label, input }) => field(input.id, label, input)),
-        ),
+        fields(runs),
         ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) })),
+      ),
+      question(
+        "Sweep",
+        false,
+        h("p", {
+          class: "muted",
+          text: "The runs above, for each value of robots, rate:TRANSITION, duration:, failure: or tokens:PLACE.",
+        }),
+        fields(sweep),
+        ask("Sweep", () => ({ sweep: sweepOf(sweep, this.simulationOf(runs)) })),
       ),
       this.answers,
     );

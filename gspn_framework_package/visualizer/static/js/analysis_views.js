@@ -3,6 +3,7 @@
 import { h, number, plural, $ } from "./dom.js";
 import { curvePlot, barPlot, CURVES } from "./plot.js";
 import { FiringSequence, sequenceControls } from "./sequence.js";
+import { sweepAnswer } from "./sweep.js";
 
 const YES = { true: ["yes", "good"], false: ["no", "bad"] };
 const LIST = 60;
@@ -20,6 +21,10 @@ export class AnswerViews {
   all(result, request, body, stage) {
     this.stage = stage;
     if (request.simulate) return [this.simulated(result.simulation)].filter(Boolean);
+    if (request.sweep) {
+      const section = (title, ...content) => this.section(title, ...content);
+      return [sweepAnswer(result.sweep, section, (names) => this.key(names))].filter(Boolean);
+    }
     const parts = [];
     if (request.reach) parts.push(this.reach(result));
     if (request.cover) parts.push(this.cover(result));

@@ -1,0 +1,110 @@
+"""The forms of the page's *Simulated runs* and *Sweep*: their fields as what is asked of a
+simulation, and the points of a sweep in parts, as they come."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Union
+
+from gspn_framework_package.analysis.watch import Progress, Watch
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.simulation import Asked
+
+REPLICATIONS = 100_000
+"""Largest number of simulated runs that the page may ask for."""
+
+POINTS = 400
+"""Most points of a sweep on the page."""
+
+_TEXTS = 20
+_EVERY = 0.3
+"""Seconds between two parts at least."""
+
+
+def asked_of(form: object, name: str) -> Asked:
+    """What the fields ask of a simulation.
+
+    :param name: of the form, for the message.
+    :raises UsageError: they make no sense.
+    """
+    from gspn_framework_package.analysis.simulation import Asked
+
+    if not isinstance(form, dict):
+        raise UsageError("'%s' is an object" % name)
+    replications = number(form, "replications", 1000.0)
+    if replications is None or not 1 <= replications <= REPLICATIONS:
+        raise UsageError("the number of runs is from 1 to %d" % REPLICATIONS)
+    time = number(form, "time")
+    until = form.get("until") or None
+    if until is not None and not isinstance(until, str):
+        raise UsageError("'until' is a condition")
+    return Asked(
+        time=math.inf if time is None else time,
+        replications=int(replications),
+        seed=int(number(form, "seed", 0.0) or 0),
+        warmup=number(form, "warmup", 0.0) or 0.0,
+        until=until,
+        confidence=number(form, "confidence", 0.95) or 0.0,
+    )
+
+
+def number(form: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
+    """A number of a form, at least 0. :raises UsageError: it is none."""
+    value = form.get(key, default)
+    if value is not None and (
+        isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0
+    ):
+        raise UsageError("'%s' is a number of at least 0" % key)
+    return value
+
+
+def sweep_in_parts(
+    subject: Union[Net, Plan],
+    form: Any,
+    progress: Progress,
+    tell: Callable[[Dict[str, Any]], object],
+) -> None:
+    """Measure the points of a sweep.
+
+    :param form: ``vary`` and ``measure``, lists as ``gspn sweep`` takes them, and the fields of a
+        simulation.
+    :param tell: called with all points so far, now and then, and at the end.
+    :raises GspnError: the form makes no sense, or a point cannot be measured.
+    """
+    from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen, read_variation
+
+    asked = asked_of(form, "sweep")
+    variations = [read_variation(text) for text in _texts(form, "vary")]
+    if not variations:
+        raise UsageError("what is varied?", hint="write robots=1..5, for example")
+    if any(variation.kind == "policy" for variation in variations):
+        raise UsageError("the page reads no policies from files", hint="gspn sweep does")
+    if math.prod(len(variation.values) for variation in variations) > POINTS:
+        raise UsageError(
+            "the page shows at most %d points" % POINTS, hint="gspn sweep has no limit"
+        )
+    ends = asked.until is not None or isinstance(subject, Plan) and subject.until is not None
+    wanted = chosen(subject, _texts(form, "measure"), ends)
+    sweep = Sweep(subject, variations, asked)
+    points: List[Point] = []
+    told = clock.monotonic()
+    for point in sweep.run(watch=Watch(progress)):
+        points.append(point)
+        if clock.monotonic() - told > _EVERY or len(points) == 1:
+            told = clock.monotonic()
+            tell({**sweep.to_json(points, wanted), "of": len(sweep.points)})
+    tell({**sweep.to_json(points, wanted), "of": len(sweep.points)})
+
+
+def _texts(form: Dict[str, Any], key: str) -> List[str]:
+    values = form.get(key, [])
+    if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
+        raise UsageError("'%s' is a list of texts" % key)
+    if len(values) > _TEXTS:
+        raise UsageError("'%s' has more than %d entries" % (key, _TEXTS))
+    return values
