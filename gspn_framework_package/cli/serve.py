@@ -29,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let the operator change the plans of the folder in the page, and make new ones",
     )
+    parser.add_argument(
+        "--history",
+        metavar="DIR",
+        help="a store of 'gspn history' that the page shows, with the replay of each moment",
+    )
     add_address_arguments(parser)
 
 
@@ -76,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
     from gspn_framework_package.formats.plan_file import PLAN_FILE
     from gspn_framework_package.visualizer.documents import Folder
+    from gspn_framework_package.visualizer.fleet_page import FleetPage
     from gspn_framework_package.visualizer.project import Project
     from gspn_framework_package.visualizer.standalone_run import RUNS, StandaloneRun
 
@@ -91,8 +97,9 @@ def run(args: argparse.Namespace) -> int:
     if first is not None and not folder.kind(first):
         raise InputError("neither a net, a plan nor a recorded run", file=args.path)
     runs = args.record or os.path.join(folder.root, RUNS)
+    fleet = FleetPage(args.history) if args.history is not None else None
     project = Project(
-        folder, lambda document: StandaloneRun(document, runs), first, runs, args.edit
+        folder, lambda document: StandaloneRun(document, runs), first, runs, args.edit, fleet
     )
     if first is not None:
         project.open(first)  # report errors here, not in the browser

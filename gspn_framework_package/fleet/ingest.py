@@ -152,7 +152,7 @@ class Ingest:
             if _id_of(header) in run["logs"]:
                 return run
         if not header["robot"]:
-            return self._runs.get(key_of("", header["log"])) or _new_run(
+            return self._runs.get(key_of("", header["log"])) or new_run(
                 key_of("", header["log"]), header
             )
         first: Optional[Record] = None
@@ -169,7 +169,7 @@ class Ingest:
                 first = record
                 if record["kind"] == "slot" and record.get("slot") == 0:
                     key = key_of(header["run"], str(record.get("hash")))
-                    return self._runs.get(key) or _new_run(key, header)
+                    return self._runs.get(key) or new_run(key, header)
             known = str(record.get("slot"))
             for run in same:
                 if run["hashes"].get(known, record) == record.get("hash"):
@@ -280,7 +280,8 @@ def _id_of(header: Record) -> str:
     return "%s %s" % (header["log"], header["robot"])
 
 
-def _new_run(key: str, header: Record) -> Manifest:
+def new_run(key: str, header: Record) -> Manifest:
+    """A run of which nothing was read yet, as the header of a log describes it."""
     return {
         "key": key,
         "run": header["run"],

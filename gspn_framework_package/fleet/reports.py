@@ -149,6 +149,25 @@ def moments(store: Store, question: Question, limit: int = 200) -> List[Dict[str
     return rows
 
 
+def known_names(store: Store) -> Dict[str, List[str]]:
+    """The ``robots``, ``places`` and ``days`` that the store has, each in order."""
+    with explained(store.folder):
+        database = store.open_tables()
+        found = {
+            column + "s": [
+                str(name)
+                for (name,) in database.execute(
+                    "SELECT DISTINCT {0} FROM totals WHERE {0}::VARCHAR <> '' ORDER BY {0}".format(
+                        column
+                    )
+                ).fetchall()
+            ]
+            for column in ("robot", "place", "day")
+        }
+        database.close()
+    return found
+
+
 class SqlAnswer(NamedTuple):
     """The answer to a question in SQL: the names of the columns, and the rows, one by one."""
 

@@ -38,6 +38,11 @@ class Activity:
         :mod:`~gspn_framework_package.visualizer.board`); None if there is none."""
         return None
 
+    def after_slot(self, slot: int) -> Optional[int]:
+        """The number of the last event of a slot of the log that is shown; None if that is not
+        known so far."""
+        return None
+
     def deploy(
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
     ) -> DeployOutcome:

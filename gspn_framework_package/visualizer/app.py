@@ -21,7 +21,7 @@ from werkzeug.exceptions import HTTPException
 from gspn_framework_package import __version__
 from gspn_framework_package.formats.plan_json import SCHEMA_FILE
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
-from gspn_framework_package.visualizer import deploying
+from gspn_framework_package.visualizer import deploying, fleet_routes
 from gspn_framework_package.visualizer.activity import whole_number
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
@@ -198,6 +198,11 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         at = _number("at") if request.args.get("at") else None
         return reasons_in(session(), request.args.get("transition", ""), at)
 
+    @app.route("/api/slot")
+    def after_slot() -> Dict[str, Any]:
+        shown = session()
+        return {"epoch": shown.hub.epoch, "event": shown.activity.after_slot(_number("slot"))}
+
     @app.route("/api/events")
     def past_events() -> Dict[str, Any]:
         hub = session().hub
@@ -278,6 +283,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     editing.add_routes(app, project, _body)
     deploying.add_routes(app, project, jobs, _body)
+    fleet_routes.add_routes(app, project)
     return app
 
 

@@ -13,6 +13,7 @@ from gspn_framework_package.model.robot_colours import PALETTE
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
 from gspn_framework_package.visualizer.documents import Document, Folder
+from gspn_framework_package.visualizer.fleet_page import RUN_KEY, FleetPage
 from gspn_framework_package.visualizer.replay import Replay
 from gspn_framework_package.visualizer.run_marks import CutRun, cut_runs
 from gspn_framework_package.visualizer.session import ActivityMaker, Session, Sessions
@@ -35,6 +36,7 @@ class Project:
     :param first: path (in the folder) of the document that the page shows first.
     :param runs: the folder of the recorded runs, which is searched for runs that were cut off.
     :param edits: whether the operator may change the plans of the folder in the page.
+    :param fleet: the history of a fleet that the page shows.
     """
 
     def __init__(
@@ -44,8 +46,10 @@ class Project:
         first: Optional[str] = None,
         runs: Optional[str] = None,
         edits: bool = False,
+        fleet: Optional[FleetPage] = None,
     ) -> None:
         self.sessions = Sessions()
+        self.fleet = fleet
         self.edits = edits and folder is not None
         self._folder = folder
         self._start_execution = start_execution
@@ -75,6 +79,7 @@ class Project:
             "phases": phases_to_json(),
             "first": self._first,
             "can_open": self._folder is not None,
+            "history": self.fleet is not None,
             "files": [entry._asdict() for entry in entries],
             "cut": [
                 {"path": r.path, "log": self.path_of(r.log), "events": r.events} for r in self._cut
@@ -108,6 +113,9 @@ class Project:
         if key.startswith(FILE_KEY) and self._folder is not None:
             known = self.sessions.known(key)
             return known or self.open(key[len(FILE_KEY) :], room)
+        fleet = self.fleet
+        if key.startswith(RUN_KEY) and fleet is not None:
+            return self.sessions.get_or_open(key, lambda: fleet.replay(key), room)
         return self.sessions.get(key)
 
     def renew(self, paths: Iterable[str]) -> None:

@@ -75,6 +75,16 @@ class _Reader:
         """The board at a mark."""
         return Board.from_json(json.loads(zlib.decompress(mark.packed))["board"])
 
+    @staticmethod
+    def next_slot_of(mark: Mark) -> int:
+        """The slot that comes next after a mark."""
+        return int(json.loads(zlib.decompress(mark.packed))["state"]["next_slot"])
+
+    @property
+    def next_slot(self) -> int:
+        """The slot that comes next."""
+        return self._replayer.state.next_slot
+
     def mark(self) -> Mark:
         """A mark from which reading can continue here."""
         kept = {
@@ -136,6 +146,7 @@ class Recording(KeptEvents):
         self._marks: List[Mark] = [first.mark()]
         self._between = LINES_BETWEEN
         self._known = 0
+        self._complete = False
         self._last: List[Event] = []
         self._looking = 0
         self._stretches: OrderedDict[int, Tuple[Board, List[Event]]] = OrderedDict()
@@ -178,6 +189,7 @@ class Recording(KeptEvents):
             )
         with self._lock:
             self._known = reader.board.n
+            self._complete = True
         yield reader.board.copy(), 1.0
 
     def _keep(self, mark: Mark) -> None:
@@ -203,6 +215,30 @@ class Recording(KeptEvents):
         self._last.append(event)
 
     # -- looking up --------------------------------------------------------------------------------
+
+    def after_slot(self, slot: int) -> Optional[int]:
+        """The number of the last event of a slot of the log, or of the whole log if it ends before;
+        None if it has not been read that far."""
+        with self._lock:
+            marks, complete, known = list(self._marks), self._complete, self._known
+        low, high = 0, len(marks)
+        while high - low > 1:  # the last mark before the slot
+            middle = (low + high) // 2
+            if _Reader.next_slot_of(marks[middle]) <= slot:
+                low = middle
+            else:
+                high = middle
+        if high == len(marks) and not complete:
+            return None
+        reader = _Reader(self._file, self._plans, marks[low])
+        with self._file.open() as file:
+            try:
+                for _ in reader.lines(file):
+                    if reader.next_slot > slot:
+                        break
+            except LogError:
+                pass  # the last event of the log says so
+        return min(reader.board.n, known) if reader.next_slot > slot else known
 
     def board_at(self, n: int) -> Board:
         """The board after event ``n``, or after the last one read."""

@@ -44,6 +44,10 @@ class Replay(Activity):
         """See :class:`Activity`."""
         return self._recording.plan_of(number)
 
+    def after_slot(self, slot: int) -> Optional[int]:
+        """See :class:`Activity`."""
+        return self._recording.after_slot(slot)
+
     def begin(self, hub: Hub) -> None:
         """Start reading the log, which becomes the history of the hub."""
         header = self._file.header

@@ -16,6 +16,7 @@ import { Room } from "./room.js";
 import { TABS, bindKeys, showHelp } from "./keys.js";
 import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
+import { HISTORY, hideHistory, showHistory } from "./fleet_history.js";
 import { setPalette } from "./colours.js";
 import { alarming, setPhases } from "./phases.js";
 import { notice, closeNotice } from "./notice.js";
@@ -92,12 +93,19 @@ class Page {
     const edits = word === "edit";
     if (edits && this.editor.id === key) return;
     if (!edits) {
-      if (key && this.model?.session.id === key) return;
+      if (key && this.model?.session.id === key) {
+        this.goToSlot(word);
+        return;
+      }
       if (!(await this.editor.leave())) return;
     }
+    hideHistory();
     if (key && edits) await this.editor.open(key);
-    else if (key) await this.open(key);
-    else if (this.hello.first && !this.begun) {
+    else if (key === HISTORY && this.hello.history) this.openHistory();
+    else if (key) {
+      await this.open(key);
+      this.goToSlot(word);
+    } else if (this.hello.first && !this.begun) {
       history.replaceState(null, "", `#${encodeURIComponent(this.hello.first)}`);
       await this.open(this.hello.first);
     } else await this.openScreen();
@@ -121,6 +129,7 @@ class Page {
   async openScreen(another = false) {
     if (!(await this.editor.leave())) return;
     this.closeNet();
+    hideHistory();
     document.body.dataset.mode = "";
     $("mode").textContent = "";
     $("title").textContent = "No net is open";
@@ -131,6 +140,31 @@ class Page {
     hideOpening();
     if (edit) this.edit(id);
     else this.go(id);
+  }
+
+  /** The history of the fleet whose store is served. */
+  openHistory() {
+    hideOpening();
+    this.closeNet();
+    document.body.dataset.mode = "";
+    $("mode").textContent = "";
+    $("title").textContent = "History of the fleet";
+    $("subtitle").textContent = "";
+    document.title = "History · GSPN";
+    showHistory();
+  }
+
+  /** Show the moment that an address names: `slot=12` stands for the state after slot 12 of the log. */
+  async goToSlot(word) {
+    const found = /^slot=([0-9]{1,15})$/.exec(word || "");
+    const { model } = this;
+    while (found && model && model === this.model) {
+      const shown = await attempt(() => model.showSlot(Number(found[1])));
+      if (shown !== false) return;
+      await new Promise((resolve) => {
+        setTimeout(resolve, 300); // the log is still being read
+      });
+    }
   }
 
   async open(key) {
@@ -299,6 +333,7 @@ class Page {
     delete document.body.dataset.ready;
     this.stream?.close();
     this.tools?.stopRunning();
+    this.model?.close();
     this.closeViews();
     this.stream =
       this.model =

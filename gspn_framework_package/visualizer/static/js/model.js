@@ -35,10 +35,16 @@ export class Model extends EventTarget {
     this.lostAt = null; // performance.now() of the server's last message; null while connected
     this.playing = false;
     this.speed = 1;
+    this.closed = false;
   }
 
   tell(type, detail = {}) {
-    this.dispatchEvent(new CustomEvent(type, { detail }));
+    if (!this.closed) this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  /** Report nothing more: the views are gone, and answers that are still awaited come too late. */
+  close() {
+    this.closed = true;
   }
 
   /** Take in a message of the server's hub, in order, once the net of each plan in it is known. */
@@ -250,6 +256,14 @@ export class Model extends EventTarget {
     } finally {
       this.fetching = false;
     }
+  }
+
+  /** Show the board after a slot of the log; false if the log has not been read that far. */
+  async showSlot(slot) {
+    const { epoch, event } = await get("slot", { id: this.session.id, slot });
+    if (event === null || epoch !== this.epoch || this.head.n < event) return false;
+    await this.show(event);
+    return true;
   }
 
   /** Load the events around the board. */

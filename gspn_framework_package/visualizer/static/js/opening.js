@@ -3,6 +3,7 @@
 import { h, $, attempt } from "./dom.js";
 import { get, post } from "./api.js";
 import { mayEdit, newPlan } from "./edit/new_plan.js";
+import { HISTORY } from "./fleet_history.js";
 
 const KINDS = { net: "net", plan: "plan", log: "recorded run" };
 
@@ -120,6 +121,16 @@ export async function openingScreen(hello) {
                     text: "There is no net, plan or recorded run in this folder.",
                   })
               : h("p", { class: "muted", text: "This server serves no folder." }),
+            fresh.history &&
+              h(
+                "p",
+                {},
+                h("button", {
+                  id: "open-history",
+                  text: "History of the fleet",
+                  onclick: () => resolve({ id: HISTORY }),
+                }),
+              ),
             mayEdit(fresh) &&
               h(
                 "p",

@@ -1,0 +1,239 @@
+// A fleet's history: what months of logs tell of robots, places and days, and the way to each moment's replay.
+
+import { $, h, s, attempt, number, plural } from "./dom.js";
+import { get } from "./api.js";
+import { curvePlot, CURVES } from "./plot.js";
+
+/** The address of this screen; "history-" and a key is that of the replay of a run. */
+export const HISTORY = "history";
+
+const GROUPS = { robot: "robot", place: "place", day: "day" };
+const KINDS = { failure: "failure", alarm: "alarm", intervention: "order", wait: "long wait" };
+const COLUMNS = [
+  ["visits", "Visits", (row) => number(row.visits)],
+  ["acting_s", "Acting (h)", (row) => hours(row.acting_s)],
+  ["waiting_s", "Waiting (h)", (row) => hours(row.waiting_s)],
+  ["paused_s", "Paused (h)", (row) => hours(row.paused_s)],
+  ["failed_s", "Failed (h)", (row) => hours(row.failed_s)],
+  ["failures", "Failures", (row) => number(row.failures)],
+  ["alarms", "Alarms", (row) => number(row.alarms)],
+  ["interventions", "Orders", (row) => number(row.interventions)],
+];
+
+const asked = { by: "robot", since: "", until: "", robot: "", place: "" }; // kept while replays are looked at
+// the numbers of the newest questions: answers to older ones come too late
+let latest = 0,
+  latestMoments = 0;
+
+const hours = (seconds) => (seconds / 3600).toFixed(2);
+const nameOf = (value) => value || "(team)";
+
+export function hideHistory() {
+  $("fleet").hidden = true;
+  latest += 1;
+  latestMoments += 1;
+}
+
+/** Show the screen. */
+export async function showHistory() {
+  const screen = $("fleet");
+  const answer = h("div", { id: "fleet-answer" });
+  screen.replaceChildren(h("div", {}, h("h2", { text: "History of the fleet" }), answer));
+  screen.hidden = false;
+  const names = await attempt(() => get("history/names"));
+  if (!names || screen.hidden) return;
+  answer.before(filters(names, () => ask(answer)));
+  await ask(answer);
+}
+
+/** The form that narrows the report; `changed` is called when it has changed. */
+function filters(names, changed) {
+  const field = (key, label, control) => {
+    control.id = `fleet-${key}`;
+    control.value = asked[key];
+    control.onchange = () => {
+      asked[key] = control.value;
+      changed();
+    };
+    return h("label", {}, `${label} `, control);
+  };
+  const choice = (values, all) =>
+    h(
+      "select",
+      {},
+      all && h("option", { value: "", text: all }),
+      values.map((value) => h("option", { value, text: value })),
+    );
+  const [first, last] = [names.days[0], names.days[names.days.length - 1]];
+  const date = () => h("input", { type: "date", min: first, max: last });
+  return h(
+    "form",
+    { class: "fleet-form", onsubmit: (event) => event.preventDefault() },
+    field("by", "A row for each", choice(Object.keys(GROUPS))),
+    field("since", "From", date()),
+    field("until", "to", date()),
+    field("robot", "Robot", choice(names.robots, "all")),
+    field("place", "Place", choice(names.places, "all")),
+  );
+}
+
+/** Ask for the report and show it. */
+async function ask(answer) {
+  const mine = (latest += 1);
+  answer.inert = true; // its rows answer the question before
+  const [told, daily] = await Promise.all([
+    attempt(() => get("history/report", asked)),
+    attempt(() => get("history/report", { ...asked, by: "day" })),
+  ]);
+  if (mine !== latest) return;
+  answer.inert = false;
+  if (!told || !daily) return;
+  answer.replaceChildren(...plots(daily.rows), table(told), h("div", { id: "fleet-moments" }));
+  await tellMoments({});
+}
+
+/** How the days went, as curves; none for less than two days. */
+function plots(rows) {
+  if (rows.length < 2) return [];
+  const first = Date.parse(rows[0].day);
+  const curve = (name, value) => ({
+    name,
+    points: rows.map((row) => [(Date.parse(row.day) - first) / 86_400_000, value(row)]),
+  });
+  const since = `days since ${rows[0].day}`;
+  const parts = [
+    [
+      ["acting (h)", (row) => row.acting_s / 3600],
+      ["waiting (h)", (row) => row.waiting_s / 3600],
+      ["failed (h)", (row) => row.failed_s / 3600],
+    ],
+    [
+      ["failures", (row) => row.failures],
+      ["alarms", (row) => row.alarms],
+      ["orders", (row) => row.interventions],
+    ],
+  ];
+  return [
+    h(
+      "div",
+      { class: "fleet-plots" },
+      parts.map((part) =>
+        h(
+          "figure",
+          {},
+          curvePlot(
+            part.map(([name, value]) => curve(name, value)),
+            since,
+          ),
+          h(
+            "figcaption",
+            {},
+            part.map(([name], i) => legend(name, CURVES[i])),
+          ),
+        ),
+      ),
+    ),
+  ];
+}
+
+function legend(name, colour) {
+  const sign = s("svg", { viewBox: "0 0 10 10", "aria-hidden": "true", class: "fleet-sign" });
+  const dot = s("circle", { cx: 5, cy: 5, r: 4 });
+  dot.style.fill = colour;
+  sign.append(dot);
+  return h("span", {}, sign, name);
+}
+
+/** A share as a bar with its number. */
+function share(value) {
+  if (value === null) return "–";
+  const bar = s("svg", { viewBox: "0 0 60 10", "aria-hidden": "true", class: "fleet-bar" });
+  const inside = s("rect", { x: 0, y: 1, height: 8, width: 60 * value });
+  inside.style.fill = CURVES[0];
+  bar.append(s("rect", { class: "frame", x: 0, y: 1, height: 8, width: 60 }), inside);
+  return [bar, `${(100 * value).toFixed(1)} %`];
+}
+
+/** The report; a click on a row shows what happened there. */
+function table({ rows, left_out: leftOut }) {
+  if (!rows.length) return h("p", { class: "muted", text: "Nothing is in the store for this." });
+  const group = asked.by;
+  return h(
+    "div",
+    { class: "fleet-table" },
+    h(
+      "table",
+      { id: "fleet-table" },
+      h(
+        "thead",
+        {},
+        h(
+          "tr",
+          {},
+          h("th", { scope: "col", text: GROUPS[group] }),
+          h("th", { scope: "col", text: "Use" }),
+          COLUMNS.map(([, head]) => h("th", { scope: "col", text: head })),
+        ),
+      ),
+      h(
+        "tbody",
+        {},
+        rows.map((row) =>
+          h(
+            "tr",
+            {},
+            h(
+              "th",
+              { scope: "row" },
+              h("button", {
+                class: "link",
+                text: nameOf(row[group]),
+                title: "What happened",
+                onclick: () => tellMoments(ofRow(row)),
+              }),
+            ),
+            h("td", {}, share(row.use)),
+            COLUMNS.map(([, , told]) => h("td", { text: told(row) })),
+          ),
+        ),
+      ),
+    ),
+    leftOut > 0 && h("p", { class: "muted", text: `${plural(leftOut, "row")} not shown.` }),
+  );
+}
+
+/** The question of a row. */
+function ofRow(row) {
+  if (asked.by === "day") return { since: row.day, until: row.day };
+  return { [asked.by]: row[asked.by] };
+}
+
+/** What happened: failures, alarms, orders and the longest waits, each with its replay. */
+async function tellMoments(narrower) {
+  const mine = (latestMoments += 1);
+  const told = await attempt(() => get("history/moments", { ...asked, ...narrower, by: "robot" }));
+  const list = $("fleet-moments");
+  if (!told || !list || mine !== latestMoments) return;
+  const about = Object.values(narrower)[0];
+  list.replaceChildren(
+    h("h3", { text: about ? `What happened: ${about}` : "What happened" }),
+    told.moments.length
+      ? h("ul", { class: "fleet-moments" }, told.moments.map(momentOf))
+      : h("p", { class: "muted", text: "No failures, alarms, orders or waits." }),
+  );
+}
+
+function momentOf(moment) {
+  const where = [moment.robot, moment.place].filter(Boolean).join(", ");
+  return h(
+    "li",
+    {},
+    h("a", {
+      href: `#${encodeURIComponent(moment.id)}&slot=${moment.slot}`,
+      text: moment.happened.replace("T", " ").slice(0, 19),
+      title: "Replay this moment",
+    }),
+    h("span", { class: "badge", text: KINDS[moment.kind] }),
+    h("span", { text: ` ${nameOf(where)}: ${moment.detail}` }),
+  );
+}
