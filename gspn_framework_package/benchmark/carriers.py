@@ -7,12 +7,14 @@ Every robot is a process of its own, and so is the router, all on this machine.
 - *Round trip*: 500 bytes to another robot and back, one after the other.
 - *Team*: ``plans/tokens`` as in :mod:`~gspn_framework_package.benchmark.latency`.
 - *Flood*: the same, while somebody with the keys of a robot sends 10,000 messages a second.
+
+``--large N`` starts N robots, ten in a process, and measures how long it takes until all have
+fired, and what they need.
 """
 
 from __future__ import annotations
 
 import argparse
-import glob
 import itertools
 import json
 import multiprocessing
@@ -23,6 +25,8 @@ import sys
 import tempfile
 import time
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+
+import psutil
 
 from gspn_framework_package.benchmark.latency import latencies, plan_of
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
@@ -87,19 +91,31 @@ def _echo(site: _Site, stop: Any) -> None:
     carrier.close()
 
 
-def _robot(site: _Site, robots: int, robot: str, log: str, load: str, stop: Any) -> None:
+def _log_of(folder: str, robot: str) -> str:
+    return os.path.join(folder, robot + ".jsonl")
+
+
+def _robots(
+    site: _Site, robots: int, names: Sequence[str], folder: str, load: str, stop: Any
+) -> None:
     plan = plan_of(load, robots, Synchronisation.FULL)
-    host = make_agent(
-        plan,
-        robot,
-        HostOptions(RUN, log),
-        PrintedVoice(robot, quiet=True),
-        lambda host: ZenohCarrier(robot, RUN, site.access(robot), host.handlers),
-    )
-    host.start(lambda robot: None)
+    hosts = [
+        make_agent(
+            plan,
+            robot,
+            HostOptions(RUN, _log_of(folder, robot)),
+            PrintedVoice(robot, quiet=True),
+            lambda host: ZenohCarrier(host.robot, RUN, site.access(host.robot), host.handlers),
+        )
+        for robot in names
+    ]
+    for host in hosts:
+        host.start(lambda robot: None)
     stop.wait()
-    host.stop()
-    host.join(10.0)
+    for host in hosts:
+        host.stop()
+    for host in hosts:
+        host.join(10.0)
 
 
 def _flood(site: _Site, sent: Any, stop: Any) -> None:
@@ -140,6 +156,15 @@ class _Processes:
         process = _SPAWN.Process(target=target, args=(self.site, *arguments, self.stop))
         process.start()
         self._all.append(process)
+
+    def usage(self) -> Dict[str, float]:
+        """Processor seconds, and memory (MB, what is shared divided among those who share it)."""
+        seconds, megabytes = 0.0, 0.0
+        for process in map(psutil.Process, [started.pid for started in self._all]):
+            times = process.cpu_times()
+            seconds += times.user + times.system
+            megabytes += process.memory_full_info().pss / 1e6
+        return {"cpu_s": seconds, "memory_mb": megabytes}
 
     def __exit__(self, *_: object) -> None:
         self.stop.set()
@@ -187,16 +212,20 @@ def team(
     with tempfile.TemporaryDirectory() as folder:
         with _Processes(site) as processes:
             for number in range(1, robots + 1):
-                name = "robot_%d" % number
-                processes.start(_robot, robots, name, os.path.join(folder, name + ".jsonl"), load)
+                processes.start(_robots, robots, [_name(number)], folder, load)
             if flooded:
                 processes.start(_flood, sent)
             _wait_for_logs(folder, robots)
             time.sleep(3.0)  # exclude the connections made in the background
             before, began = sent.value, time.monotonic()
+            used = processes.usage()["cpu_s"]
             time.sleep(window)
             flood = (sent.value - before) / window
-        logs = [read_log(path) for path in sorted(glob.glob(os.path.join(folder, "*.jsonl")))]
+            used = processes.usage()["cpu_s"] - used
+        logs = [
+            read_log(path)
+            for path in [_log_of(folder, _name(number)) for number in range(1, robots + 1)]
+        ]
     moves, coordinated = 0, []
     for log in logs:
         records = [r for r in log.records if r.get("mono", 0) < began + window]
@@ -210,21 +239,60 @@ def team(
         "coordinated_p99_ms": round(coordinated[int(len(coordinated) * 0.99)], 2)
         if moves
         else None,
+        "cpu_ms_per_firing": round(1000 * used / moves, 2) if moves else None,
         **({"flood_per_s": round(flood)} if flooded else {}),
         "logs": "rule %d: %s" % violation if violation else "valid",
     }
 
 
-def _wait_for_logs(folder: str, robots: int) -> None:
-    """Wait until every robot has started an action."""
-    ends = time.monotonic() + 2 * _PATIENCE
-    while time.monotonic() < ends:
-        paths = glob.glob(os.path.join(folder, "*.jsonl"))
-        texts = [open(path, encoding="utf-8").read() for path in paths]  # noqa: SIM115
-        if len(texts) == robots and all('"goal"' in text for text in texts):
-            return
+def large(site: _Site, robots: int, window: float, together: int = 10) -> Dict[str, Any]:
+    """A large team, ``together`` robots in a process: seconds from the start of the first process
+    until all robots have fired, and what they do and need over ``window`` seconds after that."""
+    with tempfile.TemporaryDirectory() as folder:
+        with _Processes(site) as processes:
+            began = time.monotonic()
+            names = [_name(number) for number in range(1, robots + 1)]
+            for first in range(0, robots, together):
+                processes.start(_robots, robots, names[first : first + together], folder, "light")
+            _wait_for_logs(folder, robots)
+            acting = time.monotonic() - began
+            _wait_for_logs(folder, robots, goals=2)
+            fired = time.monotonic() - began
+            before = processes.usage()
+            time.sleep(window)
+            after = processes.usage()
+            ends = time.monotonic()
+        logs = [read_log(_log_of(folder, name)) for name in names]
+    goals = [r for log in logs for r in log.records if r["kind"] == "goal"]
+    moves = sum(1 for r in goals if ends - window <= r["mono"] < ends)
+    violation = verify(logs).violation
+    return {
+        "all_act_s": round(acting, 1),
+        "all_fired_s": round(fired, 1),
+        "firings_per_s": round(moves / window, 1),
+        "cpu_percent_of_core": round(100 * (after["cpu_s"] - before["cpu_s"]) / window),
+        "memory_mb": round(after["memory_mb"]),
+        "logs": "rule %d: %s" % violation if violation else "valid",
+    }
+
+
+def _name(number: int) -> str:
+    return "robot_%d" % number
+
+
+def _wait_for_logs(folder: str, robots: int, goals: int = 1) -> None:
+    """Wait until every robot has started an action, or ``goals``."""
+    waiting = {_log_of(folder, _name(number)) for number in range(1, robots + 1)}
+    ends = time.monotonic() + 2 * _PATIENCE + robots
+    while waiting:
+        for path in sorted(waiting):
+            if os.path.exists(path):
+                with open(path, encoding="utf-8") as file:
+                    if sum('"kind":"goal"' in line for line in file) >= goals:
+                        waiting.discard(path)
+        if time.monotonic() > ends:
+            raise TimeoutError("%d robots do not act" % len(waiting))
         time.sleep(0.2)
-    raise TimeoutError("not all robots act")
 
 
 COLUMNS = (
@@ -236,7 +304,19 @@ COLUMNS = (
     ("firings_per_s", "firings/s"),
     ("coordinated_median_ms", "coordinated median [ms]"),
     ("coordinated_p99_ms", "p99 [ms]"),
+    ("cpu_ms_per_firing", "CPU per firing [ms]"),
     ("flood_per_s", "flood/s"),
+    ("logs", "logs"),
+)
+
+LARGE_COLUMNS = (
+    ("robots", "robots"),
+    ("transport", "transport"),
+    ("all_act_s", "all act [s]"),
+    ("all_fired_s", "all fired [s]"),
+    ("firings_per_s", "firings/s"),
+    ("cpu_percent_of_core", "CPU [% of a core]"),
+    ("memory_mb", "memory [MB]"),
     ("logs", "logs"),
 )
 
@@ -247,16 +327,22 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--robots", type=int, nargs="+", default=[3, 5], metavar="N")
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds (10)")
     parser.add_argument("--count", type=int, default=5000, metavar="N", help="round trips (5000)")
+    parser.add_argument(
+        "--large", type=int, nargs="+", metavar="N", help="only teams of N robots, ten in a process"
+    )
+    parser.add_argument(
+        "--transport", choices=["tcp", "tls"], nargs="+", default=["tcp", "tls"], metavar="NAME"
+    )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
-    most = max(2, *args.robots)
+    most = max([2, *args.robots, *(args.large or [])])
     rows: List[Dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         keys = os.path.join(folder, "keys")
-        names = ["robot_%d" % number for number in range(1, most + 1)] + [FLOODER]
+        names = [_name(number) for number in range(1, most + 1)] + [FLOODER]
         members = [NewMember(name, "robot") for name in names]
         make_team(keys, [*members, NewMember("hub", "router", ("127.0.0.1",))], 1)
-        for transport in ("tcp", "tls"):
+        for transport in args.transport:
 
             def site(transport: str = transport) -> _Site:
                 endpoint = "%s/127.0.0.1:%d" % (transport, free_port())
@@ -266,6 +352,10 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 rows.append({"load": load, "transport": name, "robots": robots, **found})
                 print("carriers: %s" % rows[-1], file=sys.stderr, flush=True)
 
+            if args.large:
+                for robots in args.large:
+                    note("large", robots, large(site(), robots, args.window))
+                continue
             note("round trip", 2, round_trips(site(), args.count))
             for robots in args.robots:
                 for load in ("light", "instant"):
@@ -275,8 +365,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if args.json:
         print(json.dumps({"machine": machine, "window_s": args.window, "rows": rows}))
     else:
-        heads = [head for _, head in COLUMNS]
-        print(table(heads, [[row.get(key) for key, _ in COLUMNS] for row in rows]))
+        columns = LARGE_COLUMNS if args.large else COLUMNS
+        heads = [head for _, head in columns]
+        print(table(heads, [[row.get(key) for key, _ in columns] for row in rows]))
         print("\n" + machine_line(machine))
     return 0
 
