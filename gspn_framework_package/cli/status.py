@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.cli.team_client import add_team_options, label_of, team_client
-from gspn_framework_package.execution.told_data import SHOWN_TASKS, cause_text, shown
+from gspn_framework_package.execution.told_data import SHOWN_TASKS, cause_text, order_text, shown
 
 COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
 
@@ -63,7 +64,7 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
         for row in rows:
             print("  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip())
-        for line in [*data_lines(longest), *refusal_lines(of_run)]:
+        for line in [*data_lines(longest), *order_lines(of_run), *refusal_lines(of_run)]:
             print("  " + line)
     for namespace in sorted(n for n, status in statuses.items() if status is None):
         print("the node in %s does not answer" % namespace)
@@ -92,6 +93,15 @@ def data_lines(status: Dict[str, Any]) -> List[str]:
         lines.append("queue %s: %s%s" % (place, ids or "no task", more))
     lines += ["%s: task %s waits outside" % tuple(waits) for waits in told.get("waiting", [])]
     return lines
+
+
+def order_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
+    """The last orders that the robots were given, and by whom, a line for each."""
+    given = [order for status in statuses for order in status.get("orders", ())]
+    return [
+        "%s  %s" % (time.strftime("%H:%M:%S", time.localtime(order["wall"])), order_text(order))
+        for order in sorted(given, key=lambda order: float(order["wall"]))
+    ]
 
 
 def refusal_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:

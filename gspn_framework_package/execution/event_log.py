@@ -24,6 +24,8 @@ seconds, comparable between the processes of one host). Kinds:
 ``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
 ``invoked``     a proposal of this robot for the log: ``entry``, ``origin``
 ``offered``     a task reached this robot, and waits to get into the log: ``entry``
+``order``       an operator gave this robot an order: ``command``, ``robot``, ``argument``
+                (shortened), ``operator`` (who it was) and ``proof`` (what shows that)
 ``void``        an ``invoked`` proposal can no longer take effect (``why``)
 ``private``     partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
                 ``firing``
@@ -88,6 +90,10 @@ UNSUMMED = 1
 """The version whose lines have no running hash; still read and continued."""
 POLICY_APART = 3
 """The version whose header has only the hash of the policy."""
+
+ORDER_GIVEN = "order"
+"""The kind of a record of who gave an order. Only the log of the robot that was asked has it; the
+origin of the entry in the agreed log says which robot that is."""
 
 Record = Dict[str, Any]
 

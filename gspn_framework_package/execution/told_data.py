@@ -35,6 +35,16 @@ def shown_values(values: Mapping[str, Any]) -> Dict[str, str]:
     return texts
 
 
+def order_text(given: Mapping[str, Any]) -> str:
+    """Who gave which order, as a short text.
+
+    :param given: the fields of an ``order`` record of an event log.
+    """
+    who, proof = given["operator"] or "somebody", given["proof"]
+    order = " ".join(filter(None, (given["command"], given["robot"], given["argument"])))
+    return "%s (%s) orders: %s" % (shown(who), proof or "not proved", shown(order))
+
+
 def cause_text(cause: Mapping[str, Any]) -> str:
     """What was read of an event, as a short text."""
     return shown(", ".join("%s: %s" % item for item in shown_values(cause).items()))

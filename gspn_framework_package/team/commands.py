@@ -56,21 +56,24 @@ class Commands:
                 return OperatorAnswer(False, "the team follows the plan that it began with")
             return OperatorAnswer(True, json.dumps(adopted.to_json()))
         if request.command == "breakpoints":
+            if request.argument:
+                self._worker.enqueue(self._worker.note_order, request, operator)
             return ask(self._worker, lambda: self._breakpoints(request.argument))
         robot = request.robot or self._worker.robot
-        if request.command == "force_evict":
-            return self.order(None, robot)
-        try:
-            entry = order_entry(request.command, request.robot, robot, request.argument)
-        except DataError as error:
-            return OperatorAnswer(False, "not a task: %s" % error)
-        except LogError as error:
-            return OperatorAnswer(False, str(error))
-        if entry is None:
-            return OperatorAnswer(
-                False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
-            )
-        return self.order(entry)
+        entry = None
+        if request.command != "force_evict":
+            try:
+                entry = order_entry(request.command, request.robot, robot, request.argument)
+            except DataError as error:
+                return OperatorAnswer(False, "not a task: %s" % error)
+            except LogError as error:
+                return OperatorAnswer(False, str(error))
+            if entry is None:
+                return OperatorAnswer(
+                    False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
+                )
+        self._worker.enqueue(self._worker.note_order, request, operator)
+        return self.order(entry, robot if entry is None else "")
 
     def other_run(self, run: str) -> str:
         """Why a request for ``run`` is refused here; "" if it is meant for this robot's run."""

@@ -26,7 +26,12 @@ from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.team.carrier import Carrier, Handlers
+from gspn_framework_package.team.carrier import (
+    Carrier,
+    Handlers,
+    Operator,
+    OperatorRequest,
+)
 from gspn_framework_package.team.commands import Commands
 from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
@@ -536,6 +541,18 @@ class ReplicaHost(Worker):
         number = "request %d" % next(self._numbers)
         self._answers[number] = answer
         self._step(interface.Received(message, number))
+
+    def note_order(self, request: OperatorRequest, operator: Operator) -> None:
+        """See :class:`Worker`."""
+        given = interface.OrderGiven(
+            request.command,
+            request.robot,
+            shorten(request.argument, TEXT_LIMIT),
+            operator.name,
+            operator.proof,
+        )
+        self._report.note_order(given)
+        self._step(given)
 
     def order(
         self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]

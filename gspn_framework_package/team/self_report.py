@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+import time
+from collections import deque
+from typing import Any, Callable, Deque, Dict, List, Sequence, Tuple
 
+from gspn_framework_package.execution.agreement.interface import OrderGiven
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_messages import (
@@ -21,6 +24,10 @@ from gspn_framework_package.team.worker import View
 
 MOST_REFUSALS = 20
 """Kinds of refused messages that are told apart, the most frequent ones."""
+
+
+MOST_ORDERS = 5
+"""Orders that are told, the last ones."""
 
 
 class SelfReport:
@@ -45,6 +52,7 @@ class SelfReport:
         self._replica, self._actions = replica, actions
         self._refusals = refusals
         self._refused_before = 0
+        self._orders: Deque[Dict[str, Any]] = deque(maxlen=MOST_ORDERS)
 
     @property
     def _net(self) -> Net:
@@ -86,6 +94,7 @@ class SelfReport:
             waits_for=self.waits_for(),
             needs_operator=self.needs_operator(),
             refused=self._refused_as_json(),
+            orders=list(self._orders),
         )
         if data:
             brief = data == "brief"
@@ -113,6 +122,10 @@ class SelfReport:
         if self._replica.halted is not None or self._replica.is_stuck():
             return True
         return robot is not None and state.ended is None and robot.phase.told.needs_operator
+
+    def note_order(self, given: OrderGiven) -> None:
+        """An operator gave this robot an order."""
+        self._orders.append({**given._asdict(), "wall": round(time.time(), 3)})
 
     def refused(self) -> List[NotTaken]:
         """What came in and was not taken, by the carrier or by the replica, the most frequent kinds
@@ -153,6 +166,7 @@ class SelfReport:
             "finished": state.finished,
             "fault": self._is_faulty(),
             "refused": self._refused_as_json(),
+            "orders": list(self._orders),
         }
 
     def team(self) -> Tuple[Fields, Fields]:

@@ -8,6 +8,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.team.carrier import Operator, OperatorRequest
 
 
 class View(NamedTuple):
@@ -77,6 +78,10 @@ class Worker:
 
         :param answer: receives the reply, once.
         """
+        raise NotImplementedError
+
+    def note_order(self, request: OperatorRequest, operator: Operator) -> None:
+        """Keep in the log who gave an order; call it on the worker thread, before the order."""
         raise NotImplementedError
 
     def order(

@@ -17,8 +17,15 @@ from bisect import bisect_right
 from collections import OrderedDict
 from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
+from gspn_framework_package.execution.event_log import (
+    ORDER_GIVEN,
+    LogClock,
+    LogFile,
+    Record,
+    Replayer,
+)
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.told_data import order_text
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import Board, Event
@@ -115,6 +122,10 @@ class _Reader:
             if step is not None:
                 t = self._clock.read(record)
                 return self._events.step(step.entries, step.firings, step.state, t, step.adopted)
+            if record["kind"] == ORDER_GIVEN:
+                t = round(self._clock.read(record), 4)
+                note = {"k": "note", "level": "info", "robot": record["robot"]}
+                return [{**note, "text": order_text(record), "t": t}]
             if record["kind"] == "ended":
                 t = round(self._clock.read(record), 4)
                 ended = str(record.get("reason", ""))

@@ -35,6 +35,7 @@ from gspn_framework_package.execution.breakpoints import Breakpoints
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import NewNames, stage_of
+from gspn_framework_package.execution.told_data import order_text
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -141,6 +142,8 @@ class RosWatch(Activity):
         self._status: Dict[str, Any] = {}
         self._others: Set[Tuple[str, str]] = set()
         self._unread: Set[str] = set()
+        self._ordered_until: Dict[str, float] = {}
+        """Robot -> time of the last order that was noted (seconds since 1970)."""
         self._early: Dict[str, String] = {}
         self._subscribers: List[rospy.Subscriber] = []
         self._comparison: Optional[LiveComparison] = None
@@ -299,11 +302,21 @@ class RosWatch(Activity):
             why=waits,
             refused=activity.get("refused") or None,
         )
+        self._show_orders(name, activity.get("orders") or [])
         feedback = activity.get("feedback")
         if feedback and phase is Phase.DOING:
             self._feedback.tell(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
         else:
             self._feedback.forget(name)
+
+    def _show_orders(self, name: str, orders: List[Dict[str, Any]]) -> None:
+        """Note the orders that a robot was given since it was first heard."""
+        newest = max((float(order["wall"]) for order in orders), default=0.0)
+        known = self._ordered_until.setdefault(name, newest)
+        for order in orders:
+            if order["wall"] > known:
+                self._note("info", str(order["robot"]), order_text(order))
+        self._ordered_until[name] = max(known, newest)
 
     def _show_end(self, told: Dict[str, Any]) -> None:
         self._set_status(

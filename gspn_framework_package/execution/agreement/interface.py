@@ -124,6 +124,20 @@ class Order(NamedTuple):
     entry: Entry
 
 
+class OrderGiven(NamedTuple):
+    """An operator gave this robot an order, of whatever kind: to be kept in its log. The
+    :class:`Order` itself, if there is one, comes as the next input."""
+
+    command: str
+    robot: str
+    """The robot that it concerns; "": the team, or this robot."""
+    argument: str
+    operator: str
+    """Who gave it; "": nobody knows."""
+    proof: str
+    """What shows that it was that operator; "": he says so."""
+
+
 class Examined(NamedTuple):
     """The answer to an :class:`Examine`: why this robot cannot follow the plan staged as number
     ``stage``; "" if it can."""
@@ -152,6 +166,7 @@ Input = Union[
     EventObserved,
     TaskCame,
     Order,
+    OrderGiven,
     Examined,
     ForceEvict,
 ]

@@ -17,6 +17,7 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.event_log import ORDER_GIVEN
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, StagedPlan
 from gspn_framework_package.model.errors import GspnError
@@ -64,6 +65,10 @@ class Orders:
             self.outbox.order_result(order.order_id, False, why)
         elif not submits:
             self.proposals.propose(entry, order.order_id)
+
+    def keep(self, given: interface.OrderGiven) -> None:
+        """Keep in our log who gave an order, whether it can be carried out or not."""
+        self.outbox.persist({"kind": ORDER_GIVEN, **given._asdict()})
 
     def take_up_held(self) -> None:
         """We have listened: take the orders that came meanwhile."""

@@ -192,6 +192,8 @@ class Replica:
                 self.outbox.fault("task %s is not taken: %s" % (given.task.id, why))
         elif isinstance(given, interface.Order):
             self.orders.order(given)
+        elif isinstance(given, interface.OrderGiven):
+            self.orders.keep(given)
         elif isinstance(given, interface.ForceEvict):
             self.orders.force_evict(given)
 

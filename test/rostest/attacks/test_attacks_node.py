@@ -106,6 +106,14 @@ class AttacksTest(RobotTestCase):
             for origin in record["origins"]
         }
         self.assertLessEqual(by, {"", *ROBOTS})
+        orders = [
+            (record["command"], record["proof"])
+            for robot in self.running
+            for record in robot.log().records
+            if record["kind"] == "order"
+        ]
+        kept = [(command, "team key") for command in ("pause", "resume", "stop")]
+        self.assertEqual(sorted(orders), sorted(kept))
 
     def messages_are_refused(self):
         body = json.dumps({"from": "robot_2", "version": 2, "kind": "pull"})

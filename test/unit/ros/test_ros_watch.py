@@ -198,6 +198,31 @@ def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
     assert page.hub.board().robots["robot_1"]["refused"] == REFUSED
 
 
+def test_the_page_notes_the_orders_that_come_after_it_heard_a_robot(monkeypatch):
+    page = Watched(monkeypatch)
+    page.answer(page.plan.robots[0].place)
+
+    def tell(*walls):
+        orders = [
+            {
+                "command": "pause",
+                "robot": "",
+                "argument": "",
+                "operator": "ann",
+                "proof": "certificate",
+                "wall": wall,
+            }
+            for wall in walls
+        ]
+        page.watch._show_orders("robot_1", orders)
+        return [note for note in page.notes() if "ann" in note]
+
+    assert tell(1.0) == []  # before the page came
+    assert tell(1.0, 2.0) == ["ann (certificate) orders: pause"]
+    assert len(tell(1.0, 2.0, 3.0, 4.0)) == 3
+    assert len(tell()) == 3
+
+
 def deployed_to(plan):
     """A plan like ``plan`` in which P4 is called Alarm and the places come in reverse order, as a
     robot reports it."""

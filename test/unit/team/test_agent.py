@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.cli.status import order_lines
+from gspn_framework_package.execution.event_log import LogFile, read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.formats.plan_file import read_plan
@@ -17,6 +18,7 @@ from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team.agent import PrintedVoice, make_agent
 from gspn_framework_package.team.carrier import Operator, OperatorRequest
 from gspn_framework_package.team.host import HostOptions
+from gspn_framework_package.visualizer.recording import Recording
 
 NET = {
     "places": [{"name": "Look", "tokens": 2}, {"name": "Wait"}, {"name": "Home"}],
@@ -210,6 +212,39 @@ def test_a_robot_answers_an_operator(write, team):
     assert team.ask("robot_1", "stop", argument="enough").success
     assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
     assert [host.exit_code for host in team.hosts.values()] == [1, 1]
+
+
+def test_who_gave_an_order_is_in_the_log_and_shown(write, team):
+    team.start(write(), "robot_1", "robot_2")
+    team.wait_for_all()
+    assert team.ask("robot_1", "pause").success
+    assert team.ask("robot_1", "breakpoints", argument='["Look"]').success
+    assert not team.ask("robot_1", "retry", "robot_2").success
+    for question in ("status", "breakpoints", "plan"):
+        team.ask("robot_1", question)
+    status = team.status("robot_1")
+    assert [order["operator"] for order in status["orders"]] == 3 * ["ann"]
+    assert [line[10:] for line in order_lines([status])] == [
+        "ann (not proved) orders: pause",
+        'ann (not proved) orders: breakpoints ["Look"]',
+        "ann (not proved) orders: retry robot_2",
+    ]
+    assert team.ask("robot_1", "stop").success
+    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    logs = [read_log(team.log(robot)) for robot in ("robot_1", "robot_2")]
+    assert verify(logs).violation is None
+    kept = [record for record in logs[0].records if record["kind"] == "order"]
+    assert [(r["command"], r["robot"], r["argument"], r["operator"]) for r in kept] == [
+        ("pause", "", "", "ann"),
+        ("breakpoints", "", '["Look"]', "ann"),
+        ("retry", "robot_2", "", "ann"),
+        ("stop", "", "", "ann"),
+    ]
+    assert not any(record["kind"] == "order" for record in logs[1].records)
+    told = Recording(LogFile(team.log("robot_1")))
+    (board, _) = list(told.read())[-1]
+    notes = [event["text"] for event in told.events(0, board.n) if event["k"] == "note"]
+    assert "ann (not proved) orders: retry robot_2" in notes
 
 
 def test_a_robot_that_is_started_again_goes_on(write, team):
