@@ -23,6 +23,7 @@ from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance, said
 from gspn_framework_package.ros.facts import RosFacts
+from gspn_framework_package.ros.messages import filled
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
@@ -172,7 +173,8 @@ class Link(RosFacts):
         )
 
     def _news(self, to: str, body: str) -> Agreement:
-        news = Agreement(
+        return filled(
+            Agreement,
             run=self.run,
             sender=self.robot,
             namespace=self._namespace,
@@ -180,8 +182,6 @@ class Link(RosFacts):
             to=to,
             body=self._entrance.sealed(to, body, said(self._namespace, self._service_uri)),
         )
-        news.header.stamp = rospy.get_rostime()
-        return news
 
     def _on_message(self, news: Agreement) -> None:
         if news.run != self.run or news.to not in ("", self.robot):

@@ -92,7 +92,7 @@ class Peers:
         """Note that a message of the robot came in."""
         peer = self.get(robot)
         if peer.heard is not None:
-            silence = self.silence(robot, now)
+            silence = now - max(peer.heard, self.since)
             peer.gap = max(silence, peer.gap * 0.5 ** (silence / MEMORY))
         peer.heard = now
         return peer

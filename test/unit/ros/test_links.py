@@ -11,7 +11,7 @@ import rospy
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros import facts, links
+from gspn_framework_package.ros import facts, links, messages
 from gspn_framework_package.ros.entrance import Entrance
 from gspn_framework_package.team.seal import Seal, TeamKey
 
@@ -77,6 +77,17 @@ def said(link, to=EVERYBODY, **fields):
     """The message that a robot publishes."""
     link.send([Send(to, {"from": link.robot, "kind": "hello", **fields})])
     return link._publisher.sent[-1]
+
+
+def test_a_message_is_filled_as_its_class_would(monkeypatch):
+    monkeypatch.setattr(messages.rospy, "get_rostime", lambda: rospy.Time(7, 5))
+    fields = {"run": "run", "sender": "r1", "to": "", "body": "{}"}
+    made = Agreement(**fields)
+    made.header.stamp = rospy.Time(7, 5)
+    assert messages.filled(Agreement, **fields) == made
+    assert messages.filled(Agreement, **fields).namespace == ""
+    with pytest.raises(AttributeError):
+        messages.filled(Agreement, no_field="")
 
 
 def test_a_message_reaches_the_robots_of_the_run(make):
