@@ -45,7 +45,10 @@ def for_pip(manifest):
         "extras_require": {
             "bags": ["mcap>=1.1", "rosbags>=0.9.20"],
             "fast": ["numba"],
-            "history": ["duckdb"],
+            "history": [
+                "duckdb>=1.2 ; python_version >= '3.9'",
+                "duckdb>=1.1,<1.2 ; python_version < '3.9'",
+            ],
             "team": [
                 "eclipse-zenoh>=1.7,<2 ; python_version >= '3.9'",
                 "eclipse-zenoh>=1.5,<1.6 ; python_version < '3.9'",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from typing import Any, Dict, Iterator, Sequence, Tuple
 
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
@@ -97,7 +98,9 @@ def duckdb() -> Any:
         import duckdb as module
     except ModuleNotFoundError:
         raise InputError(
-            "a fleet's history needs DuckDB, which is not installed", hint="pip install duckdb"
+            "a fleet's history needs DuckDB, which is not installed",
+            # for Python 3.8, later versions are there as source code only
+            hint="pip install duckdb" if sys.version_info >= (3, 9) else 'pip install "duckdb<1.2"',
         ) from None
     return module
 

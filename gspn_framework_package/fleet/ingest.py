@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.attempts import Progress
@@ -110,6 +111,7 @@ class Ingest:
         self._store = store
         self._progress = progress
         self._records = 0
+        self._started = time.monotonic()
         self._runs = {run["key"]: run for run in store.runs()}
 
     def read(self, paths: Sequence[str]) -> Iterator[IngestedLog]:
@@ -273,7 +275,7 @@ class Ingest:
     def _count(self) -> None:
         self._records += 1
         if self._progress is not None and self._records % _BETWEEN == 0:
-            self._progress("records read", self._records, 0.0)
+            self._progress("records read", self._records, time.monotonic() - self._started)
 
 
 def _id_of(header: Record) -> str:
