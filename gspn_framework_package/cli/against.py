@@ -8,9 +8,11 @@ import math
 import sys
 from typing import Any, List, Union
 
+from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.simulation.against import SECONDS, Against, compare_plans
+from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of
 from gspn_framework_package.cli.limits import working
@@ -81,24 +83,27 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
     if seconds is None and args.replications is None and args.precision is None:
         seconds = SECONDS
     objective = objective_of(args)
-    found = working(
-        lambda progress, cancel: compare_plans(
-            subject,
-            other,
-            objective,
-            seconds=seconds,
-            replications=args.replications,
-            precision=args.precision,
-            time=args.time if math.isfinite(args.time) else None,
-            warmup=args.warmup if args.warmup > 0 else None,
-            losses=args.losses,
-            seed=args.seed,
-            confidence=args.confidence,
-            progress=progress,
-            cancel=cancel,
-        ),
-        MEMORY,
-    )
+
+    def work(progress: Progress, cancel: Cancel) -> Against:
+        with open_executor(args.on) as executor:
+            return compare_plans(
+                subject,
+                other,
+                objective,
+                seconds=seconds,
+                replications=args.replications,
+                precision=args.precision,
+                time=args.time if math.isfinite(args.time) else None,
+                warmup=args.warmup if args.warmup > 0 else None,
+                losses=args.losses,
+                seed=args.seed,
+                confidence=args.confidence,
+                progress=progress,
+                cancel=cancel,
+                on=executor,
+            )
+
+    found = working(work, MEMORY)
     if args.json:
         data = {**found.to_json(), "objective": objective.describe()}
         json.dump({**data, "notes": [*notes, *found.notes]}, sys.stdout, indent=2, allow_nan=False)

@@ -9,11 +9,15 @@ from typing import List, Optional, Tuple
 
 from gspn_framework_package.analysis.decisions.aims import NARROWEST, WIDTH, AtLeast, Request
 from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimise
+from gspn_framework_package.analysis.decisions.report import Report
+from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
+from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of, pairs
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.cli.subject import FITTED, add_rates_argument
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
@@ -33,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite NEW_PLAN if it exists")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     parser.add_argument("--robots", type=numbers.robots, metavar="N", help="for a team of N robots")
+    add_on_argument(parser)
     add_aim_arguments(parser.add_argument_group("the aim"))
     _add_constraints(parser.add_argument_group("constraints"))
     _add_reading(parser.add_argument_group("how the plan is read"))
@@ -127,17 +132,20 @@ def run(args: argparse.Namespace) -> int:
         path = plan_path(args.output)
         if not args.force:
             refuse_existing(path, "give the name of a new file, or --force")
-    report = working(
-        lambda progress, cancel: optimise(
-            plan,
-            request,
-            simulated=args.simulate,
-            seed=args.seed,
-            progress=progress,
-            cancel=cancel,
-        ),
-        request.limits.memory,
-    )
+
+    def work(progress: Progress, cancel: Cancel) -> Report:
+        with open_executor(args.on) as executor:
+            return optimise(
+                plan,
+                request,
+                simulated=args.simulate,
+                seed=args.seed,
+                progress=progress,
+                cancel=cancel,
+                on=executor,
+            )
+
+    report = working(work, request.limits.memory)
     notes: List[str] = []
     if path is not None:
         data = plan_document(args.plan, report.plan, os.path.dirname(os.path.abspath(path)))

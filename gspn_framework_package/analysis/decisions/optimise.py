@@ -26,6 +26,7 @@ from gspn_framework_package.analysis.decisions.report import (
 )
 from gspn_framework_package.analysis.decisions.rollout import improve
 from gspn_framework_package.analysis.decisions.solving import evaluate, sensitivities
+from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
@@ -46,6 +47,7 @@ def optimise(
     seed: int = 0,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    on: Optional[Executor] = None,
 ) -> Report:
     """Compute the best policy of a plan.
 
@@ -57,6 +59,7 @@ def optimise(
     :param seed: seed of the simulation.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
+    :param on: who simulates: this process, by default.
     :raises UsageError: the request does not fit the plan.
     :raises RefusedError: there is no answer: the constraints cannot be kept, no policy reaches the
         goal, or it is open who decides.
@@ -67,7 +70,7 @@ def optimise(
     try:
         report = _Exactly(subject, request, progress, cancel).report()
     except LimitError as error:
-        report = _by_rollout(subject, request, error, simulated, seed, progress, cancel)
+        report = _by_rollout(subject, request, error, simulated, seed, progress, cancel, on)
     if report.exact and simulated > 0:
         found = compare_plans(
             subject,
@@ -77,6 +80,7 @@ def optimise(
             seed=seed,
             progress=progress,
             cancel=cancel,
+            on=on,
         )
         report.simulation = found.to_json()
     report.plan = plan.with_policy(report.plan.policy)
@@ -91,6 +95,7 @@ def _by_rollout(
     seed: int,
     progress: Optional[Progress],
     cancel: Optional[Cancel],
+    on: Optional[Executor],
 ) -> Report:
     """The policy improved by simulation, in place of an exact answer.
 
@@ -106,6 +111,7 @@ def _by_rollout(
         seconds=_SEARCH * simulated,
         progress=progress,
         cancel=cancel,
+        on=on,
     )
     return Report(
         request,

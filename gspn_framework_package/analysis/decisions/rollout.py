@@ -18,17 +18,25 @@ from __future__ import annotations
 import math
 import time as clock
 from collections import defaultdict
+from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis.decisions.aims import Aim, Objective, Request
+from gspn_framework_package.analysis.decisions.aims import Objective, Request
 from gspn_framework_package.analysis.decisions.automaton import WAIT
+from gspn_framework_package.analysis.decisions.rolling import (
+    Rolled,
+    Roller,
+    Rollouts,
+    copied,
+    roll_out,
+)
 from gspn_framework_package.analysis.decisions.who_decides import who_decides
+from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.plan.structure import only_written
-from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.analysis.simulation.against import (
     Against,
     Measured,
@@ -75,8 +83,6 @@ _TESTS = 100
 _OFTEN = 5
 """Visits of a group that make it worth a look."""
 
-_STRATA = 4
-
 _HORIZON = 0.4
 """Length of a rollout, relative to the runs in which decisions are looked at."""
 
@@ -116,6 +122,7 @@ def improve(
     pairs: int = PAIRS,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    on: Optional[Executor] = None,
 ) -> Rollout:
     """Improve the policy of a plan by simulation.
 
@@ -127,6 +134,7 @@ def improve(
     :param rounds: most rounds.
     :param visits: decisions that are looked at in a round, at most.
     :param pairs: pairs of runs that confirm a policy, if ``seconds`` is None.
+    :param on: who computes the rollouts and the pairs of runs: this process, by default.
     :raises RefusedError: the request has constraints or uncertain rates, or the plan cannot be
         played.
     :raises CancelledError: ``cancel`` returned true.
@@ -139,7 +147,13 @@ def improve(
         )
     if not request.fitted:
         plan = plan.nominal()
-    search = _Search(plan, request, seed, seconds, visits, pairs, progress, cancel)
+    with LocalExecutor() if on is None else nullcontext(on) as executor:
+        search = _Search(plan, request, seed, seconds, visits, pairs, progress, cancel, executor)
+        return _improved(search, rounds)
+
+
+def _improved(search: _Search, rounds: int) -> Rollout:
+    plan = search.plan
     policy, notes = plan.policy, search.notes
     done = 0
     for number in range(rounds):
@@ -151,7 +165,9 @@ def improve(
         if better is None:
             break
         policy = better
-    found = search.compared(plan.policy, policy, max(search.left(), 0.2 * search.seconds), seed + 1)
+    found = search.compared(
+        plan.policy, policy, max(search.left(), 0.2 * search.seconds), search.seed + 1
+    )
     improved = bool(found.significant and found.better)
     rows = len(search.rows)
     if not improved:
@@ -207,8 +223,13 @@ class _Candidate:
     choice: int
     rows: List[PolicyRow]
     policy: Policy
-    run: Optional[AimedRun] = None
+    number: int
     gains: List[float] = field(default_factory=list)
+
+    def starts(self) -> List[Any]:
+        """The states that its rollouts start from, in turn."""
+        visits = self.group.visits
+        return [visit.state for visit in visits[:: max(len(visits) // _STARTS, 1)]]
 
     def score(self) -> float:
         """How much better it looks, in standard errors."""
@@ -224,6 +245,7 @@ Key = Tuple[int, Tuple[Tuple[int, int], ...]]
 class _Search:
     """Rounds of improvement of one plan.
 
+    :ivar seed: of the random numbers.
     :ivar rows: (place, cells) -> the rows that were added for them.
     """
 
@@ -237,6 +259,7 @@ class _Search:
         pairs: int,
         progress: Optional[Progress],
         cancel: Optional[Cancel],
+        executor: Executor,
     ) -> None:
         self.plan, self.net = plan, plan.net
         self.objective: Objective = request.objective
@@ -244,7 +267,8 @@ class _Search:
         self.notes: List[str] = []
         self.rows: Dict[Key, List[PolicyRow]] = {}
         self._progress, self._cancel = progress, cancel
-        self._watch, self._seed = Watch(progress, cancel), seed
+        self._watch, self._executor = Watch(progress, cancel), executor
+        self.seed = seed
         self._visits, self._pairs = visits, pairs
         self._began = clock.monotonic()
         self._compiled = worth_compiling(self.seconds if seconds is not None else 0.0)
@@ -296,11 +320,12 @@ class _Search:
             seed=seed,
             progress=self._progress,
             cancel=self._cancel,
+            on=self._executor,
         )
 
     def better(self, number: int) -> Optional[Policy]:
         """A better policy than the last one, if a round finds one."""
-        seed = self._seed + 1000 * (number + 1)
+        seed = self.seed + 1000 * (number + 1)
         visits, horizon = self._sample(seed)
         candidates = self._candidates(visits)
         if not candidates:
@@ -353,7 +378,7 @@ class _Search:
             run.begin(seed, number)
             number += 1
             for _ in range(steps):
-                before = _copied(run.run.state)
+                before = copied(run.run.state)
                 fired = np.array(before.firings)
                 try:
                     run.go(most=1)
@@ -415,7 +440,7 @@ class _Search:
                     continue
                 rows = self._rows_for(group, choice)
                 policy = self._policy_of({**self.rows, (group.place, group.cells): rows})
-                found.append(_Candidate(group, choice, rows, policy))
+                found.append(_Candidate(group, choice, rows, policy, len(found)))
         return found
 
     def _fits(self, marking: Sequence[int], t: int) -> bool:
@@ -514,12 +539,11 @@ class _Search:
 
     def _halved(self, candidates: List[_Candidate], horizon: float, seed: int) -> List[_Candidate]:
         """The most promising candidates, by sequential halving."""
-        base = self._run(self._policy)
+        workload = self._rollouts(horizon, seed)
         count = _FIRST_ROLLOUTS
         left = list(candidates)
         while True:
-            for candidate in left:
-                self._roll(base, candidate, len(candidate.gains), count, horizon, seed)
+            for _ in self._roll(workload, left, count):
                 if self.is_over():
                     break
             left = [candidate for candidate in left if len(candidate.gains) > 1]
@@ -532,85 +556,30 @@ class _Search:
     def _tested(self, candidates: List[_Candidate], horizon: float, seed: int) -> List[_Candidate]:
         """The candidates that are significantly better in new rollouts, best first; one for each
         group."""
-        base = self._run(self._policy)
         passed: Dict[Key, _Candidate] = {}
         promising = [candidate for candidate in candidates if candidate.score() > 0]
         for candidate in promising:
             candidate.gains = []
-            self._roll(base, candidate, 0, _TESTS, horizon, seed + 1)
+        for _ in self._roll(self._rollouts(horizon, seed + 1), promising, _TESTS):
+            pass
+        for candidate in promising:
             low = mean(np.array(candidate.gains), 1 - 2 * ERROR / len(promising)).low
             if low is not None and low > 0:
                 passed.setdefault((candidate.group.place, candidate.group.cells), candidate)
         return sorted(passed.values(), key=lambda c: -c.score() * math.sqrt(len(c.group.visits)))
 
-    def _roll(
-        self,
-        base: AimedRun,
-        candidate: _Candidate,
-        begin: int,
-        count: int,
-        horizon: float,
-        seed: int,
-    ) -> None:
-        """Add rollouts of a candidate, from the states of its group in turn."""
-        if candidate.run is None:
-            candidate.run = self._run(candidate.policy)
-        visits = candidate.group.visits
-        step = max(len(visits) // _STARTS, 1)
-        starts = visits[::step]
-        sign = 1.0 if self.objective.maximise else -1.0
-        for k in range(begin, begin + count):
-            state = starts[k % len(starts)].state
-            values = [self._value(run, state, horizon, seed, k) for run in (candidate.run, base)]
-            candidate.gains.append(sign * (values[0] - values[1]))
+    def _rollouts(self, horizon: float, seed: int) -> Workload:
+        plan = self.plan.with_policy(self._policy)
+        shared = Rolled(plan, self.objective, horizon, seed, self._compiled)
+        return Workload(Roller, roll_out, shared, Roller(shared))
 
-    def _value(self, run: AimedRun, state: Any, horizon: float, seed: int, number: int) -> float:
-        """What a run earns that goes on from ``state``, up to what all runs from there share."""
-        words = np.random.SeedSequence(seed % 2**64, spawn_key=(number, 3))
-        _resume(run, state, words.generate_state(4, np.uint32).tolist())
-        aim, now = self.objective.aim, run.now
-        if aim is Aim.DISCOUNTED:
-            shift = np.random.default_rng([seed % 2**63, number]).random()
-            whole = 0.0
-            for k in range(_STRATA):
-                stop = now - math.log1p(-(k + shift) / _STRATA) / (self.objective.discount or 1.0)
-                run.go(stop)
-                whole += run.earned(stop)
-            return whole / _STRATA
-        stop = now + (horizon if aim is Aim.LONG_RUN else 10.0 * horizon)
-        run.go(stop)
-        if aim is Aim.LONG_RUN:
-            return run.earned(stop)
-        if aim is Aim.REACH:
-            return float(run.reached)
-        end = run.now if run.reached else stop
-        return end if aim is Aim.TIME_TO else run.earned(end)
-
-
-_OWN = ("candidate", "candidate_ok", "candidate_weight")
-"""Parts of a state that are scratch, with lengths that depend on the policy."""
-
-
-def _copied(state: Any) -> Any:
-    return type(state)(*(part.copy() for part in state))
-
-
-def _resume(run: AimedRun, state: Any, words: List[int]) -> None:
-    """Go on from a state of another run of the same plan under any policy, with new random numbers.
-    What robots have drawn from the policy and not yet done is drawn again."""
-    mine = run.run.state
-    run.run.state = type(state)(
-        *(
-            getattr(mine, name) if name in _OWN else part.copy()
-            for name, part in zip(state._fields, state)
-        )
-    )
-    run.ended = None
-    s = run.run.state
-    s.random[:] = words
-    s.group_version[:] = [-1] * len(s.group_version)
-    for group in range(len(s.waits)):
-        if s.waits[group] > 0 and s.is_dirty[group] == 0:
-            s.is_dirty[group] = 1
-            s.dirty[s.numbers[kernel.DIRTY]] = group
-            s.numbers[kernel.DIRTY] += 1
+    def _roll(self, workload: Workload, candidates: List[_Candidate], count: int) -> Iterator[None]:
+        """Add rollouts of each candidate, from the states of its group in turn; there may be a
+        pause after each."""
+        items = [
+            WorkItem(workload, Rollouts(c.number, c.policy, c.starts(), len(c.gains), count), count)
+            for c in candidates
+        ]
+        for number, gains in self._executor.map(items, "rollouts", self._watch):
+            candidates[number].gains += gains
+            yield

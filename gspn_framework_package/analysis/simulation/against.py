@@ -28,19 +28,27 @@ from __future__ import annotations
 import dataclasses
 import math
 import time as clock
+from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
+from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.fitting.testing import wilson
 from gspn_framework_package.analysis.simulation import estimates, machine
-from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
+from gspn_framework_package.analysis.simulation.aimed_run import worth_compiling
+from gspn_framework_package.analysis.simulation.pairs import (
+    Contest,
+    PairPlayer,
+    PlayedPair,
+    play_pairs,
+)
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
 SECONDS = 10.0
@@ -70,14 +78,8 @@ _ROUNDING = 1e-9
 _LOOKS = (20, 60, 200, 600)
 """Numbers of pairs at which a warm-up that turns out to be too short is lengthened."""
 
-_STRATA = 16
-"""Ends of a discounted run; see :func:`_discounted`."""
-
 _LONGEST = 20.0
 """A run that may not reach a condition lasts so many times as long as a first look at it."""
-
-_PATIENCE = 10.0
-"""A run may take so many times the time of the whole comparison before it is given up."""
 
 
 class Measured(NamedTuple):
@@ -180,6 +182,7 @@ def compare_plans(
     confidence: float = 0.95,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    on: Optional[Executor] = None,
 ) -> Against:
     """Simulate two plans as they run, and compare what they are worth for an aim.
 
@@ -201,22 +204,29 @@ def compare_plans(
     :param losses: how often a robot is lost, per second and robot.
     :param seed: the same seed gives the same runs.
     :param confidence: level of the intervals.
+    :param on: who computes: this process, by default. The same pairs give the same result.
     :raises UsageError: a number makes no sense, or a plan lacks a name of the aim.
     :raises ExpressionError: the condition cannot be read.
     :raises RefusedError: a plan cannot be played: a timeless cycle.
     :raises CancelledError: ``cancel`` returned true.
     """
     _check(old, new, objective, seconds, replications, precision, time, warmup, confidence)
-    work = _Comparison(old, new, objective, losses, seed, Watch(progress, cancel), seconds)
-    work.plan_runs(time, warmup)
+    contest = Contest(old, new, objective, losses, seed, seconds)
     most = MOST_PAIRS if replications is None else replications
     if seconds is None and replications is None and precision is None:
         most = 1000
-    while work.pairs < most and not work.is_over(precision, confidence):
-        work.compile_for(most, precision)
-        work.add()
-        if warmup is None and time is None and work.pairs in _LOOKS:
-            work.settle()
+    with LocalExecutor() if on is None else nullcontext(on) as executor:
+        work = _Comparison(contest, Watch(progress, cancel), executor)
+        work.plan_runs(time, warmup)
+        settles = warmup is None and time is None
+        while work.pairs < most and not work.is_over(precision, confidence):
+            work.compile_for(most, precision)
+            for pair in work.played(most):
+                work.add(pair)
+                if settles and work.pairs in _LOOKS:
+                    work.settle()
+                if work.is_over(precision, confidence):
+                    break
     return work.result(confidence, expected)
 
 
@@ -258,29 +268,22 @@ def _check(
 class _Comparison:
     """Pairs of runs of two plans."""
 
-    def __init__(
-        self,
-        old: Plan,
-        new: Plan,
-        objective: Objective,
-        losses: float,
-        seed: int,
-        watch: Watch,
-        seconds: Optional[float],
-    ) -> None:
-        self.runs = tuple(AimedRun(plan, objective, watch, losses) for plan in (old, new))
-        self.objective = objective
+    def __init__(self, contest: Contest, watch: Watch, executor: Executor) -> None:
+        self._player = PairPlayer(contest, watch)
+        self.runs = self._player.runs
+        self.objective = contest.objective
         self.pairs = 0
         self.time: Optional[float] = None
         self.warmup = 0.0
         self.notes: List[str] = []
-        self._seed = seed
+        self._contest, self._watch, self._executor = contest, watch, executor
+        self._firings = 0
+        """Firings of the workers of the executor."""
+
+        self._seed = contest.seed
         self._began = clock.monotonic()
         self._pairs_began = self._began
-        self._seconds = seconds
-        if seconds is not None:
-            for run in self.runs:
-                run.deadline = self._began + _PATIENCE * max(seconds, 1.0)
+        self._seconds = seconds = contest.seconds
         self._may_compile = True
         if seconds is not None and worth_compiling(seconds):
             self._compile()
@@ -292,6 +295,7 @@ class _Comparison:
         self._cut = [0, 0]
         self._late = [0, 0]
         self._gave_up = ""
+        old, new = contest.old, contest.new
         if dataclasses.replace(new, policy=old.policy).hash() != old.hash() or any(
             getattr(old, key) != getattr(new, key) for key in ("durations", "outcomes", "failures")
         ):
@@ -383,7 +387,7 @@ class _Comparison:
 
     def compile_for(self, most: int, precision: Optional[float]) -> None:
         """Use the compiled kernel if the pairs that are missing take long enough."""
-        if not self._may_compile or sum(r.firings for r in self.runs) < machine.WORTH_COMPILING:
+        if not self._may_compile or self._player.firings < machine.WORTH_COMPILING:
             return
         now = clock.monotonic()
         left = math.inf if self.pairs == 0 or precision is not None else 0.0
@@ -398,51 +402,45 @@ class _Comparison:
 
     def _compile(self) -> None:
         self._may_compile = False
-        for run in self.runs:
-            run.compile()
+        self._player.compile()
 
-    def add(self) -> None:
-        """Simulate another pair."""
-        found = []
-        number = self.pairs
-        for which, run in enumerate(self.runs):
-            run.begin(self._seed, number)
-            try:
-                found.append(self._value(which, run))
-            except LimitError as error:
-                self._gave_up = "a run of the %s plan %s" % (
-                    ("old", "new")[which],
-                    str(error).replace("a run ", "", 1),
-                )
-                return
-        for values, value in zip(self._values, found):
-            values.append(value)
+    def played(self, most: int) -> Iterator[PlayedPair]:
+        """Play the next pairs: one here, or up to the next look at them where there are workers."""
+        contest = self._contest._replace(time=self.time, warmup=self.warmup)
+        if isinstance(self._executor, LocalExecutor):
+            self._player.contest = contest
+            yield self._player.play(self.pairs)
+            return
+        first = self.pairs
+        end = min(most, next((n for n in _LOOKS if n > first), first + _LOOKS[-1]))
+        if self._seconds is not None and first:
+            now = clock.monotonic()
+            left = max(self._began + self._seconds - now, 0.0)
+            affordable = math.ceil(left * first / max(now - self._pairs_began, 1e-3))
+            end = min(end, first + max(affordable, self._executor.workers))
+        size = max((end - first) // (4 * self._executor.workers), 1)
+        workload = Workload(PairPlayer, play_pairs, contest)
+        items = [
+            WorkItem(workload, (number, min(size, end - number)), min(size, end - number))
+            for number in range(first, end, size)
+        ]
+        for found, firings in self._executor.ordered(items, "pairs of runs", self._watch):
+            self._firings += firings
+            yield from found
+
+    def add(self, pair: PlayedPair) -> None:
+        """Take a pair."""
+        if isinstance(pair, str):
+            self._gave_up = pair
+            return
+        for which, outcome in enumerate(pair):
+            self._values[which].append(outcome.value)
+            if self.objective.aim is Aim.LONG_RUN:
+                self._drifts[which].append(outcome.drift)
+            self._cut[which] += outcome.cut
+            self._late[which] += outcome.late
+            self._missed[which] += outcome.missed
         self.pairs += 1
-
-    def _value(self, which: int, run: AimedRun) -> float:
-        aim = self.objective.aim
-        if aim is Aim.DISCOUNTED:
-            return _discounted(run, self.objective.discount or 0.0, self._seed, self.pairs)
-        if aim is Aim.LONG_RUN:
-            assert self.time is not None
-            length = self.time - self.warmup
-            stops = [self.warmup + length * k / 3 for k in range(4)]
-            earned = []
-            for stop in stops:
-                run.go(stop)
-                earned.append(run.earned(stop))
-            self._drifts[which].append((earned[1] - earned[0] - earned[3] + earned[2]) * 3 / length)
-            self._cut[which] += run.ended is not None
-            self._late[which] += run.ended is not None and run.now > self.warmup
-            return (earned[3] - earned[0]) / length
-        run.go(self.time if self.time is not None else math.inf)
-        if aim is Aim.REACH:
-            self._cut[which] += run.ended is None
-            return float(run.reached)
-        if not run.reached:
-            self._missed[which] += 1
-            return math.inf
-        return run.now if aim is Aim.TIME_TO else run.earned(run.now)
 
     def is_over(self, precision: Optional[float], confidence: float) -> bool:
         """Whether there are pairs enough."""
@@ -514,7 +512,7 @@ class _Comparison:
             needed,
             confidence,
             self._seed,
-            sum(run.firings for run in self.runs),
+            self._player.firings + self._firings,
             self.notes,
         )
         found.text = _sentence(found)
@@ -583,22 +581,6 @@ class _Comparison:
             "seconds": pairs * spent / max(self.pairs, 1),
             "power": POWER,
         }
-
-
-def _discounted(run: AimedRun, discount: float, seed: int, number: int) -> float:
-    """The discounted reward of a run.
-
-    It is what the run earns on average until an exponential time of the rate ``discount``, without
-    any discount. Of that time, one is drawn in each of :data:`_STRATA` equally probable parts.
-    Therefore nothing is cut off, and the mean is exact.
-    """
-    shift = np.random.default_rng([seed % 2**63, number]).random()
-    whole = 0.0
-    for k in range(_STRATA):
-        stop = -math.log1p(-(k + shift) / _STRATA) / discount
-        run.go(stop)
-        whole += run.earned(stop)
-    return whole / _STRATA
 
 
 # -- statistics ------------------------------------------------------------------------------------

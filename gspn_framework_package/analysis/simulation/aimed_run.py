@@ -42,6 +42,7 @@ class AimedRun:
     :ivar run: the run by the kernel.
     :ivar assumptions: what is assumed about the times of the plan.
     :ivar ended: why the current run ended, a status of the kernel; None while it goes on.
+    :ivar watch: is told of the progress.
     :ivar deadline: the time of the machine (s, monotonic) at which a run is given up.
     """
 
@@ -63,7 +64,7 @@ class AimedRun:
                 self._places.append((net.place_index[name], reward))
             else:
                 self._transitions.append((net.transition_index[name], reward))
-        self._watch = watch
+        self.watch = watch
         self._before = 0
 
     def begin(self, seed: int, *numbers: int) -> None:
@@ -84,7 +85,7 @@ class AimedRun:
         while self.ended is None and self.now < stop:
             budget = _COMPILED_EVENTS if self.run.compiled else _PLAIN_EVENTS
             status = self.run.go(stop, budget if most is None else min(budget, most))
-            self._watch.step("firings", self.firings)
+            self.watch.step("firings", self.firings)
             if status not in (kernel.MORE, kernel.AT_STOP):
                 self.ended = status
             elif status == kernel.AT_STOP:

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from waiting import wait_for
 
+from gspn_framework_package.analysis.decisions.aims import Objective, Request
+from gspn_framework_package.analysis.decisions.rollout import improve
 from gspn_framework_package.analysis.executors import (
     LocalExecutor,
     WorkItem,
@@ -27,6 +29,7 @@ from gspn_framework_package.analysis.executors.processes import ProcessExecutor
 from gspn_framework_package.analysis.fitting import fit_plan
 from gspn_framework_package.analysis.monitoring.prediction import Span, predict
 from gspn_framework_package.analysis.simulation import simulate
+from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.attempts import Attempt
@@ -38,6 +41,7 @@ from gspn_framework_package.model.errors import (
     UsageError,
     WorkersError,
 )
+from gspn_framework_package.model.policy import Policy
 
 PLANS = Path(__file__).parents[3] / "plans"
 
@@ -165,6 +169,26 @@ def test_a_prediction_is_the_same(processes):
         assert here.size == 120
         for ours, theirs in zip(here, there):
             assert ours.tobytes() == theirs.tobytes()
+
+
+def test_a_comparison_of_two_plans_is_the_same(processes):
+    plan = read_plan(str(PLANS / "tokens"))
+    other = plan.with_policy(Policy())
+    objective = Objective.long_run({"t1": 1.0})
+    for asked in ({"replications": 30}, {"precision": 0.2, "time": 20.0}):
+        here = compare_plans(plan, other, objective, seconds=None, **asked)
+        there = compare_plans(plan, other, objective, seconds=None, on=processes, **asked)
+        assert there.to_json() == {**here.to_json(), "needed": there.needed}  # with a time
+
+
+def test_a_policy_is_improved_in_the_same_way(processes):
+    plan = read_plan(str(PLANS / "tokens"))
+    request = Request(Objective.long_run({"t1": 1.0}))
+    asked = {"seconds": None, "rounds": 1, "visits": 60, "pairs": 20}
+    here = improve(plan, request, **asked)
+    there = improve(plan, request, on=processes, **asked)
+    assert (there.policy, there.old, there.notes) == (here.policy, here.old, here.notes)
+    assert (there.new, there.markings) == (here.new, here.markings)
 
 
 def test_results_come_with_their_number_and_all_workers_help(executor):

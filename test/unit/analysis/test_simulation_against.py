@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
-from gspn_framework_package.analysis.simulation import against, kernel
+from gspn_framework_package.analysis.simulation import against, kernel, pairs
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
@@ -190,7 +190,7 @@ def test_what_is_never_reached_has_no_mean_time():
 
 
 def test_a_run_that_never_ends_is_given_up(monkeypatch):
-    monkeypatch.setattr(against, "_PATIENCE", 0.2)
+    monkeypatch.setattr(pairs, "_PATIENCE", 0.2)
     found = compare_plans(SLOW, QUICK, Objective.time_to("slow == 2"), seconds=0.5)
     assert found.difference.mean is None and not found.significant
     assert "goes on after" in found.text and any("given up" in note for note in found.notes)

@@ -1,0 +1,130 @@
+"""Rollouts: the tasks of an improvement by simulation. A rollout plays on from a state of a run,
+under another policy and under the present one, with the same random numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Dict, List, NamedTuple, Sequence
+
+import numpy as np
+
+from gspn_framework_package.analysis.decisions.aims import Aim, Objective
+from gspn_framework_package.analysis.simulation import kernel
+from gspn_framework_package.analysis.simulation.aimed_run import AimedRun
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy
+
+_STRATA = 4
+
+
+class Rolled(NamedTuple):
+    """What the rollouts of a round share: the ``plan`` with its present policy, the aim, the time
+    (s) that a rollout lasts, the seed, and whether the compiled kernel is worth while."""
+
+    plan: Plan
+    objective: Objective
+    horizon: float
+    seed: int
+    compiled: bool
+
+
+class Rollouts(NamedTuple):
+    """So many rollouts of the ``candidate`` with that number in its round, from ``states`` in turn;
+    the first has the number ``begin``."""
+
+    candidate: int
+    policy: Policy
+    states: Sequence[Any]
+    begin: int
+    times: int
+
+
+class Roller:
+    """Plays the rollouts of a round, and keeps a run for each candidate."""
+
+    def __init__(self, rolled: Rolled) -> None:
+        self._rolled = rolled
+        self._base = self._run(rolled.plan.policy)
+        self._runs: Dict[int, AimedRun] = {}
+
+    def _run(self, policy: Policy) -> AimedRun:
+        rolled = self._rolled
+        run = AimedRun(rolled.plan.with_policy(policy), rolled.objective, Watch())
+        if rolled.compiled:
+            run.compile()
+        return run
+
+    def gains(self, piece: Rollouts, watch: Watch) -> List[float]:
+        """By how much the candidate is better than the present policy, in each rollout."""
+        if piece.candidate not in self._runs:
+            self._runs[piece.candidate] = self._run(piece.policy)
+        runs = (self._runs[piece.candidate], self._base)
+        for run in runs:
+            run.watch = watch
+        sign = 1.0 if self._rolled.objective.maximise else -1.0
+        found = []
+        for k in range(piece.begin, piece.begin + piece.times):
+            state = piece.states[k % len(piece.states)]
+            new, old = (self._value(run, state, k) for run in runs)
+            found.append(sign * (new - old))
+        return found
+
+    def _value(self, run: AimedRun, state: Any, number: int) -> float:
+        """What a run earns that goes on from ``state``, up to what all runs from there share."""
+        objective, seed = self._rolled.objective, self._rolled.seed
+        words = np.random.SeedSequence(seed % 2**64, spawn_key=(number, 3))
+        _resume(run, state, words.generate_state(4, np.uint32).tolist())
+        aim, now = objective.aim, run.now
+        if aim is Aim.DISCOUNTED:
+            shift = np.random.default_rng([seed % 2**63, number]).random()
+            whole = 0.0
+            for k in range(_STRATA):
+                stop = now - math.log1p(-(k + shift) / _STRATA) / (objective.discount or 1.0)
+                run.go(stop)
+                whole += run.earned(stop)
+            return whole / _STRATA
+        horizon = self._rolled.horizon
+        stop = now + (horizon if aim is Aim.LONG_RUN else 10.0 * horizon)
+        run.go(stop)
+        if aim is Aim.LONG_RUN:
+            return run.earned(stop)
+        if aim is Aim.REACH:
+            return float(run.reached)
+        end = run.now if run.reached else stop
+        return end if aim is Aim.TIME_TO else run.earned(end)
+
+
+def roll_out(roller: Roller, piece: Rollouts, watch: Watch) -> List[float]:
+    """Play rollouts; see :class:`~gspn_framework_package.analysis.executors.Workload`."""
+    return roller.gains(piece, watch)
+
+
+_OWN = ("candidate", "candidate_ok", "candidate_weight")
+"""Parts of a state that are scratch, with lengths that depend on the policy."""
+
+
+def copied(state: Any) -> Any:
+    """A copy of the state of a run."""
+    return type(state)(*(part.copy() for part in state))
+
+
+def _resume(run: AimedRun, state: Any, words: List[int]) -> None:
+    """Go on from a state of another run of the same plan under any policy, with new random numbers.
+    What robots have drawn from the policy and not yet done is drawn again."""
+    mine = run.run.state
+    run.run.state = type(state)(
+        *(
+            getattr(mine, name) if name in _OWN else part.copy()
+            for name, part in zip(state._fields, state)
+        )
+    )
+    run.ended = None
+    s = run.run.state
+    s.random[:] = words
+    s.group_version[:] = [-1] * len(s.group_version)
+    for group in range(len(s.waits)):
+        if s.waits[group] > 0 and s.is_dirty[group] == 0:
+            s.is_dirty[group] = 1
+            s.dirty[s.numbers[kernel.DIRTY]] = group
+            s.numbers[kernel.DIRTY] += 1
