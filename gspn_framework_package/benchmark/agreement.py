@@ -40,6 +40,7 @@ SHARES = {
     "operator": 20,
     "power": 12,
     "spare": 5,
+    "stand-in": 2,
     "tight": 10,
     "amnesia": 6,
     "calm": 2,

@@ -63,6 +63,12 @@ QUICK = (
     "snapshot without queues",
     "snapshot without task",
     "snapshot without data",
+    "stand-in",
+    "overruled",
+    "any state",
+    "lost tasks",
+    "votes stay",
+    "votes of the dead",
 )
 
 

@@ -238,19 +238,19 @@ class Consensus:
         self._second_phase(batch)
         return True
 
-    def _unasked(self, attempt: BallotAttempt) -> Dict[str, str]:
-        """The members of which nobody has told the local transitions yet -> "", or the log of
-        another process of that name that answered: it knows nothing of them."""
+    def _unasked(self, attempt: BallotAttempt) -> Dict[str, bool]:
+        """The members of which nobody has told the local transitions yet -> whether another process
+        of that name answered, which knows nothing of them."""
         return {
-            m: attempt.strangers.get(m, "")
+            m: m in attempt.strangers
             for m in self.electorate.members()
             if m not in attempt.answered
         }
 
-    def _are_replaced(self, robots: Mapping[str, str], batch: Batch) -> bool:
+    def _are_replaced(self, robots: Mapping[str, bool], batch: Batch) -> bool:
         """Whether the batch ends the present life of each of these robots, so that the local
-        transitions of it that are not in the log are void: it evicts the robot, or lets the
-        process in that answered under its name."""
+        transitions of it that are not in the log are void: it evicts the robot, or lets another
+        memory of it in."""
         ledger, ended = self.state.ledger, set()
         for item in ledger.news(batch.items):
             if self.electorate.ends_life(item.entry, robots):
@@ -379,7 +379,7 @@ class Consensus:
         if message.log == self.electorate.known_log(message.sender):
             attempt.answered.add(message.sender)
         else:
-            attempt.strangers[message.sender] = message.log
+            attempt.strangers.add(message.sender)
         if body.vote:
             attempt.promises[message.sender] = body.accepted
         if self._first_phase_over() and attempt.batch is not None:

@@ -108,19 +108,20 @@ class Electorate:
         state = self.state
         return state.peers.silent(self.members(), self.config.name, limit, state.now)
 
-    def ends_life(self, entry: log_entries.Entry, robots: Mapping[str, str]) -> bool:
-        """Whether an entry evicts one of these members, or lets another process in under its name.
-        One about an earlier incarnation has no effect.
+    def ends_life(self, entry: log_entries.Entry, robots: Mapping[str, bool]) -> bool:
+        """Whether an entry evicts one of these members, or lets another memory of it in. One about
+        an earlier incarnation has no effect.
 
-        :param robots: member -> id of the log of that process, or "".
+        :param robots: member -> whether a process that lacks its memory runs under its name.
         """
         known = self.state.ledger.state.robots
         if isinstance(entry, log_entries.Evict) and entry.robot in robots:
             robot = known.get(entry.robot)
             return robot is not None and entry.incarnation == robot.incarnation
-        if isinstance(entry, log_entries.Join) and entry.log == robots.get(entry.robot):
+        if isinstance(entry, log_entries.Join) and robots.get(entry.robot):
             robot = known.get(entry.robot)  # a witness has no incarnation there
-            return robot is None or entry.incarnation > robot.incarnation
+            later = robot is None or entry.incarnation > robot.incarnation
+            return later and entry.log != self.known_log(entry.robot)
         return False
 
     # -- ourselves ---------------------------------------------------------------------------------

@@ -191,11 +191,11 @@ class Proposals:
             for item in items.values()
         )
 
-    def batch(self, frozen: bool, unasked: Optional[Mapping[str, str]] = None) -> Batch:
+    def batch(self, frozen: bool, unasked: Optional[Mapping[str, bool]] = None) -> Batch:
         """The batch for the open slot.
 
         :param frozen: nobody makes a local transition until the slot is decided.
-        :param unasked: member -> log, as in
+        :param unasked: members, as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`: the
             slot cannot be decided without the entries that end the lives of these.
         """
@@ -209,7 +209,7 @@ class Proposals:
             most = max(most, len(first))
         return Batch.of(items[:most])
 
-    def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, str]) -> List[Item]:
+    def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, bool]) -> List[Item]:
         """The proposals that end the lives of unasked members, and those of their robots before
         them."""
         last: Dict[str, int] = {}

@@ -59,8 +59,8 @@ class BallotAttempt:
     """Who promised, and what was accepted there."""
     answered: Set[str] = field(default_factory=set)
     """Those who promised, and those without a vote who told what they know."""
-    strangers: Dict[str, str] = field(default_factory=dict)
-    """Members under whose name a process answered that lacks their memory -> id of its log."""
+    strangers: Set[str] = field(default_factory=set)
+    """Members under whose name a process answered that lacks their memory."""
     batch: Optional[Batch] = None
     """None in the first phase."""
 

@@ -46,6 +46,8 @@ KINDS = {
     "are not",
     "power": "every crash is a loss of power, which takes what was not written through to the disk",
     "spare": "a second process under the name of a robot that is out of reach, or comes back",
+    "stand-in": "a spare answers under the name of a robot that is out of reach, and is switched "
+    "off before it has heard that it has to join",
     "tight": "short histories, small chunks and batches, snapshots every few slots; long runs",
     "amnesia": "logs are lost wherever the others still are a quorum, and nothing else but crashes",
     "calm": "nothing fails, so that orders meet a team that moves fast",
@@ -238,6 +240,7 @@ class _Run:
             (4 if often == "operator" else 1, self._evict),
             (8 if often == "operator" else 0, self._force_evict),
             (6 if often == "spare" else 0, self._spare),
+            (12 if often == "stand-in" else 0, self._stand_in),
         ]
         weights = [w for w, _ in kinds]
         self.random.choices([k for _, k in kinds], weights)[0]()
@@ -444,14 +447,50 @@ class _Run:
         first = self.random.choice(robots)
         if not self._can_lose(first):
             return
-        spare = world.add_spare(first)
+        spare = self._send_away(first)
         self.lost_logs = True
         self._count("spare")
+        self._later(0.0, 0.3, lambda: spare.start() if spare.replica is None else None)
+        self._later(0.2, 1.2, world.come_back)
+
+    def _send_away(self, first: SimulatedNode) -> SimulatedNode:
+        """Put a robot out of reach; returns a spare for it."""
+        world = self.world
+        spare = world.add_spare(first)
         away = {(a, b) for a in world.nodes for b in world.nodes if a != b and first.key in (a, b)}
         world.blocked |= away
         world.away = away
-        self._later(0.0, 0.3, lambda: spare.start() if spare.replica is None else None)
-        self._later(0.2, 1.2, world.come_back)
+        return spare
+
+    def _stand_in(self) -> None:
+        """A robot goes out of reach, and a spare hears all but the greetings, which tell it that
+        it has to join. Meanwhile the operator pauses the team. Then the spare is switched off, and
+        the robot comes back."""
+        world = self.world
+        robots = [n for n in self._up() if n.name not in world.plan.witness and not n.joins]
+        if len(robots) < 2 or world.spares:
+            return
+        first = self.random.choice(robots)
+        spare = self._send_away(first)
+        world.deaf.add(spare.key)
+        self._count("stand-in")
+        asked = self.random.choice([n for n in robots if n is not first])
+
+        def pause() -> None:
+            world.operator(log_entries.Pause(""), asked)
+            self._later(0.3, 0.5, lambda: world.operator(log_entries.Resume(""), asked))
+
+        def back() -> None:
+            world.deaf.clear()
+            records = spare.disk.records() if spare.disk is not None else []
+            if not any(r["kind"] == "active" for r in records):  # it was not let in
+                world.remove(spare)
+                first.superseded = False
+            world.come_back()
+
+        self._later(0.0, 0.1, spare.start)
+        self._later(0.15, 0.2, pause)
+        self._later(0.4, 0.5, back)
 
     def _cut_a_link(self) -> None:
         names = list(self.world.nodes)
@@ -591,6 +630,7 @@ class _Run:
         world = self.world
         world.weather = Weather()
         world.blocked.clear()
+        world.deaf.clear()
         world.come_back()
         for node in list(world.nodes.values()):
             node.doomed = None

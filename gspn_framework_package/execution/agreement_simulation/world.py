@@ -359,6 +359,8 @@ class World:
         self.spares = 0
         self.away: Set[Tuple[str, str]] = set()
         """Blocked links of a robot that is out of reach while a spare runs under its name."""
+        self.deaf: Set[str] = set()
+        """The nodes that no greeting reaches."""
         self._gone: List[Disk] = []
         self.robot_events = _robot_events(plan)
         self.tasks = 0
@@ -435,7 +437,9 @@ class World:
 
     def _deliver(self, sender: str, to: str, text: str, request: str) -> None:
         if (sender, to) not in self.blocked and to in self.nodes:
-            self.nodes[to].give(interface.Received(json.loads(text), request))
+            message = json.loads(text)
+            if to not in self.deaf or message["kind"] != "hello":
+                self.nodes[to].give(interface.Received(message, request))
 
     # -- actions ---------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, ContextManager, Dict, List, Sequence
+from typing import Any, Callable, ContextManager, Dict, List, Optional, Sequence
 from unittest import mock
 
 from gspn_framework_package.execution import plan_change
@@ -65,6 +65,45 @@ def _never_votes_again() -> ContextManager[Any]:
     )
 
 
+def _counts_votes_of_earlier_lives() -> ContextManager[Any]:
+    def vote_of(state: TeamState, member: str) -> Optional[str]:
+        votes = state.staged.votes if state.staged is not None else {}
+        return votes[member][1] if member in votes else None
+
+    return mock.patch.object(plan_change, "vote_of", vote_of)
+
+
+def _overrules_who_cannot() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        return lambda state, member: None if original(state, member) is None else ""
+
+    return wrap(plan_change, "vote_of", make)
+
+
+def _adopts_in_any_state() -> ContextManager[Any]:
+    def why_not(state: TeamState, old: Any, new: Any, mapping: Any) -> List[str]:
+        return plan_change.why_never(old, new, mapping)
+
+    return mock.patch.object(plan_change, "why_not", why_not)
+
+
+def _loses_tasks() -> ContextManager[Any]:
+    return mock.patch.object(plan_change, "_tasks_without_place", lambda *_: [])
+
+
+def _keeps_votes_of_other_stages() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def stage(self: Any, entry: Any) -> None:
+            before = self.state.staged
+            original(self, entry)
+            if before is not None:
+                self.state.staged.votes.update(before.votes)
+
+        return stage
+
+    return wrap(token_game_module._Reducer, "_stage", make)
+
+
 _DEPLOYED = ("deploy-tight", "deploy-archive")
 
 
@@ -84,6 +123,16 @@ MUTANTS: List[Mutant] = [
     _deploying("new resources", "resources are full again", _fills_resources_again),
     _deploying("old requests", "robots that are done ask the policy", _lets_requests_stand),
     _deploying("acts as before", "a robot acts by the first plan", _acts_by_the_first_plan),
+    _deploying(
+        "votes of the dead",
+        "a vote of an earlier life counts",
+        _counts_votes_of_earlier_lives,
+        ("deploy", "deploy-operator"),
+    ),
+    _deploying("overruled", "a vote against a plan counts for it", _overrules_who_cannot),
+    _deploying("any state", "a plan is adopted that does not fit", _adopts_in_any_state),
+    _deploying("lost tasks", "a plan is adopted that has no place for tasks", _loses_tasks),
+    _deploying("votes stay", "votes on one plan count for the next", _keeps_votes_of_other_stages),
     _deploying("votes once", "a robot that restarts does not vote again", _never_votes_again),
     *(
         _deploying(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ContextManager, List, Sequence
+from typing import Any, ContextManager, Dict, List, Sequence
 from unittest import mock
 
 from gspn_framework_package.execution.agreement import electorate as electorate_module
@@ -130,6 +130,16 @@ def _asks_only_a_quorum() -> ContextManager[Any]:
     return wrap(Consensus, "_first_phase_over", make)
 
 
+def _lets_strangers_answer() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def unasked(self: Consensus, attempt: Any) -> Dict[str, bool]:
+            return {m: other for m, other in original(self, attempt).items() if not other}
+
+        return unasked
+
+    return wrap(Consensus, "_unasked", make)
+
+
 def _does_not_freeze() -> ContextManager[Any]:
     return mock.patch.object(ReplicaState, "is_frozen", lambda self: False)
 
@@ -208,6 +218,14 @@ MUTANTS: List[Mutant] = [
         _asks_only_a_quorum,
         True,
         kinds=("freeze",),
+    ),
+    Mutant(
+        "stand-in",
+        "partial",
+        "a spare answers for the robot whose place it did not take",
+        _lets_strangers_answer,
+        True,
+        kinds=("stand-in",),
     ),
     Mutant(
         "no freeze",
