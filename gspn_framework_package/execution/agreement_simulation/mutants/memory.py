@@ -10,6 +10,7 @@ from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement.messages import Batch
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.proposals import Proposals
@@ -116,14 +117,14 @@ def _skips_a_slot_of_a_chunk() -> ContextManager[Any]:
 
 def _newest_first() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def batch(self: Proposals, frozen: bool) -> Any:
+        def batch(self: Proposals, *given: Any) -> Batch:
             limits = self.config.limits
             self.config.limits = limits._replace(batch=10**6)
             try:
-                items = original(self, frozen)
+                whole: Batch = original(self, *given)
             finally:
                 self.config.limits = limits
-            return items[-limits.batch :]
+            return Batch.of(whole.items[-limits.batch :])
 
         return batch
 
@@ -285,9 +286,9 @@ def _moves_while_paused() -> ContextManager[Any]:
 
 def _drops_the_first_proposal() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def batch(self: Proposals, frozen: bool) -> Any:
-            items = original(self, frozen)
-            return items[1:] if len(items) > 1 else items
+        def batch(self: Proposals, *given: Any) -> Batch:
+            whole: Batch = original(self, *given)
+            return Batch.of(whole.items[1:]) if len(whole.items) > 1 else whole
 
         return batch
 

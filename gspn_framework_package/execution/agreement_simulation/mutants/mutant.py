@@ -57,6 +57,8 @@ def hunt(
             except ViolationError as error:
                 return Caught(i + 1, str(schedule), str(error))
             except Exception as error:  # a mutant may crash the program itself: also caught
+                if isinstance(error, TypeError) and "<locals>" in str(error):
+                    raise  # it is the mutant that no longer fits the program
                 return Caught(i + 1, str(schedule), "%s: %s" % (type(error).__name__, error))
     return Caught(None, "", "not caught in %d schedules" % limit)
 
