@@ -19,7 +19,7 @@ def _adopts_without_votes() -> ContextManager[Any]:
 
 
 def _keeps_old_names() -> ContextManager[Any]:
-    return mock.patch.object(token_game_module._Reducer, "_now", lambda self, name: name)
+    return mock.patch.object(TeamState, "present_name", lambda self, name: name)
 
 
 def _fills_resources_again() -> ContextManager[Any]:
