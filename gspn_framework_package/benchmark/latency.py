@@ -64,12 +64,19 @@ def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[flo
     return private, coordinated
 
 
-def measure(master: Master, plan: Plan, window: float, check: bool = False) -> Dict[str, Any]:
+def measure(
+    master: Master,
+    plan: Plan,
+    window: float,
+    check: bool = False,
+    arguments: Sequence[str] = (),
+) -> Dict[str, Any]:
     """Run a plan and report its latencies and throughput over ``window`` seconds.
 
     :param check: whether the history checker verifies the logs, too.
+    :param arguments: further arguments of the launch file.
     """
-    with TeamRun(master, plan) as run:
+    with TeamRun(master, plan, arguments=arguments) as run:
         if not run.wait_all_fired(120):
             return {"note": "not all robots fired"}
         time.sleep(3.0)  # exclude the connections made in the background

@@ -126,16 +126,23 @@ class Master:
             return False
 
 
+def _run_name(number: int) -> str:
+    return "bench_%d" % number
+
+
 class TeamRun:
     """One run of a plan, from the start of ``roslaunch`` to its end; it ends with the ``with``
     block.
 
     :param mode: a key of :data:`LAUNCH_FILES`.
+    :param arguments: further arguments of the launch file.
     """
 
     _count = 0
 
-    def __init__(self, master: Master, plan: Plan, mode: str = "process") -> None:
+    def __init__(
+        self, master: Master, plan: Plan, mode: str = "process", arguments: Sequence[str] = ()
+    ) -> None:
         TeamRun._count += 1
         self.robots = [robot.name for robot in plan.robots]
         self.folder = os.path.join(master.folder, "run_%d" % TeamRun._count)
@@ -143,7 +150,7 @@ class TeamRun:
         with open(os.path.join(self.folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(plan), file)
         self._master = master
-        self._run = "bench_%d" % TeamRun._count
+        self._run = _run_name(TeamRun._count)
         self._output = os.path.join(self.folder, "roslaunch.txt")
         self._command = [
             "roslaunch",
@@ -153,10 +160,16 @@ class TeamRun:
             "robots:=%d" % len(self.robots),
             "run:=" + self._run,
             "log_dir:=" + self.folder,
+            *arguments,
         ]
         self._tails = [
             _Tail(os.path.join(self.folder, self._run, name + ".jsonl")) for name in self.robots
         ]
+
+    @classmethod
+    def next_run(cls) -> str:
+        """The name that the next run will have."""
+        return _run_name(cls._count + 1)
 
     def __enter__(self) -> TeamRun:
         self.begin = time.monotonic()
