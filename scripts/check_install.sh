@@ -56,6 +56,18 @@ for plan in "$SHARE"/plans/*/plan.json; do
 done
 echo "gspn check of $count plans: as in the checkout"
 
+# The Debian package holds the same files (where it can be built: Debian 12).
+if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
+    rm -rf "$WORKSPACE/deb"
+    deb=$("$ROOT/scripts/make_deb" "$WORKSPACE/deb") || die "scripts/make_deb fails"
+    dpkg-deb -x "$deb" "$WORKSPACE/deb/root"
+    same_files "deb: $PACKAGE" "$ROOT/$PACKAGE" "$WORKSPACE/deb/root/usr/lib/python3/dist-packages/$PACKAGE"
+    for folder in launch plans; do
+        same_files "deb: $folder" "$ROOT/$folder" "$WORKSPACE/deb/root/usr/share/$PACKAGE/$folder"
+    done
+    cmp <(dpkg-deb -f "$deb" Version) <(echo "$(/usr/bin/python3 "$ROOT/setup.py" --version)-1") || die "another version"
+fi
+
 # The room from the installed files only. rostest looks for a test's program in the package, and tests are not
 # installed.
 install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PACKAGE/"
