@@ -77,7 +77,7 @@ installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'"
 CHECKOUT=$WORKSPACE/pip_checkout SEPARATE=$WORKSPACE/pip_venv
 rm -rf "$CHECKOUT" "$SEPARATE"
 mkdir -p "$CHECKOUT"
-cp -r "$ROOT/$PACKAGE" "$ROOT"/{setup.py,package.xml,pyproject.toml,LICENSE} "$CHECKOUT"
+cp -r "$ROOT/$PACKAGE" "$ROOT"/{msg,setup.py,package.xml,pyproject.toml,LICENSE} "$CHECKOUT"
 log=$WORKSPACE/pip_install.log
 { /usr/bin/python3 -m venv --system-site-packages "$SEPARATE" \
     && "$VENV/bin/python" -m pip --disable-pip-version-check wheel -q --no-deps -w "$CHECKOUT/dist" "$CHECKOUT" \

@@ -9,6 +9,7 @@ import json
 from typing import Any, Dict, List, Mapping, Tuple
 
 from gspn_framework_package.execution.agreement.interface import Fired
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking, Net
@@ -16,7 +17,19 @@ from gspn_framework_package.model.net import Marking, Net
 Fields = Dict[str, Any]
 """Name -> value of the fields of a message, but for its header."""
 
-STATES = ("", "Doing", "Done", "Waiting", "Paused", "Failed", "Inactive", "Lost", "Left")
+_NUMBERED = (
+    Phase.UNHEARD,
+    Phase.DOING,
+    Phase.DONE,
+    Phase.WAITING,
+    Phase.PAUSED,
+    Phase.FAILED,
+    Phase.INACTIVE,
+    Phase.LOST,
+    Phase.LEFT,
+)
+
+STATES = tuple(phase.told.state for phase in _NUMBERED)
 """The states of ``RobotActivity``, at the numbers of its constants; "": UNKNOWN."""
 
 

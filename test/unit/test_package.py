@@ -21,7 +21,9 @@ PACKAGE = ROOT / "gspn_framework_package"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 #: Programs for rosrun and roslaunch; the other files in scripts/ have a suffix.
 PROGRAMS = sorted(
-    path for path in (ROOT / "scripts").iterdir() if path.is_file() and not path.suffix
+    path
+    for path in (ROOT / "scripts").iterdir()
+    if path.is_file() and not path.suffix and path.name != "make_deb"  # of the checkout
 )
 SCRIPTS = [ROOT / "setup.py", *PROGRAMS, *sorted((ROOT / "scripts").glob("*.py"))]
 PLANS = sorted((ROOT / "plans").rglob("*.py"))

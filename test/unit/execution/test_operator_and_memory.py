@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
@@ -389,7 +390,7 @@ def test_a_spare_does_not_answer_for_the_robot_whose_place_it_did_not_take() -> 
     carry = world._carry
 
     def without_greetings(sender: str, to: str, text: str, request: str) -> None:
-        if to != spare.key or '"kind": "hello"' not in text:
+        if to != spare.key or json.loads(text)["kind"] != "hello":
             carry(sender, to, text, request)
 
     world._carry = without_greetings  # so that it does not hear that it has to join
