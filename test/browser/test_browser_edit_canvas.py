@@ -372,8 +372,10 @@ def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
     page.evaluate("() => window.gspn.edit.choose(['place:r0_p0'])")
     page.click("summary:has-text('Robots that start here')")
     menu = page.locator("select[data-key='plan.robots.0.place']")
+    menu.locator("option").first.wait_for(state="attached")  # an unfolded form is filled soon after
     assert menu.locator("option").all_text_contents() == ["r0_p0"]
     menu.focus()
+    menu.locator("option").nth(len(before["places"]) - 1).wait_for(state="attached")
     assert menu.locator("option").count() == len(before["places"])
     assert menu.locator("option:checked").text_content() == "r0_p0"
     key(page, "ArrowDown")
