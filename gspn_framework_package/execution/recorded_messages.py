@@ -15,7 +15,6 @@ from gspn_framework_package.execution.team_messages import (
     Fields,
     firing_fields,
     marking_fields,
-    robot_fields,
     team_fields,
 )
 from gspn_framework_package.execution.token_game import TokenGame
@@ -107,10 +106,6 @@ class _LogReader:
             return [RecordedMessage(now, *message) for message in found]
         except LogError as error:
             raise error.located(file=self._log.path, line=number) from None
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            raise LogError(
-                "the record is damaged (%r)" % error, file=self._log.path, line=number
-            ) from None
 
     def _time(self, record: Record) -> float:
         """Seconds since 1970 on a clock that does not jump: the wall clock of the first record, and
@@ -124,11 +119,12 @@ class _LogReader:
         game, state = self._replayer.game, self._replayer.state
         about = (self._run, game.plan.hash())
         place = "/" + self._keeper if self._keeper else ""
-        found = [
+        team = team_fields(game, state, *about)
+        return [
             (place + "/marking", "Marking", marking_fields(game, state, *about)),
-            (place + "/team_state", "TeamState", team_fields(game, state, *about)),
+            (place + "/team_state", "TeamState", team),
+            *(
+                ("/%s/robot_activity" % robot["robot"], "RobotActivity", robot)
+                for robot in team["robots"]
+            ),
         ]
-        for name, robot in state.robots.items():
-            fields = robot_fields(game, state, robot, *about)
-            found.append(("/%s/robot_activity" % name, "RobotActivity", fields))
-        return found

@@ -76,16 +76,14 @@ class Encoder:
         for kind in KINDS:
             types.update(get_types_from_msg(definition(kind), full_name(kind)))
         self.store.register(types)
-        self._sequence: Dict[str, int] = {}
 
     def definition(self, kind: str) -> str:
         """The definition of a type with those of the types that it contains."""
         text: str = self.store.generate_msgdef(full_name(kind), ros_version=1)[0]
         return text
 
-    def encode(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> bytes:
-        """A message as bytes, with ``time`` in its header."""
-        number = self._sequence[topic] = self._sequence.get(topic, -1) + 1
+    def encode(self, number: int, time: float, kind: str, fields: Mapping[str, Any]) -> bytes:
+        """A message as bytes, with its ``number`` on its topic and ``time`` in its header."""
         message = self._message(kind, fields, self._header(number, time))
         return bytes(self.store.serialize_ros1(message, full_name(kind)))
 
@@ -146,7 +144,35 @@ class _WrittenFile:
                 os.unlink(self._beside)
 
 
-class BagFile(_WrittenFile):
+class _EncodedFile(_WrittenFile):
+    """A file of encoded messages, which knows its topics and counts the messages on each."""
+
+    def __init__(self, path: str, encoder: Encoder) -> None:
+        super().__init__(path)
+        self._encoder = encoder
+        self._topics: Dict[str, Any] = {}
+        self._counts: Dict[str, int] = {}
+
+    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """See :class:`MessageFile`."""
+        if topic not in self._topics:
+            self._topics[topic] = self._declare(topic, kind)
+            self._counts[topic] = 0
+        number = self._counts[topic]
+        self._counts[topic] += 1
+        data = self._encoder.encode(number, time, kind, fields)
+        self._append(self._topics[topic], number, round(time * 1e9), data)
+
+    def _declare(self, topic: str, kind: str) -> Any:
+        """Declare a topic; returns what stands for it in the file."""
+        raise NotImplementedError
+
+    def _append(self, declared: Any, number: int, at: int, data: bytes) -> None:
+        """Append a message; ``at`` is in nanoseconds since 1970."""
+        raise NotImplementedError
+
+
+class BagFile(_EncodedFile):
     """A rosbag.
 
     :param path: the file.
@@ -157,32 +183,27 @@ class BagFile(_WrittenFile):
     def __init__(self, path: str, encoder: Encoder) -> None:
         from rosbags.rosbag1 import Writer
 
-        super().__init__(path)
-        self._encoder = encoder
+        super().__init__(path, encoder)
         self._writer = Writer(Path(self._beside))
         try:
             self._writer.open()
         except OSError as error:
             raise _cannot_write(path, error) from None
-        self._connections: Dict[str, Any] = {}
 
     def __enter__(self) -> BagFile:
         return self
 
-    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
-        """See :class:`MessageFile`."""
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(
-                topic, full_name(kind), typestore=self._encoder.store
-            )
-        data = self._encoder.encode(time, topic, kind, fields)
-        self._writer.write(self._connections[topic], round(time * 1e9), data)
+    def _declare(self, topic: str, kind: str) -> Any:
+        return self._writer.add_connection(topic, full_name(kind), typestore=self._encoder.store)
+
+    def _append(self, declared: Any, number: int, at: int, data: bytes) -> None:
+        self._writer.write(declared, at, data)
 
     def _finish(self) -> None:
         self._writer.close()
 
 
-class McapFile(_WrittenFile):
+class McapFile(_EncodedFile):
     """An MCAP file with messages of ROS 1. The parameters are those of :class:`BagFile`.
 
     :raises UsageError: the library is not installed.
@@ -193,38 +214,29 @@ class McapFile(_WrittenFile):
             from mcap.writer import Writer
         except ModuleNotFoundError as error:
             raise _not_installed(error) from None
-        super().__init__(path)
-        self._encoder = encoder
+        super().__init__(path, encoder)
         self._file = self._opened("wb")
         self._writer = Writer(self._file)
         self._writer.start(profile="ros1", library=PACKAGE)
         self._schemas: Dict[str, int] = {}
-        self._channels: Dict[str, int] = {}
-        self._counts: Dict[str, int] = {}
 
     def __enter__(self) -> McapFile:
         return self
 
-    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
-        """See :class:`MessageFile`."""
+    def _declare(self, topic: str, kind: str) -> Any:
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(
                 name="%s/%s" % (PACKAGE, kind),
                 encoding="ros1msg",
                 data=self._encoder.definition(kind).encode(),
             )
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(
-                topic=topic, message_encoding="ros1", schema_id=self._schemas[kind]
-            )
-        count = self._counts[topic] = self._counts.get(topic, -1) + 1
-        at = round(time * 1e9)
+        return self._writer.register_channel(
+            topic=topic, message_encoding="ros1", schema_id=self._schemas[kind]
+        )
+
+    def _append(self, declared: Any, number: int, at: int, data: bytes) -> None:
         self._writer.add_message(
-            channel_id=self._channels[topic],
-            log_time=at,
-            publish_time=at,
-            sequence=count,
-            data=self._encoder.encode(time, topic, kind, fields),
+            channel_id=declared, log_time=at, publish_time=at, sequence=number, data=data
         )
 
     def _finish(self) -> None:

@@ -10,7 +10,7 @@ from std_msgs.msg import String
 
 from gspn_framework_package.execution.team_messages import activity_fields
 from gspn_framework_package.msg import FiredTransition, Marking, RobotActivity, TeamState
-from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, stamped
+from gspn_framework_package.ros.messages import FIRED_TOPIC, filled, fired_message
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 
@@ -18,9 +18,9 @@ class RosFacts:
     """Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, in the
     namespace of the robot and latched:
 
-    - ``activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place, place_number, state,
-      visit, attempt, task, waits_for, needs_operator, feedback, ended, finished, fault) and
-      ``robot_activity`` (RobotActivity), at most ten a second;
+    - ``activity`` (std_msgs/String, JSON: see
+      :meth:`~gspn_framework_package.team.self_report.SelfReport.activity`) and ``robot_activity``
+      (RobotActivity), at most ten a second;
     - ``marking`` (Marking) and ``team_state`` (TeamState), while somebody subscribes.
 
     :param namespace: absolute namespace of the robot.
@@ -50,7 +50,7 @@ class RosFacts:
     def tell_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
         self._activity.publish(json.dumps(activity))
-        self._robot.publish(stamped(RobotActivity(**activity_fields(activity))))
+        self._robot.publish(filled(RobotActivity, **activity_fields(activity)))
 
     def is_team_watched(self) -> bool:
         """See :class:`Carrier`."""
@@ -58,6 +58,6 @@ class RosFacts:
 
     def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
-        self._marking.publish(stamped(Marking(**marking)))
-        robots = [stamped(RobotActivity(**robot)) for robot in team["robots"]]
-        self._team.publish(stamped(TeamState(**{**team, "robots": robots})))
+        self._marking.publish(filled(Marking, **marking))
+        robots = [filled(RobotActivity, **robot) for robot in team["robots"]]
+        self._team.publish(filled(TeamState, **{**team, "robots": robots}))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, TypeVar
+from typing import Any, Callable, Dict
 
 import rospy
 
 from gspn_framework_package.msg import FiredTransition
-
-Message = TypeVar("Message")
 
 FIRED_TOPIC = "/fired_transitions"
 """All teams on a master publish their firings on this topic; each message names its run and
@@ -23,13 +21,7 @@ def fired_message(fields: Dict[str, Any]) -> FiredTransition:
     return filled(FiredTransition, **fields)
 
 
-def stamped(message: Any) -> Any:
-    """The message, with the present time in its header."""
-    message.header.stamp = rospy.get_rostime()
-    return message
-
-
-def filled(kind: Callable[[], Message], **fields: Any) -> Message:
+def filled(kind: Callable[[], Any], **fields: Any) -> Any:
     """A message of the class ``kind`` with these fields, and the present time in its header.
 
     A message that is made with its fields looks each of them up in a list; that takes eight times
@@ -38,5 +30,5 @@ def filled(kind: Callable[[], Message], **fields: Any) -> Message:
     message = kind()
     for name, value in fields.items():
         setattr(message, name, value)
-    stamped(message)
+    message.header.stamp = rospy.get_rostime()
     return message

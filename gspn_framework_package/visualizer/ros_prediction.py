@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Prediction
-from gspn_framework_package.ros.messages import stamped
+from gspn_framework_package.ros.messages import filled
 from gspn_framework_package.ros.voice import diagnostic_array
 
 PREDICTION_TOPIC = "/gspn_prediction"
@@ -18,51 +18,57 @@ PREDICTION_TOPIC = "/gspn_prediction"
 
 
 class RosPrediction:
-    """Publishes ``/gspn_prediction`` (Prediction, latched), and a diagnosis on ``/diagnostics``.
+    """Publishes ``/gspn_prediction`` (Prediction, latched), and a diagnosis on ``/diagnostics``."""
 
-    :param plan: the plan that the run is compared with.
-    :param run: the name of the run.
-    """
-
-    def __init__(self, plan: Plan, run: str) -> None:
-        self._plan, self._run = plan, run
+    def __init__(self) -> None:
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._prediction = rospy.Publisher(PREDICTION_TOPIC, Prediction, latch=True, queue_size=1)
 
     def tell(
-        self, lasting: List[Alarm], new: Sequence[Alarm], levels: Sequence[Tuple[str, float]]
+        self,
+        plan: Plan,
+        run: str,
+        lasting: List[Alarm],
+        new: Sequence[Alarm],
+        levels: Sequence[Tuple[str, float]],
     ) -> None:
-        """Publish; called once per second, on a thread of its own (see :class:`LiveComparison`)."""
+        """Publish.
+
+        :param plan: the plan that the run is compared with.
+        :param run: the name of the run.
+
+        The other parameters are those of a listener of :class:`LiveComparison`.
+        """
         for alarm in new:
             rospy.logwarn("the run departs from the plan: %s", alarm.describe())
         self._prediction.publish(
-            stamped(
-                Prediction(
-                    run=self._run,
-                    plan=self._plan.hash(),
-                    departs=bool(lasting),
-                    alarms=[alarm.describe() for alarm in lasting],
-                    false_alarm_every=ALARM_EVERY,
-                    streams=[name for name, _ in levels],
-                    levels=[level for _, level in levels],
-                )
+            filled(
+                Prediction,
+                run=run,
+                plan=plan.hash(),
+                departs=bool(lasting),
+                alarms=[alarm.describe() for alarm in lasting],
+                false_alarm_every=ALARM_EVERY,
+                streams=[name for name, _ in levels],
+                levels=[level for _, level in levels],
             )
         )
         if self._diagnostics.get_num_connections():
-            self._diagnostics.publish(self._diagnosis(lasting))
+            self._diagnostics.publish(_diagnosis(plan, run, lasting))
 
-    def _diagnosis(self, lasting: List[Alarm]) -> DiagnosticArray:
-        values = {
-            "alarms": len(lasting),
-            "false alarms": "one in %g days" % (ALARM_EVERY / DAY),
-        }
-        for alarm in lasting:
-            about = ", ".join(p for p in (alarm.place, alarm.robot) if p) or "team"
-            values[about] = alarm.describe()
-        return diagnostic_array(
-            "%s: gspn prediction, run %s" % (rospy.get_name(), self._run),
-            self._plan.name,
-            1 if lasting else 0,
-            "; ".join(alarm.describe() for alarm in lasting[:3]) or "the run goes as predicted",
-            values,
-        )
+
+def _diagnosis(plan: Plan, run: str, lasting: List[Alarm]) -> DiagnosticArray:
+    values = {
+        "alarms": len(lasting),
+        "false alarms": "one in %g days" % (ALARM_EVERY / DAY),
+    }
+    for alarm in lasting:
+        about = ", ".join(p for p in (alarm.place, alarm.robot) if p) or "team"
+        values[about] = alarm.describe()
+    return diagnostic_array(
+        "%s: gspn prediction, run %s" % (rospy.get_name(), run),
+        plan.name,
+        1 if lasting else 0,
+        "; ".join(alarm.describe() for alarm in lasting[:3]) or "the run goes as predicted",
+        values,
+    )

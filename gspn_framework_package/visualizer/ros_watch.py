@@ -188,8 +188,13 @@ class RosWatch(Activity):
         }
         info = {"commands": sorted([*self.commands, "deploy"]), "says": "a team of robots on ROS"}
         hub.restart(self.mode, self._follower.board(self._status), info)
+        prediction = RosPrediction()
         self._comparison = LiveComparison(
-            self._plan, hub, complete=False, listener=RosPrediction(self._plan, self._run).tell
+            self._plan,
+            hub,
+            complete=False,
+            # no run may be chosen yet
+            listener=lambda *told: prediction.tell(self._plan, self._run, *told),
         )
         self._subscribe(FIRED_TOPIC, FiredTransition, "fired")
         self._subscribe("/world/room", String, "room")

@@ -190,6 +190,11 @@ def _compare_bag(path, expected):
     assert sorted((topic, kind, at) for topic, kind, at, _ in read) == sorted(
         (m.topic, full_name(m.kind), round(m.time * 1e9)) for m in expected
     )
+    for topic in {
+        topic for topic, _, _, _ in read
+    }:  # each topic is numbered, whatever else is written
+        numbers = [m.header.seq for of, _, _, m in read if of == topic]
+        assert numbers == list(range(len(numbers)))
     marking = [m for _, kind, _, m in read if kind.endswith("/Marking")][-1]
     fields = [m.fields for m in expected if m.kind == "Marking"][-1]
     assert (list(marking.places), list(marking.counts)) == (fields["places"], fields["counts"])

@@ -19,6 +19,7 @@ from gspn_framework_package.ros.operator_client import OperatorClient
 from gspn_framework_package.ros.transport import registration
 from gspn_framework_package.visualizer.deployed_plan import read_deployed
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.ros_prediction import RosPrediction
 from gspn_framework_package.visualizer.ros_watch import UNHEARD, RosWatch
 
 
@@ -112,6 +113,15 @@ class Watched:
 
     def notes(self):
         return [note["text"] for note in self.hub.board().notes]
+
+
+def test_a_prediction_names_the_run_that_was_chosen_later(monkeypatch):
+    told = []
+    monkeypatch.setattr(RosPrediction, "tell", lambda self, plan, run, *_: told.append(run))
+    page = Watched(monkeypatch, run="")
+    page.watch._show_run("tuesday")
+    page.watch._comparison._listener([], [], [])
+    assert told == ["tuesday"]
 
 
 def test_the_page_warns_once_of_firings_that_it_does_not_hear(monkeypatch):
