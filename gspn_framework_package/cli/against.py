@@ -8,15 +8,13 @@ import math
 import sys
 from typing import Any, List, Union
 
-from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.simulation.against import SECONDS, Against, compare_plans
-from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of
-from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.on import working_on
 from gspn_framework_package.cli.subject import NOMINAL
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -83,27 +81,26 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
     if seconds is None and args.replications is None and args.precision is None:
         seconds = SECONDS
     objective = objective_of(args)
-
-    def work(progress: Progress, cancel: Cancel) -> Against:
-        with open_executor(args.on) as executor:
-            return compare_plans(
-                subject,
-                other,
-                objective,
-                seconds=seconds,
-                replications=args.replications,
-                precision=args.precision,
-                time=args.time if math.isfinite(args.time) else None,
-                warmup=args.warmup if args.warmup > 0 else None,
-                losses=args.losses,
-                seed=args.seed,
-                confidence=args.confidence,
-                progress=progress,
-                cancel=cancel,
-                on=executor,
-            )
-
-    found = working(work, MEMORY)
+    found = working_on(
+        args.on,
+        lambda progress, cancel, executor: compare_plans(
+            subject,
+            other,
+            objective,
+            seconds=seconds,
+            replications=args.replications,
+            precision=args.precision,
+            time=args.time if math.isfinite(args.time) else None,
+            warmup=args.warmup if args.warmup > 0 else None,
+            losses=args.losses,
+            seed=args.seed,
+            confidence=args.confidence,
+            progress=progress,
+            cancel=cancel,
+            on=executor,
+        ),
+        MEMORY,
+    )
     if args.json:
         data = {**found.to_json(), "objective": objective.describe()}
         json.dump({**data, "notes": [*notes, *found.notes]}, sys.stdout, indent=2, allow_nan=False)

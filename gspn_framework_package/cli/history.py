@@ -10,6 +10,7 @@ import sys
 from typing import Any, Dict, Iterable, List, Sequence
 
 from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.cli.table import aligned
 
 SHOWN = 200
 """Rows of an answer that are shown as a table."""
@@ -175,6 +176,4 @@ def _print_csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
 
 def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(map(len, column)) for column in zip(columns, *rows)]
-    for row in (columns, *rows):
-        print("  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip())
+    print("\n".join(aligned([columns, *rows])))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Callable, TypeVar
 
-from gspn_framework_package.analysis.executors import FORMS
+from gspn_framework_package.analysis.executors import FORMS, Executor, open_executor
+from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.cli.limits import working
+
+Result = TypeVar("Result")
 
 
 def add_on_argument(parser: Any) -> None:
@@ -15,3 +19,15 @@ def add_on_argument(parser: Any) -> None:
         metavar="EXECUTOR",
         help="who computes: %s (default %%(default)s); the results are the same" % FORMS,
     )
+
+
+def working_on(
+    on: str, work: Callable[[Progress, Cancel, Executor], Result], memory: float
+) -> Result:
+    """Do long work as :func:`working` does, with the executor that ``on`` names."""
+
+    def with_executor(progress: Progress, cancel: Cancel) -> Result:
+        with open_executor(on) as executor:
+            return work(progress, cancel, executor)
+
+    return working(with_executor, memory)

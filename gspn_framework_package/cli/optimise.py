@@ -9,15 +9,12 @@ from typing import List, Optional, Tuple
 
 from gspn_framework_package.analysis.decisions.aims import NARROWEST, WIDTH, AtLeast, Request
 from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimise
-from gspn_framework_package.analysis.decisions.report import Report
-from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
-from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of, pairs
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on import add_on_argument
+from gspn_framework_package.cli.on import add_on_argument, working_on
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.cli.subject import FITTED, add_rates_argument
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
@@ -132,20 +129,19 @@ def run(args: argparse.Namespace) -> int:
         path = plan_path(args.output)
         if not args.force:
             refuse_existing(path, "give the name of a new file, or --force")
-
-    def work(progress: Progress, cancel: Cancel) -> Report:
-        with open_executor(args.on) as executor:
-            return optimise(
-                plan,
-                request,
-                simulated=args.simulate,
-                seed=args.seed,
-                progress=progress,
-                cancel=cancel,
-                on=executor,
-            )
-
-    report = working(work, request.limits.memory)
+    report = working_on(
+        args.on,
+        lambda progress, cancel, executor: optimise(
+            plan,
+            request,
+            simulated=args.simulate,
+            seed=args.seed,
+            progress=progress,
+            cancel=cancel,
+            on=executor,
+        ),
+        request.limits.memory,
+    )
     notes: List[str] = []
     if path is not None:
         data = plan_document(args.plan, report.plan, os.path.dirname(os.path.abspath(path)))

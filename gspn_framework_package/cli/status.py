@@ -7,6 +7,7 @@ import json
 import time
 from typing import Any, Dict, List, Optional, Sequence
 
+from gspn_framework_package.cli.table import aligned
 from gspn_framework_package.cli.team_client import add_team_options, label_of, team_client
 from gspn_framework_package.execution.told_data import SHOWN_TASKS, cause_text, order_text, shown
 
@@ -61,10 +62,8 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         for robot in longest["robots"]:
             own = next((s for s in of_run if s["robot"] == robot["robot"]), None)
             rows.append(_row(robot, own))
-        widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
-        for row in rows:
-            print("  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip())
-        for line in [*data_lines(longest), *order_lines(of_run), *refusal_lines(of_run)]:
+        told = [*data_lines(longest), *order_lines(of_run), *refusal_lines(of_run)]
+        for line in [*aligned(rows), *told]:
             print("  " + line)
     for namespace in sorted(n for n, status in statuses.items() if status is None):
         print("the node in %s does not answer" % namespace)

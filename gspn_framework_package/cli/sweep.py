@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
-import os
-from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.analysis.executors import open_executor
+from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen
 from gspn_framework_package.analysis.sweeps.variation import FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on import add_on_argument
+from gspn_framework_package.cli.on import add_on_argument, working_on
 from gspn_framework_package.cli.plot import begin_picture, save_picture
 from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_of
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.sweep_figure import sweep_figure
 from gspn_framework_package.cli.sweep_store import SUFFIX, PointStore
+from gspn_framework_package.cli.table import aligned
 from gspn_framework_package.formats.plan_file import read_policy_of
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.formats.source import write_bytes
 
 Rows = List[Tuple[str, ...]]
 
@@ -88,18 +88,17 @@ def run(args: argparse.Namespace) -> int:
     store = PointStore(args.output + SUFFIX) if args.output else None
     kept = sum(key in store.known for key in sweep.keys) if store else 0
 
-    def work(progress: Progress, cancel: Cancel) -> List[Point]:
+    def work(progress: Progress, cancel: Cancel, executor: Executor) -> List[Point]:
         found = []
         known = dict(store.known) if store else {}
-        with open_executor(args.on) as executor:
-            for point in sweep.run(known, executor, Watch(progress, cancel)):
-                found.append(point)
-                if store is not None:
-                    store.add(point)
+        for point in sweep.run(known, executor, Watch(progress, cancel)):
+            found.append(point)
+            if store is not None:
+                store.add(point)
         return sorted(found)
 
     try:
-        points = working(work, MEMORY)
+        points = working_on(args.on, work, MEMORY)
     finally:
         if store is not None:
             store.close()
@@ -112,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     print_notes(notes)
     print("%d points, %d of them known before" % (len(points), kept))
-    print("\n".join(_aligned(_table(sweep, points, wanted))))
+    print("\n".join(aligned(_table(sweep, points, wanted))))
     return 0
 
 
@@ -129,19 +128,14 @@ def _write(
     path: str, sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]
 ) -> None:
     """Write the table, all of it or nothing."""
-    new = Path(path + ".new")
-    try:
-        with new.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            names = [variation.name for variation in sweep.variations]
-            writer.writerow((*names, "measure", "name", "mean", "half_width", "replications"))
-            for point, measure, name, mean, half in _measured(points, wanted):
-                written = "" if half is None else half
-                row = (*point.values, measure, name, mean, written, point.replications)
-                writer.writerow(row)
-        os.replace(new, path)
-    except OSError as error:
-        raise InputError("it cannot be written (%s)" % error.strerror, file=path) from None
+    text = io.StringIO()
+    writer = csv.writer(text)
+    names = [variation.name for variation in sweep.variations]
+    writer.writerow((*names, "measure", "name", "mean", "half_width", "replications"))
+    for point, measure, name, mean, half in _measured(points, wanted):
+        written = "" if half is None else half
+        writer.writerow((*point.values, measure, name, mean, written, point.replications))
+    write_bytes(path, text.getvalue().encode())
 
 
 def _json(
@@ -178,8 +172,3 @@ def _estimate(mean: float, half: Optional[float]) -> str:
 
 def _short(value: object) -> str:
     return "%g" % value if isinstance(value, float) else str(value)
-
-
-def _aligned(rows: Rows) -> List[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip() for row in rows]

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 import time as clock
 from collections import defaultdict
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -147,9 +146,9 @@ def improve(
         )
     if not request.fitted:
         plan = plan.nominal()
-    with LocalExecutor() if on is None else nullcontext(on) as executor:
-        search = _Search(plan, request, seed, seconds, visits, pairs, progress, cancel, executor)
-        return _improved(search, rounds)
+    executor = on or LocalExecutor()
+    search = _Search(plan, request, seed, seconds, visits, pairs, progress, cancel, executor)
+    return _improved(search, rounds)
 
 
 def _improved(search: _Search, rounds: int) -> Rollout:

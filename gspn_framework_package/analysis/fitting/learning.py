@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import (
     Any,
@@ -267,9 +266,9 @@ def fit_plan(
     :param progress: called from time to time with what is counted, the count, and the seconds.
     :param on: who fits and tests the places: this process, by default. The result is the same.
     """
-    with LocalExecutor() if on is None else nullcontext(on) as executor:
-        learning = _Learning(plan, choice, seed, samples)
-        return learning.learn(attempts, events or {}, executor, Watch(progress, interval=0.0))
+    executor = on or LocalExecutor()
+    learning = _Learning(plan, choice, seed, samples)
+    return learning.learn(attempts, events or {}, executor, Watch(progress, interval=0.0))
 
 
 _OfPlace = Tuple[PlaceFit, List[str], Dict[str, List[Tuple[float, str]]]]

@@ -12,7 +12,6 @@ chance in the run and for what is not known about the plan. Short logs give wide
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Dict, Mapping, NamedTuple, Optional, Sequence, Tuple
 
@@ -105,21 +104,21 @@ def predict(
         told = float(number if uncertain else 0)
         return WorkItem(workload, _Group(parameters, size, seed + number, told, compiled), size)
 
-    with LocalExecutor() if on is None else nullcontext(on) as executor:
-        watch = Watch(progress, cancel)
-        usual = math.ceil(replications / GROUPS) if uncertain else _BATCH
-        first = min(usual, 10, replications)  # a first look at how long they are
-        done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
-        each = max(done[0].firings.sum() / first, 1.0)
-        affordable = max(int(MOST_FIRINGS / each), min(replications, LEAST_REPLICATIONS))
-        rest = min(replications, affordable) - first
-        # each group alone is too small for the simulation to find it worth while
-        compiled = rest * each / executor.workers > machine.WORTH_COMPILING
-        items = [
-            group(number, min(usual, rest - made), compiled=compiled)
-            for number, made in enumerate(range(0, rest, usual), 1)
-        ]
-        done += executor.ordered(items, "runs predicted", watch)
+    executor = on or LocalExecutor()
+    watch = Watch(progress, cancel)
+    usual = math.ceil(replications / GROUPS) if uncertain else _BATCH
+    first = min(usual, 10, replications)  # a first look at how long they are
+    done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
+    each = max(done[0].firings.sum() / first, 1.0)
+    affordable = max(int(MOST_FIRINGS / each), min(replications, LEAST_REPLICATIONS))
+    rest = min(replications, affordable) - first
+    # each group alone is too small for the simulation to find it worth while
+    compiled = rest * each / executor.workers > machine.WORTH_COMPILING
+    items = [
+        group(number, min(usual, rest - made), compiled=compiled)
+        for number, made in enumerate(range(0, rest, usual), 1)
+    ]
+    done += executor.ordered(items, "runs predicted", watch)
     return RunSample(*(np.concatenate(parts) for parts in zip(*done)))
 
 

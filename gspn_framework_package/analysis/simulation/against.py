@@ -28,7 +28,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import time as clock
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -215,18 +214,18 @@ def compare_plans(
     most = MOST_PAIRS if replications is None else replications
     if seconds is None and replications is None and precision is None:
         most = 1000
-    with LocalExecutor() if on is None else nullcontext(on) as executor:
-        work = _Comparison(contest, Watch(progress, cancel), executor)
-        work.plan_runs(time, warmup)
-        settles = warmup is None and time is None
-        while work.pairs < most and not work.is_over(precision, confidence):
-            work.compile_for(most, precision)
-            for pair in work.played(most):
-                work.add(pair)
-                if settles and work.pairs in _LOOKS:
-                    work.settle()
-                if work.is_over(precision, confidence):
-                    break
+    executor = on or LocalExecutor()
+    work = _Comparison(contest, Watch(progress, cancel), executor)
+    work.plan_runs(time, warmup)
+    settles = warmup is None and time is None
+    while work.pairs < most and not work.is_over(precision, confidence):
+        work.compile_for(most, precision)
+        for pair in work.played(most):
+            work.add(pair)
+            if settles and work.pairs in _LOOKS:
+                work.settle()
+            if work.is_over(precision, confidence):
+                break
     return work.result(confidence, expected)
 
 

@@ -12,7 +12,6 @@ True
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
@@ -103,10 +102,10 @@ def simulate(
         tuple(measures),
         batches,
     )
-    with LocalExecutor() if on is None else nullcontext(on) as executor:
-        work = SimulationWork(subject, asked, executor.workers)
-        for _ in finished([work], executor, Watch(progress, cancel)):
-            pass
+    executor = on or LocalExecutor()
+    work = SimulationWork(subject, asked, executor.workers)
+    for _ in finished([work], executor, Watch(progress, cancel)):
+        pass
     return work.result(samples)
 
 

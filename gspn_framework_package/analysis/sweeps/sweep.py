@@ -17,7 +17,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from contextlib import nullcontext
 from fnmatch import fnmatchcase
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
@@ -132,9 +131,9 @@ class Sweep:
             else:
                 missing.append(number)
         watch = watch or Watch()
-        with LocalExecutor() if on is None else nullcontext(on) as executor:
-            measured = self._analysed if self.exact else self._simulated
-            yield from measured(missing, executor, watch)
+        executor = on or LocalExecutor()
+        measured = self._analysed if self.exact else self._simulated
+        yield from measured(missing, executor, watch)
 
     def to_json(self, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]) -> Dict[str, Any]:
         """What was varied, and the wanted measures of these points, as plain JSON values."""
@@ -171,14 +170,10 @@ class Sweep:
         self, numbers: Sequence[int], executor: Executor, watch: Watch
     ) -> Iterator[Point]:
         shared = (self._limits, self.asked.timing)
-        workload = Workload(_same, _analyse, shared)
+        workload = Workload(tuple, _analyse, shared)
         items = [WorkItem(workload, self._subjects[n], 1, self.title(n)) for n in numbers]
         for i, measures in executor.map(items, "points", watch):
             yield self._point(numbers[i], measures, 0)
-
-
-def _same(shared: Any) -> Any:
-    return shared
 
 
 def _analyse(shared: Any, subject: Any, watch: Watch) -> Measures:
@@ -233,7 +228,7 @@ def chosen(
     if not wanted:
         return [("end_time", ""), ("reached", "")] if conditional else every
     every += [("mean_tokens", p.name) for p in net.places]
-    named = [(name, pair) for pair in every for name in (pair[1],)]
+    named = [(name, (measure, name)) for measure, name in every]
     named += [(name, (name, "")) for name in WHOLE]
     named += [(m + ":" + s, (m, s)) for m in TITLES for s in subnets]
     found: Dict[Tuple[str, str], None] = {}
