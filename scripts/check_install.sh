@@ -65,7 +65,7 @@ if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
     for folder in launch plans; do
         same_files "deb: $folder" "$ROOT/$folder" "$WORKSPACE/deb/root/usr/share/$PACKAGE/$folder"
     done
-    cmp <(dpkg-deb -f "$deb" Version) <(echo "$(/usr/bin/python3 "$ROOT/setup.py" --version)-1") || die "another version"
+    cmp <(dpkg-deb -f "$deb" Version) <(echo "$(cd "$ROOT" && /usr/bin/python3 setup.py --version)-1") || die "another version"
 fi
 
 # The room from the installed files only. rostest looks for a test's program in the package, and tests are not

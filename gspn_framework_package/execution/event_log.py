@@ -81,7 +81,7 @@ from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.compact_json import compact, compact_sorted
-from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.errors import GspnError, LogError, NetError
 from gspn_framework_package.model.plan import Plan
 
 FORMAT = "gspn event log"
@@ -395,11 +395,18 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
             first = file.readline()
             cut = not first.endswith(b"\n")
             head = _header(first, path)
-            for record in _checked_records(file, first, head, path, size):
-                if record is None:
+            chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
+            left = math.inf if size is None else size - len(first)
+            for number, line in enumerate(file, 2):
+                left -= len(line)
+                if left < 0:
+                    break
+                if not line.endswith(b"\n"):
                     cut = True
-                else:
-                    records.append(record)
+                    break
+                records.append(_record(line, path, number))
+                if chain:
+                    chain = _follow(chain, line, path, number)
     except OSError as error:
         raise LogError("cannot be read (%s)" % error.strerror, file=path) from None
     return EventLog(path, head, records, cut)
@@ -572,30 +579,6 @@ def _follow(chain: str, line: bytes, path: str, number: int) -> str:
     return chain
 
 
-def _checked_records(
-    file: BinaryIO, first: bytes, head: Record, path: str, size: Optional[int]
-) -> Iterator[Optional[Record]]:
-    """Yield the records after the ``first`` line, whose running hashes must fit; None at the end
-    stands for a truncated last line.
-
-    :param size: read only that many bytes of the file; None: all.
-    :raises LogError: a line is not a record, or does not follow from the lines before it.
-    """
-    chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
-    left = math.inf if size is None else size - len(first)
-    for number, line in enumerate(file, 2):
-        left -= len(line)
-        if left < 0:
-            return
-        if not line.endswith(b"\n"):
-            yield None
-            return
-        record = _record(line, path, number)
-        if chain:
-            chain = _follow(chain, line, path, number)
-        yield record
-
-
 def _record(line: bytes, path: str, number: int) -> Record:
     try:
         record = json.loads(line.decode())
@@ -717,9 +700,16 @@ class Replayer:
 
         :returns: what it changed; None if it holds no slot or new snapshot.
         :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
-          those it recorded.
-        :raises KeyError: or TypeError, the record is damaged.
+          those it recorded; or the record is damaged, or not of this plan.
         """
+        try:
+            return self._take(record)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise LogError("the record is damaged (%r)" % error) from None
+        except NetError as error:
+            raise LogError("the record is not of this plan (%s)" % error) from None
+
+    def _take(self, record: Record) -> Optional[Replayed]:
         if record["kind"] == "snapshot":
             # a snapshot that was kept as a starting point changes nothing
             if record["slot"] != self.state.next_slot - 1:
@@ -746,10 +736,6 @@ def replay(event_log: EventLog) -> Iterator[Replayed]:
     for number, record in enumerate(event_log.records, 2):
         try:
             step = replayer.take(record)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise LogError(
-                "the record is damaged (%r)" % error, file=event_log.path, line=number
-            ) from None
         except LogError as error:
             raise error.located(file=event_log.path, line=number) from None
         if step is not None:

@@ -16,6 +16,7 @@ from typing import Any, Dict, List, Mapping, Optional, Tuple
 from gspn_framework_package.execution.log_entries import StagePlan
 from gspn_framework_package.execution.team_state import StagedPlan, TeamState
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
+from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.errors import GspnError, PlanError
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import Plan, RobotSpec
@@ -29,7 +30,7 @@ _plans: Kept[str, Plan] = Kept(KEPT)
 def digest_of(plan: Mapping[str, Any]) -> str:
     """A hash of everything in a plan, given as a JSON object: also of its actions and times, which
     do not determine the course of a run and are not in ``Plan.hash``."""
-    text = json.dumps(plan, sort_keys=True, separators=(",", ":"))
+    text = compact_sorted(plan)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 

@@ -20,6 +20,7 @@ import tempfile
 from typing import Any, Callable, Dict, Mapping, Optional, TypeVar
 
 from gspn_framework_package.formats.plan_json import check_schema, policy_from_json
+from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.policy import Policy
 
@@ -45,7 +46,7 @@ def stored_separately(plan: Dict[str, Any], log: str, fsync: bool) -> Dict[str, 
     policy = plan.get("policy")
     if not policy or hash_of(plan) is not None:
         return plan
-    text = json.dumps(policy, separators=(",", ":"))
+    text = compact(policy)
     if len(text) <= INLINE:
         return plan
     data = text.encode()

@@ -180,8 +180,8 @@ def ask(store: Store, sql: str) -> SqlAnswer:
 
     :raises UsageError: it is something else, or wrong.
     """
-    database = store.open_tables()
     runs = store.runs()
+    database = store.open_tables(runs=runs)
     files = [file for table in TABLES for file in store.files(table, runs)]
     keep_to(database, files, store.temporary)
     cursor = one_question(database, sql)

@@ -17,7 +17,6 @@ from gspn_framework_package.execution.firing import Ended, Fault
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import told_phase
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.model.errors import LogError, NetError
 from gspn_framework_package.model.plan import Plan
 
 DAY = 86_400
@@ -203,14 +202,9 @@ class StayFollower:
 
         :raises LogError: it does not follow from those before it, or is damaged.
         """
-        try:
-            step = self._replayer.take(record)
-            if step is not None:
-                self._follow(step)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise LogError("the record is damaged (%r)" % error) from None
-        except NetError as error:
-            raise LogError("the record is not of this plan (%s)" % error) from None
+        step = self._replayer.take(record)
+        if step is not None:
+            self._follow(step)
 
     def end(self) -> None:
         """The run is over, although no slot says so."""

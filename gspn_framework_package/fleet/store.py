@@ -156,9 +156,15 @@ class Store:
             and (not until or day_of_file(name) <= until)
         ]
 
-    def open_tables(self, days: Sequence[str] = ()) -> Any:
-        """A database with the tables as views. :param days: as for :meth:`files`."""
-        runs = self.runs()
+    def open_tables(
+        self, days: Sequence[str] = (), runs: Optional[Sequence[Manifest]] = None
+    ) -> Any:
+        """A database with the tables as views.
+
+        :param days: as for :meth:`files`.
+        :param runs: those of the store, if they were read already.
+        """
+        runs = self.runs() if runs is None else runs
         with explained(self.folder):
             database = connect(self.temporary)
             for table in TABLES:

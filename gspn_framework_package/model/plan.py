@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import enum
 import hashlib
-import json
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,6 +25,7 @@ from typing import (
 )
 
 from gspn_framework_package.model.action import Action, outcomes_of, why_not_valid
+from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
@@ -315,7 +315,7 @@ class Plan:
 
     @cached_property
     def _hash(self) -> str:
-        text = json.dumps(self._essence(), sort_keys=True, separators=(",", ":"))
+        text = compact_sorted(self._essence())
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def _essence(self) -> Dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import queue
 from typing import Iterator
 
@@ -12,6 +11,7 @@ import rospy
 
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.execution.team_messages import marking_lists
+from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance
 from gspn_framework_package.srv import (
@@ -152,8 +152,7 @@ class NodeServices:
             raise rospy.ServiceException("no answer in time") from None
         if not answer:
             return ""
-        body = json.dumps(answer, separators=(",", ":"))
-        return self._entrance.sealed(sender_of(message), body, ANSWERED)
+        return self._entrance.sealed(sender_of(message), compact(answer), ANSWERED)
 
 
 @contextlib.contextmanager

@@ -3,11 +3,11 @@ adopted."""
 
 from __future__ import annotations
 
-import json
 import time
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.log_entries import StagePlan
+from gspn_framework_package.model.compact_json import compact
 
 POLL = 0.2
 """Seconds between two questions for the votes."""
@@ -55,7 +55,7 @@ class DeployTeam:
         :param stage_only: leave it staged.
         """
         argument = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
-        done, message = self._order("stage", json.dumps(argument, separators=(",", ":")))
+        done, message = self._order("stage", compact(argument))
         if not done:
             return DeployOutcome(False, message)
         stage, votes, message = self._wait_for_votes(entry.digest)

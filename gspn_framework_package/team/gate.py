@@ -14,11 +14,8 @@ LARGEST_MESSAGE = 4 * 1024 * 1024
 messages far smaller than this."""
 
 FASTEST = 3000.0
-"""Messages a second that are taken from one robot. A leader at its fastest sends fewer. One that
-goes on sending more is not heard at all until it is slower."""
-
-BURST = FASTEST
-"""Messages that are taken at once from a robot that was quiet: those of a second."""
+"""Messages a second that are taken from one robot, and at once from one that was quiet. A leader at
+its fastest sends fewer. One that goes on sending more is not heard at all until it is slower."""
 
 COUNTS_ONCE = 8192
 """Bytes. A larger message counts as several."""
@@ -36,11 +33,11 @@ class MessageGate:
     that is not.
 
     :param largest: bytes of a message.
-    :param fastest: messages a second that are taken from one robot in one channel.
+    :param fastest: messages a second that are taken from one robot in one channel, and at once.
     """
 
     def __init__(self, largest: int, fastest: float = FASTEST) -> None:
-        self._largest, self._fastest, self._burst = largest, fastest, fastest * BURST / FASTEST
+        self._largest, self._fastest = largest, fastest
         self._lock = threading.Lock()
         self._refused: Dict[Tuple[str, str], int] = {}
         self._buckets: Dict[Tuple[str, str], Tuple[float, float]] = {}
@@ -60,20 +57,16 @@ class MessageGate:
         with self._lock:
             if sender not in self._buckets and len(self._buckets) >= _MOST_SENDERS:
                 sender = ("", "")  # all others together
-            tokens, before = self._buckets.get(sender, (self._burst, now))
-            tokens = min(self._burst, tokens + (now - before) * self._fastest)
+            tokens, before = self._buckets.get(sender, (self._fastest, now))
+            tokens = min(self._fastest, tokens + (now - before) * self._fastest)
             let_in = tokens >= 1.0
             tokens -= max(1.0, size / COUNTS_ONCE)
-            self._buckets[sender] = (max(-self._burst, tokens), now)
+            self._buckets[sender] = (max(-self._fastest, tokens), now)
         if not let_in:
             self.refuse(robot, "too many messages")
         return let_in
 
-    def read(self, robot: str, body: bytes) -> Optional[Message]:
-        """The message in a body; None if it is refused."""
-        return self._own(robot, json_object(body))
-
-    def read_all(self, robot: str, body: bytes) -> List[Message]:
+    def read(self, robot: str, body: bytes) -> List[Message]:
         """The messages in a body, which are one or a list of several; without what is refused."""
         value = _json_value(body)
         found = value if isinstance(value, list) else [value]

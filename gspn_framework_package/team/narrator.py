@@ -111,8 +111,9 @@ class Narrator:
             self._note_reason(told["waits_for"], now)
         self._tell_reason(now)
         if now >= self._team_at:
-            self._team_at = now + TEAM_PERIOD
-            if carrier.is_team_watched():
+            watched = carrier.is_team_watched()
+            self._team_at = now + (TEAM_PERIOD if watched else UNHEARD_PERIOD)
+            if watched:
                 state = team()
                 if state != self._team_told:
                     self._team_told = state

@@ -192,7 +192,7 @@ class ZenohCarrier:
         payload = sample.payload
         if not self._gate.admits(robot, len(payload), time.monotonic(), channel):
             return
-        for message in self._gate.read_all(robot, bytes(payload)):
+        for message in self._gate.read(robot, bytes(payload)):
             self._handlers.received(message)
 
     def _on_asked(self, query: zenoh.Query) -> None:

@@ -16,6 +16,7 @@ import time
 from collections import deque
 from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
+from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.visualizer.board import Board, Event
 
 RING = 20_000
@@ -134,7 +135,7 @@ class Hub:
                     event["t"] = round(time.monotonic() - self._started, 4)
                 self._board.admit(event)
                 self._events.append(event)
-                self._texts.append(json.dumps(event, separators=(",", ":")))
+                self._texts.append(compact(event))
                 if event["n"] % KEYFRAME == 0:
                     self._keyframes.append(self._board.copy())
                 if len(self._events) > self._ring_size:
@@ -174,7 +175,7 @@ class Hub:
     def set_latest(self, key: str, value: Any) -> None:
         """Publish the latest value of something without a history: feedback of an action, the
         robots in the room."""
-        text = json.dumps(value, separators=(",", ":"))
+        text = compact(value)
         with self._condition:
             known = self._latest.get(key)
             if known is None or known[1] != text:
@@ -235,10 +236,10 @@ class Hub:
                 if number > since
             )
             if fresh or cursor is None:
-                body = '"snapshot":%s' % json.dumps(self._snapshot(), separators=(",", ":"))
+                body = '"snapshot":%s' % compact(self._snapshot())
             elif self._history is not None:
                 head = {"n": now.n, "t": self._board.t, "status": self._board.status}
-                body = '"head":%s' % json.dumps(head, separators=(",", ":"))
+                body = '"head":%s' % compact(head)
             else:
                 first = len(self._texts) - (now.n - cursor.n)
                 new = [self._texts[i] for i in range(first, min(first + NEWS, len(self._texts)))]

@@ -26,6 +26,7 @@ from gspn_framework_package.execution.event_log import (
 )
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.told_data import order_text
+from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import Board, Event
@@ -100,7 +101,7 @@ class _Reader:
             "clock": self._clock.to_json(),
             "state": self._replayer.state.to_json(self._replayer.game.net),
         }
-        packed = zlib.compress(json.dumps(kept, separators=(",", ":")).encode(), 1)
+        packed = zlib.compress(compact(kept).encode(), 1)
         return Mark(self.board.n, self.line, self.offset, packed)
 
     def lines(self, file: BinaryIO) -> Iterator[List[Event]]:

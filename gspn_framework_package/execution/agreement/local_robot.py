@@ -9,7 +9,6 @@ the electorate whether it may make a transition without asking, puts goals into 
 from __future__ import annotations
 
 import hashlib
-import json
 import random
 from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
@@ -27,6 +26,7 @@ from gspn_framework_package.execution.firing import CancelAction, Firing, Move, 
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking
 from gspn_framework_package.model.plan import Plan
@@ -349,7 +349,7 @@ def _goal_record(command: Command) -> Dict[str, Any]:
         "attempt": command.attempt,
     }
     if command.data:
-        text = json.dumps(dict(command.data), sort_keys=True, separators=(",", ":"))
+        text = compact_sorted(dict(command.data))
         record["reads"] = hashlib.sha256(text.encode()).hexdigest()[:16]
     if command.resumed_from:
         record["resumed_from"] = command.resumed_from

@@ -8,7 +8,7 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.ros import entrance as module
 from gspn_framework_package.ros.entrance import ASKED, Entrance, said
 from gspn_framework_package.team.carrier import NotTaken, Operator, OperatorRequest
-from gspn_framework_package.team.gate import BURST, LARGEST_MESSAGE
+from gspn_framework_package.team.gate import FASTEST, LARGEST_MESSAGE
 from gspn_framework_package.team.seal import SEALED, Seal, TeamKey
 
 NODE = {"callerid": "/robot_2/executor"}
@@ -53,9 +53,9 @@ def test_a_sender_without_a_name_is_counted_too(entrance):
 
 def test_a_flood_is_braked_and_hurts_no_other_node(entrance):
     taken = sum(
-        entrance.read(HELLO, NODE, ASKED, "robot_2") is not None for _ in range(3 * int(BURST))
+        entrance.read(HELLO, NODE, ASKED, "robot_2") is not None for _ in range(3 * int(FASTEST))
     )
-    assert taken < 2.5 * BURST  # it is refilled while this test runs
+    assert taken < 2.5 * FASTEST  # it is refilled while this test runs
     assert set(entrance.braked) == {module.BRAKE}
     (kind,) = entrance.refusals()
     assert (kind.why, kind.times) == ("too many messages", len(entrance.braked))
