@@ -592,7 +592,7 @@ class _Run:
         for node in world.nodes.values():
             node.doomed = None
         patience = BOUND + SLOT_TIME * self._slots_behind()
-        settled = world.run(world.now + patience, world.has_settled)
+        settled = world.run(world.now + patience, self._has_settled)
         if not settled and world.given_up:
             settled = self._evict_who_forgot(patience)
         if self.kind in ("link", "sleep"):
@@ -640,6 +640,13 @@ class _Run:
                 node.resume()
             self._restart(node)
 
+    def _has_settled(self) -> bool:
+        """Whether every process that starts again has done so, and the team has settled with it: a
+        crash that came late may still keep one down, with proposals in its log."""
+        nodes = self.world.nodes.values()
+        up = all(n.replica is not None or n.name in self.left for n in nodes)
+        return up and self.world.has_settled()
+
     def _slots_behind(self) -> int:
         """How many slots the team needs for the entries that wait now."""
         world = self.world
@@ -674,7 +681,7 @@ class _Run:
         for other in forgot:
             other.start()
         self._count("stuck, and helped by the operator")
-        return world.run(world.now + patience, world.has_settled)
+        return world.run(world.now + patience, self._has_settled)
 
     def _nobody_is_lost(self) -> None:
         for node in self.world.alive():
