@@ -61,6 +61,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "draw": Verb(".draw", "draw a net, its coverability tree or its Markov chain"),
     "convert": Verb(".convert", "write a net in another format, or a plan as one file"),
     "diff": Verb(".diff", "compare two plans or nets: what was added, removed and changed"),
+    "explain": Verb(
+        ".explain", "play a firing sequence step by step, such as the one behind a finding of check"
+    ),
     "serve": Verb(
         ".serve", "open the page: simulate, analyse and execute the nets and plans of a folder"
     ),
@@ -70,6 +73,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "export": Verb(
         ".export", "write recorded runs for other tools: as a rosbag, an MCAP file or a table"
     ),
+    "mcp": Verb(".mcp", "serve the plans of a folder to language models: check, analyse, draft"),
     "compare": Verb(
         ".compare", "compare runs with what their plan predicts: intervals, and an alarm per place"
     ),

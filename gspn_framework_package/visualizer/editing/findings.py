@@ -9,9 +9,21 @@ import copy
 import os
 import re
 import time
-from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from gspn_framework_package.analysis.plan.markings import with_losses
+from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight.report import (
     CheckItem,
     PreflightReport,
@@ -403,19 +415,10 @@ class _Player:
         self._net = with_losses(plan.net, plan, set())
         self._shown = [nodes.of(place.name) for place in plan.net.places]
 
-    def markings(self, sequence: Iterable[str]) -> List[Dict[str, int]]:
+    def markings(self, sequence: Sequence[str]) -> List[Dict[str, int]]:
         """The marking of the places of the document, at the start and after each firing: tokens in
         a subnet are in its place. Places without tokens are left out."""
-        net = self._net
-        marking = net.initial_marking
-        found = [self._named(marking)]
-        for name in sequence:
-            try:
-                marking = net.fire(marking, net.transition_number(name))
-            except GspnError:
-                break
-            found.append(self._named(marking))
-        return found
+        return [self._named(each) for each in play_sequence(self._net, sequence).markings]
 
     def _named(self, marking: Tuple[int, ...]) -> Dict[str, int]:
         named: Dict[str, int] = {}

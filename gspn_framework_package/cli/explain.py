@@ -1,0 +1,99 @@
+"""``gspn explain``: plays a firing sequence step by step, such as the one behind a finding of
+``gspn check``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any, Dict, List, Sequence
+
+from gspn_framework_package.analysis.plan.markings import with_losses
+from gspn_framework_package.analysis.plan.witness import play_sequence
+from gspn_framework_package.analysis.preflight import MARKING_LIMIT
+from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.check_all import check_all
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
+    parser.add_argument(
+        "transitions",
+        nargs="*",
+        metavar="TRANSITION",
+        help="the transitions to fire, in order; by default, the firing sequences that "
+        "'gspn check' found",
+    )
+    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="for a team of N robots")
+    parser.add_argument(
+        "--limit",
+        type=numbers.markings,
+        default=MARKING_LIMIT,
+        metavar="N",
+        help="maximum number of markings that the check visits (default %(default)s)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the steps as one JSON object")
+    parser.epilog = (
+        "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. With the "
+        "sequences of the check it is 0."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play the sequences and print them."""
+    plan = read_plan(args.plan)
+    if args.robots is not None:
+        plan = plan.for_robots(args.robots)
+    told = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
+    net = with_losses(plan.net, plan, set())  # the check loses robots too
+    for each in told:
+        played = play_sequence(net, each.pop("sequence"))
+        each.update(played.to_json(), enabled_at_the_end=_enabled(plan, played.markings[-1]))
+    if args.json:
+        print(json.dumps({"plan": plan.name, "sequences": told}, indent=2, ensure_ascii=False))
+    elif told:
+        print("\n\n".join(_text(each) for each in told))
+    else:
+        print("the check found nothing that has a firing sequence")
+    return int(any(each["stopped_by"] for each in told))
+
+
+def _found(plan: Plan, args: argparse.Namespace) -> List[Dict[str, Any]]:
+    """The findings of the check that have a firing sequence."""
+    with ProgressLine() as progress:
+        report = check_all(plan, limit=args.limit, progress=progress)
+    return [
+        {
+            "check": item.check,
+            "severity": item.severity.value,
+            "text": item.text,
+            "sequence": item.details["sequence"],
+        }
+        for item in report.items
+        if item.severity is not Severity.OK and item.details.get("sequence") is not None
+    ]
+
+
+def _enabled(plan: Plan, marking: Sequence[int]) -> List[str]:
+    """The transitions of the plan that are enabled: a robot can be lost in any case."""
+    return [plan.net.transitions[t].name for t in plan.net.enabled(marking)]
+
+
+def _text(told: Dict[str, Any]) -> str:
+    lines = ["%s %s: %s" % (told["severity"], told["check"], told["text"])] if told["text"] else []
+    lines.append("at the start: %s" % _marking(told["start"]))
+    for number, step in enumerate(told["steps"], 1):
+        lines.append("%3d  %s: %s" % (number, step["transition"], _marking(step["marking"])))
+    enabled = told["enabled_at_the_end"]
+    lines.append(
+        told["stopped_by"] or "then enabled: %s" % (", ".join(enabled) if enabled else "nothing")
+    )
+    return "\n".join(lines)
+
+
+def _marking(named: Dict[str, int]) -> str:
+    return ", ".join("%s %d" % item for item in named.items()) or "no token"

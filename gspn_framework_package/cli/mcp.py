@@ -1,0 +1,51 @@
+"""``gspn mcp``: a server of the Model Context Protocol, for programs that work with language
+models. It reads requests on standard input and writes answers on standard output."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.mcp_server import ModelContextServer
+from gspn_framework_package.cli.mcp_tools import CallLimits, PlanTools
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument(
+        "folder",
+        nargs="?",
+        default=".",
+        metavar="FOLDER",
+        help="the plans, nets and logs that may be read; nothing outside it is (default: .)",
+    )
+    parser.add_argument(
+        "--allow-write",
+        action="store_true",
+        help="let draft_plan and optimise write new plans into the folder; they never overwrite",
+    )
+    parser.add_argument(
+        "--limit-time",
+        type=numbers.duration,
+        default=120.0,
+        metavar="S",
+        help="longest time of one call, in seconds (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--limit-output",
+        type=numbers.whole(1000, 10**9),
+        default=200_000,
+        metavar="N",
+        help="most characters of one answer (default: %(default)s)",
+    )
+    parser.epilog = "No tool commands robots, runs a plan or imports the functions of one."
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until the client closes the connection."""
+    tools = PlanTools(args.folder, args.allow_write, CallLimits(args.limit_time, args.limit_output))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    ModelContextServer(tools, sys.stdin.buffer, sys.stdout.buffer).run()
+    return 0
