@@ -23,6 +23,36 @@ LIBRARIES = {
 }
 """rosdep key -> what pip calls it."""
 
+ZENOH = [
+    "eclipse-zenoh>=1.7,<2 ; python_version >= '3.9'",
+    "eclipse-zenoh>=1.5,<1.6 ; python_version < '3.9'",
+]
+
+EXTRAS = {
+    "bags": ["mcap>=1.1,<2", "rosbags>=0.9.20,<0.12"],
+    "dask": [
+        "distributed>=2022.12,<2026 ; python_version >= '3.9'",
+        "distributed>=2021.4,<2021.9 ; python_version < '3.9'",
+        "dask>=2021.4,<2021.9 ; python_version < '3.9'",
+    ],
+    "fast": [
+        "numba>=0.56,<1 ; python_version >= '3.9'",
+        "numba>=0.54,<0.55 ; python_version < '3.9'",
+    ],
+    "history": [
+        "duckdb>=1.2,<3 ; python_version >= '3.9'",
+        "duckdb>=1.1,<1.2 ; python_version < '3.9'",
+    ],
+    "team": ZENOH,  # agents and their operator, without ROS
+    "world": [
+        "imageio-ffmpeg>=0.4,<1",
+        "pybullet>=3.2,<4 ; python_version >= '3.9'",
+        "pybullet>=3.2,<3.2.6 ; python_version < '3.9'",
+    ],
+    "zenoh": ZENOH,
+}
+"""What a user may want besides -> what it needs, as in scripts/requirements.txt."""
+
 
 def data_files():
     """Return every file of the package that is not Python code: schemas, the page, worlds."""
@@ -42,19 +72,9 @@ def for_pip(manifest):
     return {
         "python_requires": ">=3.8",
         "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
-        "extras_require": {
-            "bags": ["mcap>=1.1", "rosbags>=0.9.20"],
-            "fast": ["numba"],
-            "history": [
-                "duckdb>=1.2 ; python_version >= '3.9'",
-                "duckdb>=1.1,<1.2 ; python_version < '3.9'",
-            ],
-            "team": [
-                "eclipse-zenoh>=1.7,<2 ; python_version >= '3.9'",
-                "eclipse-zenoh>=1.5,<1.6 ; python_version < '3.9'",
-            ],
-            "world": ["pybullet>=3.2", "imageio-ffmpeg>=0.4"],
-        },
+        "extras_require": EXTRAS,
+        # this file reads package.xml where pip has unpacked a source distribution, too
+        "data_files": [("share/" + PACKAGE, ["package.xml"])],
         "entry_points": {"console_scripts": ["gspn = %s.cli.main:main" % PACKAGE]},
     }
 

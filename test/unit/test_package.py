@@ -58,8 +58,8 @@ ROS = re.compile(
 #: Libraries that the package does without: only the modules that use them fail to import.
 OPTIONAL = ["duckdb", "numba"]
 
-# : What the package imports that is not Python's own nor a ROS package of that name -> its rosdep
-# key, "" for what rosdep : does not have and the package does without.
+#: What the package imports that is not Python's own nor a ROS package of that name -> its rosdep
+#: key, "" for what the package does without.
 ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "cryptography": "python3-cryptography",

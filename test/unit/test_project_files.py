@@ -1,0 +1,153 @@
+"""What installs the package agrees with itself: package.xml, setup.py, the lists in scripts/."""
+
+import ast
+import re
+import runpy
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import gspn_framework_package
+
+ROOT = Path(__file__).resolve().parents[2]
+MANIFEST = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+
+BASE, PYTHON = "rosdep/base.yaml", "rosdep/python.yaml"
+#: The keys of package.xml -> (where rosdep's published lists, github.com/ros/rosdistro, define it
+#: for Ubuntu focal with Noetic: a file, or a repository of noetic/distribution.yaml; what it
+#: installs there). A key that is not in those lists stops ``rosdep install``, so whoever adds one
+#: looks it up there.
+ROSDEP = {
+    "actionlib": ("actionlib", "ros-noetic-actionlib"),
+    "actionlib_msgs": ("common_msgs", "ros-noetic-actionlib-msgs"),
+    "catkin": ("catkin", "ros-noetic-catkin"),
+    "diagnostic_msgs": ("common_msgs", "ros-noetic-diagnostic-msgs"),
+    "genmsg": ("genmsg", "ros-noetic-genmsg"),
+    "genpy": ("genpy", "ros-noetic-genpy"),
+    "geometry_msgs": ("common_msgs", "ros-noetic-geometry-msgs"),
+    "graphviz": (BASE, "graphviz"),
+    "message_generation": ("message_generation", "ros-noetic-message-generation"),
+    "message_runtime": ("message_runtime", "ros-noetic-message-runtime"),
+    "move_base_msgs": ("navigation_msgs", "ros-noetic-move-base-msgs"),
+    "nav_msgs": ("common_msgs", "ros-noetic-nav-msgs"),
+    "python3-cryptography": (PYTHON, "python3-cryptography"),
+    "python3-flask": (PYTHON, "python3-flask"),
+    "python3-jsonschema": (PYTHON, "python3-jsonschema"),
+    "python3-lxml": (PYTHON, "python3-lxml"),
+    "python3-matplotlib": (PYTHON, "python3-matplotlib"),
+    "python3-numpy": (PYTHON, "python3-numpy"),
+    "python3-pil": (PYTHON, "python3-pil"),
+    "python3-psutil": (PYTHON, "python3-psutil"),
+    "python3-pytest": (PYTHON, "python3-pytest"),
+    "python3-rospkg": (PYTHON, "python3-rospkg"),
+    "python3-scipy": (PYTHON, "python3-scipy"),
+    "python3-setuptools": (PYTHON, "python3-setuptools"),
+    "python3-waitress": (PYTHON, "python3-waitress"),
+    "python3-yaml": (PYTHON, "python3-yaml"),
+    "rosbag": ("ros_comm", "ros-noetic-rosbag"),
+    "rosgraph": ("ros_comm", "ros-noetic-rosgraph"),
+    "rosgraph_msgs": ("ros_comm_msgs", "ros-noetic-rosgraph-msgs"),
+    "roslaunch": ("ros_comm", "ros-noetic-roslaunch"),
+    "roslib": ("ros", "ros-noetic-roslib"),
+    "rospy": ("ros_comm", "ros-noetic-rospy"),
+    "rostest": ("ros_comm", "ros-noetic-rostest"),
+    "rosunit": ("ros", "ros-noetic-rosunit"),
+    "sensor_msgs": ("common_msgs", "ros-noetic-sensor-msgs"),
+    "std_msgs": ("std_msgs", "ros-noetic-std-msgs"),
+    "std_srvs": ("ros_comm_msgs", "ros-noetic-std-srvs"),
+    "tf2_msgs": ("geometry2", "ros-noetic-tf2-msgs"),
+}
+
+#: What ros-noetic-ros-core brings, or what comes with it: scripts/apt-packages.txt names ros-core.
+WITH_ROS_CORE = {"genmsg", "genpy", "rosgraph", "roslaunch", "roslib", "rosunit"}
+#: What scripts/requirements.txt installs instead, or what rospy brings.
+ELSEWHERE = {"python3-pytest", "python3-rospkg"}
+
+
+def keys(*tags):
+    return {element.text for element in MANIFEST if element.tag in tags}
+
+
+def all_keys():
+    return {element.text for element in MANIFEST if element.tag.endswith("depend")}
+
+
+def apt_packages(column):
+    """Return the packages of scripts/apt-packages.txt: 0 for Debian 12, 1 for Ubuntu 20.04."""
+    names = set()
+    for line in (ROOT / "scripts/apt-packages.txt").read_text("utf-8").splitlines():
+        words = line.split("#")[0].split()
+        if words:
+            names.add(words[min(column, len(words) - 1)])
+    return names - {"-"}
+
+
+def optional_requirements():
+    """Return what scripts/requirements.txt installs that the package can do without."""
+    text = (ROOT / "scripts/requirements.txt").read_text("utf-8")
+    section = text.split("# --- used by the package where they are there\n")[1].split("# ---")[0]
+    return {normal(line.split("#")[0]) for line in section.splitlines()} - {""}
+
+
+def normal(requirement):
+    return requirement.replace(" ", "").replace('"', "'")
+
+
+def setup_py(monkeypatch):
+    """Run setup.py as pip does, and return what it hands to setuptools."""
+    given = {}
+    monkeypatch.chdir(ROOT)
+    monkeypatch.delenv("CATKIN_BINARY_DIR", raising=False)
+    monkeypatch.setattr("setuptools.setup", lambda **words: given.update(words))
+    runpy.run_path("setup.py", run_name="__main__")
+    return given
+
+
+def test_rosdep_defines_every_key_of_the_manifest():
+    assert all_keys() == set(ROSDEP)
+
+
+def test_rosdep_installs_what_run_demo_installs_on_ubuntu():
+    needed = {ROSDEP[key][1] for key in all_keys() - WITH_ROS_CORE - ELSEWHERE}
+    assert needed <= apt_packages(1)
+
+
+def test_the_manifest_names_what_node_tests_import():
+    imported = set()
+    for path in (ROOT / "test/rostest").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                imported.update(alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported.add(node.module.split(".")[0])
+    packages = {
+        name for name in imported if re.fullmatch(r"ros\w+|\w+_(msgs|srvs)|actionlib", name)
+    }
+    assert {"std_srvs", "rostest"} <= packages
+    assert packages - {"robots"} <= all_keys()
+
+
+def test_catkin_and_pip_read_one_version(monkeypatch):
+    version = setup_py(monkeypatch)["version"]
+    assert version == MANIFEST.findtext("version") == gspn_framework_package.__version__
+
+
+def test_pip_knows_every_library_of_the_manifest(monkeypatch):
+    needed = {key for key in keys("depend", "exec_depend") if key.startswith("python3-")}
+    with_ros_only = {"python3-rospkg"}
+    assert len(setup_py(monkeypatch)["install_requires"]) == len(needed - with_ros_only)
+
+
+def test_the_extras_are_those_that_the_readme_lists(monkeypatch):
+    extras = setup_py(monkeypatch)["extras_require"]
+    text = (ROOT / "README.md").read_text("utf-8")
+    assert set(re.findall(r"^\| `\[(\w+)\]`", text, re.MULTILINE)) == set(extras)
+
+
+def test_the_extras_want_the_versions_that_the_tests_run_with(monkeypatch):
+    extras = setup_py(monkeypatch)["extras_require"]
+    assert {normal(line) for lines in extras.values() for line in lines} == optional_requirements()
+
+
+def test_a_source_distribution_holds_what_setup_py_reads(monkeypatch):
+    files = [file for _, names in setup_py(monkeypatch)["data_files"] for file in names]
+    assert files == ["package.xml"]
