@@ -37,7 +37,7 @@ EXTRAS = {
     ],
     "fast": [
         "numba>=0.56,<1 ; python_version >= '3.9'",
-        "numba>=0.54,<0.55 ; python_version < '3.9'",
+        "numba>=0.56,<0.59 ; python_version < '3.9'",
     ],
     "history": [
         "duckdb>=1.2,<3 ; python_version >= '3.9'",
@@ -51,7 +51,8 @@ EXTRAS = {
     ],
     "zenoh": ZENOH,
 }
-"""What a user may want besides -> what it needs, as in scripts/requirements.txt."""
+"""What a user may want besides -> what it needs: the versions of scripts/requirements.txt, except
+that pip need not take the numba of Ubuntu 20.04's NumPy, with which the newest Pillow fails."""
 
 
 def data_files():

@@ -18,7 +18,7 @@ PACKAGE = "gspn_framework_package"
 KINDS = ("RobotActivity", "Marking", "TeamState", "Prediction", "FiredTransition")
 """The types of messages that can be written, in an order in which none needs a later one."""
 
-INSTALL = 'pip install rosbags mcap'
+INSTALL = "pip install rosbags mcap"
 """What installs the libraries."""
 
 COLUMNS = (
