@@ -106,6 +106,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effort.add_argument(
         "--engine", choices=ENGINES, default="auto", help="the engine that explores (default: auto)"
     )
+    effort.add_argument(
+        "--on",
+        choices=("local", "mpi"),
+        default="local",
+        help="who computes: this process (local), or all those that mpiexec started, each with a "
+        "part of the states (mpi): docs/scaling.md",
+    )
     parser.epilog = "Exit codes: 0 answered (open questions are listed), 2 wrong input or usage."
 
 
@@ -113,6 +120,10 @@ def run(args: argparse.Namespace) -> int:
     """Analyse the net or plan, and print the answers."""
     try:
         with rare_collections():
+            if args.on == "mpi":
+                from gspn_framework_package.cli.analyse_mpi import run_on_mpi
+
+                return run_on_mpi(args)
             return _run(args)
     except KeyboardInterrupt:
         leave()  # before Python destroys millions of objects, which takes seconds

@@ -57,7 +57,7 @@ def explore(
     offsets.extend(np.zeros(1, dtype=np.int64))
     targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
     labels = Growing(label_type(transitions))
-    table = _Table(states)
+    table = StateTable(states)
     explored = 0
     rows = max(1, min(_ROWS, (1 << 20) // max(transitions, 1)))
     done = 0
@@ -68,7 +68,7 @@ def explore(
             break
         done += 1
         block = states.array[explored : min(explored + rows, states.used)]
-        sources, fired = _enabled(packed, block)
+        sources, fired = enabled(packed, block)
         successors = block[sources]
         successors += packed.change[fired]
         overflow = (
@@ -90,7 +90,7 @@ def explore(
     )
 
 
-def _enabled(packed: PackedNet, block: Words) -> Tuple[Indices, Indices]:
+def enabled(packed: PackedNet, block: Words) -> Tuple[Indices, Indices]:
     """Which transitions fire in which states: row numbers (ascending) and transitions in engine
     order."""
     size, transitions = len(block), len(packed.order)
@@ -156,8 +156,8 @@ def _mask_by_transition(packed: PackedNet, block: Words) -> Booleans:
     return np.ascontiguousarray(mask.T)
 
 
-class _Table:
-    """Hash table from packed states to their numbers; at most half full.
+class StateTable:
+    """A hash table from packed states to their numbers; at most half full.
 
     Each probe steps one slot further than the last. That still reaches every slot, and keeps long
     searches rare, which matters since all searches continue until the last one ends.
@@ -178,7 +178,7 @@ class _Table:
         slots = self._slots
         mask = len(slots) - 1
         numbers: Indices = np.empty(len(keys), dtype=slots.dtype)
-        at = _hash(keys) & mask
+        at = hashed(keys) & mask
         open_keys: Indices = np.arange(len(keys), dtype=slots.dtype)
         # Copy the keys behind the states, where their candidate numbers point, so that the number
         # in a slot always leads to its key.
@@ -243,7 +243,7 @@ class _Table:
         mask = capacity - 1
         for begin in range(0, states.used, 1 << 20):
             keys = states.array[begin : min(begin + (1 << 20), states.used)]
-            at = _hash(keys) & mask
+            at = hashed(keys) & mask
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))
             step = 0
@@ -256,7 +256,8 @@ class _Table:
                 at[open_keys] = (at[open_keys] + step) & mask
 
 
-def _hash(keys: Words) -> Indices:
+def hashed(keys: Words) -> Indices:
+    """The hash of each packed marking: int64, not negative."""
     value = keys[:, 0] * _MIX[0]
     for w in range(1, keys.shape[1]):
         value ^= value >> _SHIFT

@@ -329,7 +329,7 @@ def explore(
                 shortage = ("--limit-time", "%g s" % seconds)
         return StateSpace(net, store, graph, order, untimed=untimed, engine=name, shortage=shortage)
 
-    if engine == "sparse" or (engine == "auto" and _is_sparse(net)):
+    if engine == "sparse" or (engine == "auto" and is_sparse(net)):
         return space(*_run_sparse(net, limit, watch, untimed, room), "sparse")
     if bounds is None:
         bounds = invariant_bounds(net, _INVARIANT_EFFORT, watch)
@@ -345,7 +345,7 @@ def explore(
             return space(PackedStore(Packing(net, widths), graph.states), graph, packed.order, name)
 
 
-def _is_sparse(net: Net) -> bool:
+def is_sparse(net: Net) -> bool:
     """Whether the net needs too many machine words: words per marking times transitions."""
     # a word holds 21 fields of 3 bits
     return len(net.transitions) * (len(net.places) // 21 + 1) > _SPARSE

@@ -1,0 +1,98 @@
+"""What the ranks find out about a net: its states, the bounds of its places, its deadlocks."""
+
+from __future__ import annotations
+
+import functools
+import resource
+from typing import Any, Dict, List, Optional
+
+import numpy as np
+
+from gspn_framework_package.analysis.distributed.exploration import RankStates, explore
+from gspn_framework_package.analysis.distributed.ranks import Ranks
+from gspn_framework_package.analysis.limits import Limits, states_of
+from gspn_framework_package.analysis.structure.invariants import invariant_bounds
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.net import Net
+
+_INVARIANT_EFFORT = 100_000
+"""Most steps of the search for invariants that is done to get narrow fields."""
+
+
+class DistributedAnalysis:
+    """The analysis of a net by several ranks. Each of them makes one, and asks it the same, in the
+    same order.
+
+    :param net: the net, the same on every rank.
+    :param limits: the states count on all ranks together, the memory on each.
+    :param progress: called with the progress of long work.
+    :param cancel: called at intervals; returns whether to stop.
+    :raises LimitError: see :func:`~.exploration.explore`.
+    :raises RefusedError: see there.
+    """
+
+    def __init__(
+        self,
+        net: Net,
+        ranks: Ranks,
+        *,
+        limits: Limits = Limits(),  # noqa: B008 (immutable)
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> None:
+        self.net, self.ranks, self.limits = net, ranks, limits
+        watch = functools.partial(Watch, progress, cancel, seconds=limits.seconds)
+        self._watch = watch
+        bounds = ranks.agreed(
+            lambda: invariant_bounds(net, _INVARIANT_EFFORT, watch()) if ranks.rank == 0 else []
+        )[0]
+        self.states: RankStates = explore(
+            net,
+            ranks,
+            bounds=bounds,
+            limit=limits.states or states_of(len(net.places) + len(net.transitions)),
+            watch=watch,
+            memory=limits.memory,
+            seconds=limits.seconds,
+        )
+
+    def counts(self) -> Dict[str, int]:
+        """How many states and arcs there are, on all ranks."""
+        mine = [len(self.states), int(self.states.vanishing.sum()), self.states.arcs]
+        total, vanishing, arcs = self.ranks.total(np.array(mine)).tolist()
+        return {
+            "total": total,
+            "tangible": total - vanishing,
+            "vanishing": vanishing,
+            "arcs": arcs,
+        }
+
+    def bounds(self) -> Dict[str, int]:
+        """Place -> the most tokens that it ever holds."""
+        store = self.states.store
+        found = self.ranks.gather(store.largest() if len(store) else [0] * len(self.net.places))
+        return {place.name: max(column) for place, column in zip(self.net.places, zip(*found))}
+
+    def deadlocks(self) -> Dict[str, Any]:
+        """The ``count`` of states in which nothing can fire, and the ``marking`` of one."""
+        dead = np.flatnonzero(self.states.dead)
+        marking = None
+        if len(dead):
+            first = self.states.store.rows(dead[:1])[0].tolist()
+            marking = self.net.named(tuple(first), zeros=False)
+        found = self.ranks.gather((len(dead), marking))
+        markings = [told for _, told in found if told is not None]
+        return {"count": sum(n for n, _ in found), "marking": markings[0] if markings else None}
+
+    def shares(self) -> List[Dict[str, int]]:
+        """What each rank holds: its number, its ``states``, the ``memory_bytes`` of its states, and
+        the most memory that the process has had (``peak_bytes``)."""
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        return self.ranks.gather(
+            {
+                "rank": self.ranks.rank,
+                "states": len(self.states),
+                "memory_bytes": self.states.memory,
+                "peak_bytes": peak,
+            }
+        )
