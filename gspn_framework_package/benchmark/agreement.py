@@ -13,11 +13,11 @@ import gc
 import json
 import platform
 import random
-import signal
 import sys
 import time
 from typing import Any, Dict, Iterator, List, Optional
 
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.execution.agreement_simulation.schedule import (
     KINDS,
     Schedule,
@@ -135,7 +135,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     else:
         first = args.seed if args.seed is not None else int(time.time()) % 10**8 * 1000
         schedules = draw_schedules(first, args.schedules, args.robots, args.kinds)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    end_cleanly_when_told()
     result = run(schedules, args.schedules, args.seconds)
     if args.json:
         print(json.dumps(result))

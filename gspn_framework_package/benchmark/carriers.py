@@ -31,7 +31,9 @@ import psutil
 from gspn_framework_package.benchmark.latency import latencies, plan_of
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.ports import free_port
+from gspn_framework_package.benchmark.processes import child, end_cleanly_when_told
 from gspn_framework_package.execution.agreement.interface import Send
+from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.plan import Synchronisation
@@ -122,7 +124,8 @@ def _flood(site: _Site, sent: Any, stop: Any) -> None:
     session = open_session(site.access(FLOODER))
     keys = [key_of(RUN, FLOODER, "all", str(lane)) for lane in range(LANES)]
     lanes = itertools.cycle([session.declare_publisher(key, express=True) for key in keys])
-    body = json.dumps({"from": FLOODER, "kind": "hello", "text": "x" * BYTES}).encode()
+    message = {"from": FLOODER, "version": VERSION, "kind": "pull", "text": "x" * BYTES}
+    body = json.dumps(message).encode()
     began = time.monotonic()
     while not stop.is_set():
         due = int((time.monotonic() - began) * FLOOD)
@@ -153,7 +156,7 @@ class _Processes:
 
     def start(self, target: Any, *arguments: Any) -> None:
         """Start a function of this module, with the site first and the event to stop last."""
-        process = _SPAWN.Process(target=target, args=(self.site, *arguments, self.stop))
+        process = child(target, self.site, *arguments, self.stop)
         process.start()
         self._all.append(process)
 
@@ -335,6 +338,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
+    end_cleanly_when_told()
     most = max([2, *args.robots, *(args.large or [])])
     rows: List[Dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:

@@ -21,7 +21,9 @@ from typing import Any, Dict, Iterator, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.latency import measure, plan_of
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
+from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
 from gspn_framework_package.team.seal import make_team_key
@@ -43,7 +45,7 @@ def flood(run: str) -> int:
 
     rospy.init_node("flooder", anonymous=True, disable_signals=True)
     out = rospy.Publisher(TOPIC, Agreement, queue_size=100)
-    body = json.dumps({"from": "robot_1", "version": 2, "kind": "pull", "x": "x" * _SIZE})
+    body = json.dumps({"from": "robot_1", "version": VERSION, "kind": "pull", "x": "x" * _SIZE})
     over: List[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: over.append(number))
     began, sent = time.monotonic(), 0
@@ -97,6 +99,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     args = parser.parse_args(arguments)
     if args.flooder:
         return flood(args.flooder)
+    end_cleanly_when_told()
     need_ros()
     rows: List[Dict[str, Any]] = []
     with Master() as master:

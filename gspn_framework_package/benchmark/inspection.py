@@ -25,6 +25,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.simulation.estimates import mean
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import read_log, replay
 from gspn_framework_package.execution.observation import RunObserver
@@ -156,6 +157,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--computed", metavar="PLAN", help="a plan that has been computed before")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
+    end_cleanly_when_told()
     if args.quick:
         args.pairs = args.virtual_pairs = 2
         args.seconds, args.virtual = min(args.seconds, 20.0), min(args.virtual, 200.0)

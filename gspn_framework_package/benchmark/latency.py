@@ -25,7 +25,6 @@ import glob
 import itertools
 import json
 import os
-import signal
 import statistics
 import sys
 import time
@@ -34,6 +33,7 @@ from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.history import verify
@@ -191,7 +191,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     need_ros()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the running team is ended
+    end_cleanly_when_told()
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
     rows: List[Dict[str, Any]] = []
     interrupted = False

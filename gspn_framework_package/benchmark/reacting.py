@@ -23,7 +23,6 @@ import json
 import os
 import queue
 import random
-import signal
 import statistics
 import subprocess
 import sys
@@ -35,7 +34,7 @@ import psutil
 from gspn_framework_package.benchmark.faults.team import PATIENCE, RestartableMaster
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.netns.main import why_not
-from gspn_framework_package.benchmark.processes import cpu_seconds
+from gspn_framework_package.benchmark.processes import cpu_seconds, end_cleanly_when_told
 from gspn_framework_package.benchmark.reacting_tasks import COLUMNS as TASK_COLUMNS
 from gspn_framework_package.benchmark.reacting_tasks import (
     FAULTS,
@@ -269,7 +268,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     reason = why_not() if "tasks" in args.part and "cuts" in args.faults else ""
     if reason:
         raise UsageError("the network cannot be cut here: %s" % reason)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the running team is ended
+    end_cleanly_when_told()
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
     work: List[Tuple[str, Callable[[], Row]]] = []
     for part in args.part:

@@ -31,6 +31,7 @@ from gspn_framework_package.benchmark.faults.team import (
 from gspn_framework_package.benchmark.netns.experiment import PartitionExperiment
 from gspn_framework_package.benchmark.netns.rules import Cuts, one_way, partition
 from gspn_framework_package.benchmark.netns.team import MASTER
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.execution.event_log import Record, read_log
 from gspn_framework_package.execution.history import Verdict, verify
 from gspn_framework_package.model.action import FunctionAction
@@ -453,6 +454,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--robots", nargs="+", required=True)
     args = parser.parse_args()
+    end_cleanly_when_told()
     rospy.init_node("sender", anonymous=True)
     sender = OrderSender(args.robots, args.seed)
     print("begun", flush=True)

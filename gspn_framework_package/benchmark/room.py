@@ -23,6 +23,7 @@ import time
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.benchmark.room_report import FAULTS, figures, show
 from gspn_framework_package.benchmark.room_ros import measure_ros
 from gspn_framework_package.formats.example_plans import plans_folder
@@ -95,6 +96,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
+    end_cleanly_when_told()
     args.room = args.room or os.path.join(plans_folder(), "patrol", "critical_room.yaml")
     if args.quick:
         args.minutes = min(args.minutes, 2.0)

@@ -22,6 +22,7 @@ from collections import Counter
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.benchmark.room_ros import end_launch, last_lines
 from gspn_framework_package.benchmark.team_run import Master, need_ros
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log, replay
@@ -286,6 +287,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the orders and of the person (0)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
+    end_cleanly_when_told()
     result = measure(args.robots, args.minutes, args.factor, args.seed)
     machine = describe_machine(LIBRARIES)
     if args.json:

@@ -36,6 +36,7 @@ _ROOT = "gspn"
 _SENDS = ["put", "reply", "declare_queryable"]
 _ASKS = ["query"]
 _SECURE = "tls/"
+_RUNTIME = "ZENOH_RUNTIME"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
@@ -66,6 +67,7 @@ def open_session(access: TeamAccess) -> zenoh.Session:
     """
     zenoh = zenoh_library()
     config = zenoh.Config.from_json5(json.dumps(session_config(access)))
+    os.environ.setdefault(_RUNTIME, _threads(access.router))  # read when the first session opens
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -73,6 +75,16 @@ def open_session(access: TeamAccess) -> zenoh.Session:
             "no Zenoh session with %s (%s)" % (_told(access), _reason(error)),
             hint="is a router there ('gspn router'), and do the keys belong to its team?",
         ) from None
+
+
+def _threads(router: bool) -> str:
+    """One thread of Zenoh's for everything, as Zenoh reads it. By default a message is handed over
+    between four, and waking each takes longer than its work. A router, which has many
+    connections, may use half of the cores.
+    """
+    number = max(1, (os.cpu_count() or 1) // 2) if router else 1
+    others = ["%s: (handover: app)" % name for name in ("acc", "net", "rx", "tx")]
+    return "(%s)" % ", ".join(["app: (worker_threads: %d)" % number, *others])
 
 
 def zenoh_library() -> Any:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import random
-import signal
 import sys
 import time
 from collections import Counter
@@ -26,6 +25,7 @@ from gspn_framework_package.benchmark.faults.operators import Operators
 from gspn_framework_package.benchmark.faults.soak import Soak
 from gspn_framework_package.benchmark.faults.team import RestartableMaster
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.benchmark.team_run import need_ros
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
@@ -98,7 +98,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends cleanly, as with Ctrl-C
+    end_cleanly_when_told()
     seed = args.seed if args.seed is not None else random.SystemRandom().randrange(2**32)
     _tell("seed %d" % seed)
     source = random.Random(seed)

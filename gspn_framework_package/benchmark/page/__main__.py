@@ -25,6 +25,7 @@ from gspn_framework_package.benchmark.page.long_log import measure_log
 from gspn_framework_package.benchmark.page.rendering import measure_page
 from gspn_framework_package.benchmark.page.team import ARRANGEMENTS, measure_team
 from gspn_framework_package.benchmark.page.viewers import measure_memory, measure_viewers
+from gspn_framework_package.benchmark.processes import end_cleanly_when_told
 from gspn_framework_package.model.errors import GspnError
 
 WORDS = ("render", "viewers", "memory", "edit", "log", "team")
@@ -70,6 +71,7 @@ def main() -> int:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args()
+    end_cleanly_when_told()
     for word in args.what:
         if word not in WORDS:
             parser.error("there is no '%s'; there are: %s" % (word, ", ".join(WORDS)))

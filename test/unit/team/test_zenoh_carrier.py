@@ -2,6 +2,9 @@
 
 import builtins
 import json
+import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -344,3 +347,19 @@ def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(UsageError, match=r"\(pip install eclipse-zenoh\)"):
         zenoh_library()
+
+
+ONE_THREAD = """
+import os
+from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
+
+session = open_session(TeamAccess(listen=("tcp/127.0.0.1:0",)))
+names = [open("/proc/self/task/%s/comm" % task).read() for task in os.listdir("/proc/self/task")]
+session.close()
+assert not [name for name in names if name.startswith(("rx-", "tx-", "acc-", "net-"))], names
+"""
+
+
+def test_zenoh_hands_no_message_from_thread_to_thread():
+    environment = {name: text for name, text in os.environ.items() if name != "ZENOH_RUNTIME"}
+    subprocess.run([sys.executable, "-c", ONE_THREAD], env=environment, check=True, timeout=120)
