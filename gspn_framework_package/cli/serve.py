@@ -1,4 +1,5 @@
-"""``gspn serve``: serves the page for a folder of nets and plans, without ROS."""
+"""``gspn serve``: serves the page for a folder of nets and plans, or for a team over Zenoh; without
+ROS."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ import os
 import sys
 from typing import Optional
 
+from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.model.errors import InputError, UsageError
 
 
@@ -33,6 +35,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--history",
         metavar="DIR",
         help="a store of 'gspn history' that the page shows, with the replay of each moment",
+    )
+    add_way(
+        parser,
+        "watch the team that runs PLAN, at this router: tls/HOST:7447; with an operator's keys, or "
+        "if the team has none, the page gives orders too",
+    )
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        default="",
+        metavar="NAME",
+        help="with --connect: the run to show (default: the first one of this plan that is heard)",
+    )
+    parser.add_argument(
+        "--robots",
+        type=int,
+        default=0,
+        metavar="N",
+        help="with --connect: number of robots at the start (default: as in the plan)",
     )
     add_address_arguments(parser)
 
@@ -87,6 +108,10 @@ def run(args: argparse.Namespace) -> int:
 
     if not os.path.exists(args.path):
         raise InputError("there is no such file or folder", file=args.path)
+    if args.connect:
+        return _serve_team(args)
+    if args.keys or args.run_name or args.robots:
+        raise UsageError("--keys, --run and --robots say nothing without --connect")
     whole = os.path.realpath(args.path)
     first: Optional[str] = None
     if not os.path.isdir(whole):
@@ -104,6 +129,26 @@ def run(args: argparse.Namespace) -> int:
     if first is not None:
         project.open(first)  # report errors here, not in the browser
     return serve(project, args)
+
+
+def _serve_team(args: argparse.Namespace) -> int:
+    """Watch a team over Zenoh."""
+    from gspn_framework_package.formats.plan_file import read_plan
+    from gspn_framework_package.visualizer.project import project_of_team
+    from gspn_framework_package.visualizer.team_watch import TeamWatch
+    from gspn_framework_package.visualizer.zenoh_lookout import ZenohLookout
+
+    if args.edit or args.record or args.history:
+        raise UsageError("--edit, --record and --history are for a folder, not for --connect")
+    plan = read_plan(args.path)
+    if args.robots:
+        plan = plan.for_robots(args.robots)
+    lookout = ZenohLookout(access_of(args), args.run_name)
+    watch = TeamWatch(plan, lookout, args.run_name)
+    try:
+        return serve(project_of_team(args.path, plan, watch), args)
+    finally:
+        lookout.close()
 
 
 def serve(project: object, args: argparse.Namespace) -> int:

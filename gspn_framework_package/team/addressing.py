@@ -12,6 +12,9 @@ Address = TypeVar("Address")
 PATIENCE = 2.0
 """Seconds within which a robot must answer a plain question."""
 
+QUESTIONS = ("status", "plan")
+"""Commands that change nothing and are answered to everybody who may watch."""
+
 _STATUS_FIELDS = {
     "robot",
     "run",

@@ -199,8 +199,10 @@ class ZenohCarrier:
         self._reply(query, self._activity, "activity")
 
     def _on_status(self, query: zenoh.Query) -> None:
-        argument = str(self._read(query).get("argument", ""))
-        self._answer(query, OperatorRequest("status", "", argument, self.run), "status")
+        given = self._read(query)
+        command = "plan" if given.get("command") == "plan" else "status"
+        argument = str(given.get("argument", ""))
+        self._answer(query, OperatorRequest(command, "", argument, self.run), "status")
 
     def _on_order(self, query: zenoh.Query) -> None:
         operator = names_in(str(query.key_expr))[-1]

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team.addressing import (
     PATIENCE,
+    QUESTIONS,
     read_status,
     robots_of_run,
     whom_to_order,
 )
-from gspn_framework_package.team.carrier import OperatorAnswer
+from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.commands import ORDER_TIME
 from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.zenoh_session import (
@@ -23,6 +25,9 @@ from gspn_framework_package.team.zenoh_session import (
     open_session,
     zenoh_library,
 )
+
+if TYPE_CHECKING:
+    import zenoh
 
 _ATTEMPT = 0.3
 """Seconds after which robots that nobody has heard of yet are looked for again."""
@@ -43,17 +48,30 @@ class ZenohOperator:
 
     :param access: how to reach the team; to give orders, with an operator's keys.
     :raises GspnError: there is no session with the team.
+
+    :ivar session: the session.
     """
 
     def __init__(self, access: TeamAccess) -> None:
         self.name = access.keys.member.name if access.keys is not None else UNNAMED
         self._role = access.keys.member.role if access.keys is not None else "operator"
         self._zenoh = zenoh_library()
-        self._session = open_session(access)
+        self.session = open_session(access)
 
     def close(self) -> None:
         """End the session."""
-        self._session.close()
+        with contextlib.suppress(self._zenoh.ZError):
+            self.session.close()
+
+    @property
+    def gives_orders(self) -> bool:
+        """Whether these keys may give orders; without keys everybody may."""
+        return self._role == "operator"
+
+    @property
+    def connected(self) -> bool:
+        """Whether a router, or a robot that listens, is reached now."""
+        return bool(self.session.info.routers_zid() or self.session.info.peers_zid())
 
     def statuses(self, data: bool = False) -> Dict[RobotAddress, Optional[Dict[str, Any]]]:
         """The status of every robot that answers within :data:`PATIENCE`, with or without
@@ -107,36 +125,72 @@ class ZenohOperator:
     def _command(
         self, at: RobotAddress, command: str, robot: str, argument: str
     ) -> Optional[OperatorAnswer]:
-        if self._role != "operator":
+        if not self.gives_orders:
             raise ExecutionError(
                 "the keys of %s '%s' give no orders" % (self._role, self.name),
                 hint="use those of an operator",
             )
         request = {"command": command, "robot": robot, "argument": argument}
-        key = key_of(at.run, at.robot, "orders", self.name)
-        return self._ask(key, request, ORDER_TIME + PATIENCE).get(at)
+        return self._ask(self._key(at, command), request, ORDER_TIME + PATIENCE).get(at)
+
+    def _key(self, at: RobotAddress, command: str) -> str:
+        """Where a robot takes a question or an order."""
+        if command in QUESTIONS:
+            return key_of(at.run, at.robot, "status")
+        return key_of(at.run, at.robot, "orders", self.name)
+
+    def ask(
+        self,
+        at: RobotAddress,
+        request: OperatorRequest,
+        seconds: float,
+        answered: Callable[[Optional[OperatorAnswer]], None],
+    ) -> None:
+        """Ask a robot, or give it an order, without waiting.
+
+        :param seconds: how long the answer may take.
+        :param answered: takes the answer, once, on a thread of Zenoh; at the end of the time, or
+            when it is clear that none comes, None.
+        """
+        got: List[OperatorAnswer] = []
+        body = {n: getattr(request, n) for n in ("command", "robot", "argument")}
+
+        def replied(reply: zenoh.Reply) -> None:
+            found = _answer_in(reply)
+            if found is not None and found[0] == at and not got:
+                got.append(found[1])
+                answered(found[1])
+
+        def over() -> None:
+            if not got:
+                answered(None)
+
+        self.session.get(
+            self._key(at, request.command),
+            self._zenoh.handlers.Callback(replied, over),
+            payload=json.dumps(body).encode(),
+            timeout=seconds,
+        )
 
     def _ask(
         self, key: str, request: Dict[str, str], seconds: float
     ) -> Dict[RobotAddress, OperatorAnswer]:
         """The answers that come within so many seconds. Ends when all have answered."""
-        answers: Dict[RobotAddress, OperatorAnswer] = {}
-        replies = self._session.get(
+        replies = self.session.get(
             key,
             payload=json.dumps(request).encode(),
             target=self._zenoh.QueryTarget.ALL,
             consolidation=self._zenoh.ConsolidationMode.NONE,
             timeout=seconds,
         )
-        for reply in replies:
-            sample = reply.ok
-            if sample is None:
-                continue
-            names = names_in(str(sample.key_expr))
-            answer = json_object(bytes(sample.payload))
-            if answer is None or not {"success", "message"} <= set(answer):
-                continue
-            answers[RobotAddress(*names[:2])] = OperatorAnswer(
-                answer["success"] is True, str(answer["message"])
-            )
-        return answers
+        return dict(filter(None, map(_answer_in, replies)))
+
+
+def _answer_in(reply: zenoh.Reply) -> Optional[Tuple[RobotAddress, OperatorAnswer]]:
+    """Who answers what; None if it is no answer."""
+    sample = reply.ok
+    answer = json_object(bytes(sample.payload)) if sample is not None else None
+    if sample is None or answer is None or not {"success", "message"} <= set(answer):
+        return None
+    at = RobotAddress(*names_in(str(sample.key_expr))[:2])
+    return at, OperatorAnswer(answer["success"] is True, str(answer["message"]))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
+import threading
 from typing import TYPE_CHECKING, Any, Callable, Dict, NamedTuple
 
 from gspn_framework_package.team.gate import LARGEST_MESSAGE, json_object
+from gspn_framework_package.team.zenoh_operator import ZenohOperator
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
     names_in,
-    open_session,
     zenoh_library,
 )
 
@@ -29,7 +29,7 @@ class Sights(NamedTuple):
 
 
 class ZenohWatch:
-    """Watches one run, or all.
+    """Watches one run, or all, and asks its robots.
 
     A firing is published by the robot that decided it, which may concern another robot.
 
@@ -37,32 +37,40 @@ class ZenohWatch:
     :param run: the name of the run; "" for all runs.
     :param sights: what to do with what is seen.
     :raises GspnError: there is no session with the team.
+
+    :ivar operator: asks the robots, in the same session.
     """
 
     def __init__(self, access: TeamAccess, run: str, sights: Sights) -> None:
         self._sights = sights
         self._zenoh = zenoh_library()
-        self._session = open_session(access)
+        self.operator = ZenohOperator(access)
+        self._session = self.operator.session
         self._run = run or "*"
         self._declared = [
             self._session.declare_subscriber(key_of(self._run, "*", "fired"), self._on_fired),
             self._session.declare_subscriber(key_of(self._run, "*", "activity"), self._on_activity),
         ]
 
-    def ask_activity(self) -> None:
+    def ask_activity(self, seconds: float = 1.0) -> None:
         """Have every robot that is reached say again what it does; the answers come as any other
-        activity."""
+        activity. Returns when all have answered.
+
+        :param seconds: how long to wait for that at most.
+        """
+        all_in = threading.Event()
         self._session.get(
             key_of(self._run, "*", "activity"),
-            self._on_reply,
+            self._zenoh.handlers.Callback(self._on_reply, all_in.set),
             target=self._zenoh.QueryTarget.ALL,
             consolidation=self._zenoh.ConsolidationMode.NONE,
+            timeout=seconds,
         )
+        all_in.wait(seconds)
 
     def close(self) -> None:
         """End the session."""
-        with contextlib.suppress(self._zenoh.ZError):
-            self._session.close()
+        self.operator.close()
 
     def _on_fired(self, sample: zenoh.Sample) -> None:
         self._pass_on(sample, self._sights.fired)
@@ -75,9 +83,9 @@ class ZenohWatch:
             self._pass_on(reply.ok, self._sights.activity)
 
     def _pass_on(self, sample: zenoh.Sample, to: Callable[[str, Dict[str, Any]], None]) -> None:
-        robot = names_in(str(sample.key_expr))[1]
+        run, robot = names_in(str(sample.key_expr))[:2]
         fields = None
         if len(sample.payload) <= LARGEST_MESSAGE:
             fields = json_object(bytes(sample.payload))
-        if fields is not None:
+        if fields is not None and fields.setdefault("run", run) == run:
             to(robot, fields)

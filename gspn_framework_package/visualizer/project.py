@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, Iterable, Optional
 
 from gspn_framework_package.execution.phase import phases_to_json
 from gspn_framework_package.model.errors import InputError, UsageError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.robot_colours import PALETTE
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
@@ -26,6 +27,21 @@ def path_of_key(key: str) -> str:
     if not key.startswith(FILE_KEY):
         raise UsageError("only files of the served folder are edited")
     return key[len(FILE_KEY) :]
+
+
+def project_of_team(path: str, plan: Plan, activity: Activity) -> Project:
+    """A server that shows a team and nothing else.
+
+    :param path: where its plan was read from; viewers see the last part alone, since they need not
+        know this machine's folders.
+    :param plan: the plan, with its initial robots.
+    :param activity: watches the team.
+    """
+    title = os.path.join(*os.path.abspath(path).split(os.sep)[-2:])
+    document = Document(title, plan.net, plan, notes=tuple(plan.notes), file=plan.file or "")
+    project = Project()
+    project.show(Session("live", document, activity))
+    return project
 
 
 class Project:

@@ -24,12 +24,11 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.team.seal import TeamKey, read_team_key
-from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.guard import read_tokens
-from gspn_framework_package.visualizer.project import Project
-from gspn_framework_package.visualizer.ros_watch import RosWatch
+from gspn_framework_package.visualizer.project import project_of_team
+from gspn_framework_package.visualizer.ros_watch import RosLookout
 from gspn_framework_package.visualizer.serving import DEFAULT_PORT, WebServer
-from gspn_framework_package.visualizer.session import Session
+from gspn_framework_package.visualizer.team_watch import TeamWatch
 
 
 def main() -> int:
@@ -58,9 +57,8 @@ def _server() -> WebServer:
     robots = int(_parameter("robots", 0))
     if robots:
         plan = plan.for_robots(robots)
-    document = Document(_title(path), plan.net, plan, notes=tuple(plan.notes), file=plan.file or "")
-    project = Project()
-    project.show(Session("live", document, RosWatch(plan, _parameter("run", ""), _team_key())))
+    watch = TeamWatch(plan, RosLookout(_team_key()), _parameter("run", ""))
+    project = project_of_team(path, plan, watch)
     token, viewer_token = _tokens()
     names = [name for name in _parameter("names", "").replace(",", " ").split() if name]
     return WebServer(
@@ -96,11 +94,6 @@ def _secret(name: str) -> Optional[str]:
     if rospy.has_param("~" + name):
         rospy.delete_param("~" + name)
     return value or None
-
-
-def _title(path: str) -> str:
-    """The last part of a path, since viewers need not know this machine's folders."""
-    return os.path.join(*os.path.abspath(path).split(os.sep)[-2:])
 
 
 def _parameter(name: str, default: Any) -> Any:

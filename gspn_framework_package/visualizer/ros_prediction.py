@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import List, Sequence, Tuple
+from typing import Sequence, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,7 +28,7 @@ class RosPrediction:
         self,
         plan: Plan,
         run: str,
-        lasting: List[Alarm],
+        lasting: Sequence[Alarm],
         new: Sequence[Alarm],
         levels: Sequence[Tuple[str, float]],
     ) -> None:
@@ -57,7 +57,7 @@ class RosPrediction:
             self._diagnostics.publish(_diagnosis(plan, run, lasting))
 
 
-def _diagnosis(plan: Plan, run: str, lasting: List[Alarm]) -> DiagnosticArray:
+def _diagnosis(plan: Plan, run: str, lasting: Sequence[Alarm]) -> DiagnosticArray:
     values = {
         "alarms": len(lasting),
         "false alarms": "one in %g days" % (ALARM_EVERY / DAY),

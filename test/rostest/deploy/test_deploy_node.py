@@ -21,7 +21,8 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.hub import Hub
-from gspn_framework_package.visualizer.ros_watch import RosWatch
+from gspn_framework_package.visualizer.ros_watch import RosLookout
+from gspn_framework_package.visualizer.team_watch import TeamWatch
 
 ACTIONS = """
 def work(is_cancelled):
@@ -75,7 +76,7 @@ class DeployTest(RobotTestCase):
 
     def watched(self, team):
         """The hub of a page that watches a team, and was given the plan that it began with."""
-        watch = RosWatch(read_plan(os.path.join(team.plan, "plan.json")), team.run)
+        watch = TeamWatch(read_plan(os.path.join(team.plan, "plan.json")), RosLookout(), team.run)
         hub = Hub("", Board(0, []))
         watch.begin(hub)
         self.addCleanup(watch.end)

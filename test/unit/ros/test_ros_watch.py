@@ -1,26 +1,20 @@
 """A master that takes connections and answers nothing, or nonsense: nobody waits for it for
 ever."""
 
-import json
 import socket
 import threading
-from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rospy")
 
-from gspn_framework_package.execution.plan_change import digest_of
-from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 from gspn_framework_package.ros.operator_client import OperatorClient
 from gspn_framework_package.ros.transport import registration
-from gspn_framework_package.visualizer.deployed_plan import read_deployed
-from gspn_framework_package.visualizer.hub import Hub
-from gspn_framework_package.visualizer.ros_prediction import RosPrediction
-from gspn_framework_package.visualizer.ros_watch import UNHEARD, RosWatch
+from gspn_framework_package.visualizer.lookout import UnreachableError
+from gspn_framework_package.visualizer.ros_watch import RosLookout
+from gspn_framework_package.visualizer.team_watch import TeamWatch
 
 
 @pytest.fixture(params=[b"", b"nonsense\r\n\r\n", b"HTTP/1.1 200 OK\r\n\r\n<methodResponse/>"])
@@ -63,236 +57,9 @@ def test_an_operators_program_says_that_no_master_answers(master):
 
 @pytest.mark.timeout(60)
 def test_an_order_of_the_page_says_it_too(master):
-    watch = RosWatch(read_plan("plans/patrol"), "monday")
+    watch = TeamWatch(read_plan("plans/patrol"), RosLookout(), "monday")
     watch._names = {"/robot_1": "robot_1"}
     with pytest.raises(RefusedError, match="the ROS master does not answer"):
         watch.command("stop", {})
-
-
-REFUSED = [{"robot": "robot_4", "why": "too large", "times": 3}]
-
-
-class Watched:
-    """The page of a team whose answers the test gives."""
-
-    def __init__(self, monkeypatch, run="monday"):
-        monkeypatch.setattr(RosWatch, "_subscribe", lambda *_: None)
-        monkeypatch.setattr(threading.Thread, "start", lambda *_: None)
-        self.plan = read_plan("plans/measure")
-        self.watch = RosWatch(self.plan, run)
-        self.hub = Hub("", self.watch._follower.board({}))
-        self.watch.begin(self.hub)
-        self.length = 0
-
-    def answer(self, place, run="monday", plan=None, ended=None, deployed=None, **more):
-        """One robot of the first two says where it is."""
-        self.length += 1
-        robots = [
-            {"robot": name, "place": place, "state": "Doing", "visit": self.length, "waits_for": ""}
-            for name in ("robot_1", "robot_2")
-        ]
-        status = {
-            "robot": "robot_1",
-            "run": run,
-            "plan": plan or self.plan.hash(),
-            "log_length": self.length,
-            "robots": robots,
-            "marking": {place: 2},
-            "paused": False,
-            "ended": ended,
-            "finished": False,
-            "fault": False,
-            "synchronisation": "full",
-            "active": True,
-            "quorum": True,
-            "waits_for": "",
-            **more,
-        }
-        heard = self.watch._read_answer("/robot_1", json.dumps(status))
-        self.watch._on_answers((False, heard, deployed))
-
-    def notes(self):
-        return [note["text"] for note in self.hub.board().notes]
-
-
-def test_a_prediction_names_the_run_that_was_chosen_later(monkeypatch):
-    told = []
-    monkeypatch.setattr(RosPrediction, "tell", lambda self, plan, run, *_: told.append(run))
-    page = Watched(monkeypatch, run="")
-    page.watch._show_run("tuesday")
-    page.watch._comparison._listener([], [], [])
-    assert told == ["tuesday"]
-
-
-def test_the_page_warns_once_of_firings_that_it_does_not_hear(monkeypatch):
-    page = Watched(monkeypatch)
-    places = [
-        place.name for place in page.plan.net.places if place.name not in page.plan.resource_places
-    ]
-    for number in range(UNHEARD):
-        page.answer(places[number % 2])
-        assert not page.notes()
-    page.answer(places[UNHEARD % 2])
-    page.answer(places[(UNHEARD + 1) % 2])
-    (note,) = page.notes()
-    assert "no firing is heard on /fired_transitions" in note
-
-
-def test_the_page_warns_of_no_silence_while_the_team_stands(monkeypatch):
-    page = Watched(monkeypatch)
-    for _ in range(3 * UNHEARD):
-        page.answer(page.plan.robots[0].place)
-    assert not page.notes()
-
-
-def test_the_page_takes_a_run_that_goes_on_before_one_that_is_over(monkeypatch):
-    """Where it was not said which is to be shown."""
-    page = Watched(monkeypatch, run="")
-    place = page.plan.robots[0].place
-    page.answer(place, run="strange", plan="of another plan")
-    assert page.hub.board().status["run"] == ""
-    said = {"robot": "robot_1", "run": "old", "plan": page.plan.hash()}
-    page.watch._on_activity(("/old", type("Message", (), {"data": json.dumps(said)})))
-    page.answer(place, run="new")
-    assert page.hub.board().status["run"] == "new"
-    assert sorted(note.split(" on ")[0] for note in page.notes()) == ["run 'old'", "run 'strange'"]
-
-
-@pytest.mark.parametrize("trouble", [{"stuck": True}, {"astray": ["robot_2"]}])
-def test_the_page_says_that_a_team_can_never_go_on_by_itself(monkeypatch, trouble):
-    page = Watched(monkeypatch)
-    place = page.plan.robots[0].place
-    page.answer(place, waits_for="has no quorum: too many lost their logs", **trouble)
-    assert page.hub.board().status["stalled"] == "robot_1 has no quorum: too many lost their logs"
-    page.answer(place, stuck=False, astray=[])
-    assert page.hub.board().status["stalled"] == ""
-
-
-@pytest.mark.parametrize(
-    "said", ["", "no JSON", "[" * 100_000, "[]", "3", "null", "{}", '{"run": "monday"}']
-)
-def test_an_answer_that_cannot_be_read_is_passed_over(monkeypatch, said):
-    assert Watched(monkeypatch).watch._read_answer("/robot_1", said) == []
-
-
-def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
-    """And no older answer of another takes that back or makes it up."""
-    page = Watched(monkeypatch)
-
-    def tell(state, needs_operator):
-        said = {
-            "robot": "robot_1",
-            "run": "monday",
-            "plan": page.plan.hash(),
-            "state": state,
-            "waits_for": "",
-            "needs_operator": needs_operator,
-            "ended": None,
-            "visit": 1,
-            "attempt": 1,
-            "refused": REFUSED,
-        }
-        page.watch._on_activity(("/robot_1", type("Message", (), {"data": json.dumps(said)})))
-        return next(
-            robot["phase"]
-            for robot in page.hub.board().to_json()["robots"]
-            if robot["name"] == "robot_1"
-        )
-
-    assert tell("Waiting", True) == "failed"
-    page.answer(page.plan.robots[0].place)
-    assert tell("Waiting", True) == "failed"
-    assert tell("Doing", False) == "doing"
-    assert tell("Waiting", False) == "done"
-    assert tell("Lost", True) == "lost"
-    assert page.hub.board().robots["robot_1"]["refused"] == REFUSED
-
-
-def test_the_page_notes_the_orders_that_come_after_it_heard_a_robot(monkeypatch):
-    page = Watched(monkeypatch)
-    page.answer(page.plan.robots[0].place)
-
-    def tell(*walls):
-        orders = [
-            {
-                "command": "pause",
-                "robot": "",
-                "argument": "",
-                "operator": "ann",
-                "proof": "certificate",
-                "wall": wall,
-            }
-            for wall in walls
-        ]
-        page.watch._show_orders("robot_1", orders)
-        return [note for note in page.notes() if "ann" in note]
-
-    assert tell(1.0) == []  # before the page came
-    assert tell(1.0, 2.0) == ["ann (certificate) orders: pause"]
-    assert len(tell(1.0, 2.0, 3.0, 4.0)) == 3
-    assert len(tell()) == 3
-
-
-def deployed_to(plan):
-    """A plan like ``plan`` in which P4 is called Alarm and the places come in reverse order, as a
-    robot reports it."""
-    data = json.loads(json.dumps(plan_to_json(plan)).replace('"P4"', '"Alarm"'))
-    data["net"]["places"].reverse()
-    staged = StagedPlan(1, digest_of(data), data, {"P4": "Alarm"})
-    return read_deployed("monday", json.dumps(staged.to_json()))
-
-
-def fired(plan, slot, transition, robot, place, marking):
-    """The message of a firing that moved a robot."""
-    return SimpleNamespace(
-        plan=plan.hash(),
-        run="monday",
-        transition=transition,
-        robot=robot,
-        visit=2,
-        robots=[robot],
-        robot_places=[place],
-        places=list(marking),
-        counts=list(marking.values()),
-        slot=slot,
-        index=0,
-        private_move=False,
-        details="",
-    )
-
-
-def test_the_page_follows_a_team_to_another_plan(monkeypatch):
-    page = Watched(monkeypatch)
-    deployed, began = deployed_to(page.plan), page.plan.hash()
-    new = deployed.plan
-    page.answer("P1", began_with=began)
-    before = page.hub.board().to_json()
-    message = fired(new, 3, "T2", "robot_1", "Alarm", {"P1": 1, "Alarm": 1, "P3": 1})
-    page.watch._on_fired(message)  # its plan is not known yet
-    page.answer("P1", plan=new.hash(), began_with=began)  # and cannot be asked for
-    assert page.hub.board().to_json() == before
-    page.answer("P1", plan=new.hash(), began_with=began, deployed=deployed)
-    board = page.hub.board()
-    assert board.plan == 1 and page.watch.plan_of(1) is new
-    assert new.net.named(board.marking, zeros=False) == {"P1": 1, "Alarm": 1, "P3": 1}
-    places = {name: new.net.places[r["place"]].name for name, r in board.robots.items()}
-    assert places["robot_1"] == "Alarm" and places["robot_2"] == "P1"
-    page.watch._on_fired(fired(page.plan, 1, "T2", "robot_2", "P4", {"P4": 1}))  # comes late
-    page.answer("P4", plan=began, began_with=began)  # of one who is behind
-    assert new.net.named(page.hub.board().marking, zeros=False) == {"P1": 1, "Alarm": 1, "P3": 1}
-    assert page.notes() == []
-
-
-def test_a_page_that_is_opened_later_shows_the_run_under_its_present_plan(monkeypatch):
-    page = Watched(monkeypatch, run="")
-    deployed = deployed_to(page.plan)
-    new = deployed.plan
-    page.answer("Alarm", plan=new.hash(), began_with=page.plan.hash(), deployed=deployed)
-    board = page.hub.board()
-    assert board.status["run"] == "monday" and board.plan == 1
-    assert new.net.named(board.marking, zeros=False) == {"Alarm": 2}
-
-
-@pytest.mark.parametrize("said", ["", "{}", "[]", '{"number": 1}', '{"number": 1, "plan": 3}'])
-def test_a_plan_that_cannot_be_read_is_none(said):
-    assert read_deployed("monday", said) is None
+    with pytest.raises(UnreachableError, match="the ROS master does not answer"):
+        RosLookout().find()

@@ -308,12 +308,14 @@ def test_a_watch_sees_what_fires_and_what_robots_did_before_it_began(hub):
     sights = Sights(lambda *seen: fired.append(seen), lambda *seen: done.append(seen))
     watch = hub.keep(ZenohWatch(hub.access("screen"), "run", sights))
     wait_for(lambda: watch.ask_activity() or done)
-    assert done[0] == ("robot_1", {"robot": "robot_1", "phase": "Executing"})
+    assert done[0] == ("robot_1", {"robot": "robot_1", "phase": "Executing", "run": "run"})
     wait_for(one.carrier.is_watched)
     wait_for(lambda: one.carrier.tell_firing({"slot": 3}) or fired)
-    assert fired[0] == ("robot_1", {"slot": 3})
+    assert fired[0] == ("robot_1", {"slot": 3, "run": "run"})
+    one.carrier.tell_activity({"phase": "Forged", "run": "another"})
     one.carrier.tell_activity({"phase": "Waiting"})
-    wait_for(lambda: ("robot_1", {"phase": "Waiting"}) in done)
+    wait_for(lambda: ("robot_1", {"phase": "Waiting", "run": "run"}) in done)
+    assert "Forged" not in [activity["phase"] for _, activity in done]
 
 
 def test_messages_go_on_when_the_router_was_replaced(secure):

@@ -1,6 +1,7 @@
-"""Help for the tests that talk through Zenoh: keys, a router, sessions, and waiting."""
+"""Help for the tests that talk through Zenoh: keys, a router, sessions, agents, and waiting."""
 
 import contextlib
+import json
 import os
 import shutil
 import socket
@@ -10,9 +11,15 @@ import pytest
 
 pytest.importorskip("zenoh")
 
+from meeting import WORK, meeting_of
+
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.team import keys, zenoh_session
+from gspn_framework_package.team.agent import PrintedVoice, make_agent
+from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.router import Router
+from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 
 MEMBERS = [
     NewMember("robot_1", "robot"),
@@ -79,3 +86,41 @@ class Hub:
 def copy_keys(folder, name, to):
     shutil.copytree(os.path.join(folder, name), str(to))
     return str(to)
+
+
+class Agents:
+    """Robots of this process that run the plan of the meeting through a router.
+
+    :ivar folder: of the plan.
+    """
+
+    def __init__(self, hub, folder, robots=2, **more):
+        self.hub, self.folder, self.hosts = hub, folder, {}
+        folder.mkdir()
+        fields = {**meeting_of(robots), **more}
+        (folder / "plan.json").write_text(json.dumps(fields))
+        (folder / "work.py").write_text(WORK)
+        self.plan = read_plan(str(folder))
+        for robot in fields["robots"]:
+            self.start(robot)
+
+    def start(self, robot, run="monday"):
+        def carrier(host):
+            partial = self.plan.synchronisation.value == "partial"
+            return ZenohCarrier(robot, run, self.hub.access(robot), host.handlers, partial)
+
+        log = str(self.folder / "logs" / run / (robot + ".jsonl"))
+        host = make_agent(
+            self.plan, robot, HostOptions(run, log, stay=True), PrintedVoice(robot, True), carrier
+        )
+        self.hosts[robot] = host
+        host.start(lambda robot: None)
+
+    def let_them_meet(self):
+        (self.folder / "open").touch()
+
+    def close(self):
+        for host in self.hosts.values():
+            host.stop()
+        for host in self.hosts.values():
+            host.join(20)

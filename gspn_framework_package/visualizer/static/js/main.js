@@ -587,6 +587,7 @@ class Page {
       if (names.length) alarm(`${word[0].toUpperCase()}${word.slice(1)}: ${names.join(", ")}`);
     }
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
+    if (status.unreachable) alarm(`Cut off: ${status.unreachable}`);
     if (model.mode === "LIVE")
       for (const text of model.latest.model?.alarms || []) alarm(text, "warning");
     if (status.paused) alarm("The team is paused", "warning");

@@ -1,0 +1,118 @@
+"""What the page needs of the network to watch a team: on ROS
+(:mod:`~gspn_framework_package.visualizer.ros_watch`) and over Zenoh
+(:mod:`~gspn_framework_package.visualizer.zenoh_lookout`)."""
+
+from __future__ import annotations
+
+import queue
+from typing import TYPE_CHECKING, Any, Callable, Optional, Protocol, Sequence, Set, Tuple
+
+from gspn_framework_package.analysis.monitoring.monitor import Alarm
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+
+if TYPE_CHECKING:
+    Replies = queue.SimpleQueue[Tuple[str, Optional[OperatorAnswer]]]
+    """Answers, each with the address of the robot."""
+
+ANSWER_TIME = 1.5
+"""Seconds within which a robot must report the team's state."""
+
+ORDER_TIME = 6.0
+"""Time limit of an order in seconds; a robot allows 5 s for its entry into the log."""
+
+
+class UnreachableError(Exception):
+    """The team cannot be reached now; the text says why."""
+
+
+class RobotLine(Protocol):
+    """Asks robots; an answer has a time limit, and one robot does not delay another."""
+
+    def call(
+        self,
+        address: str,
+        robot: str,
+        request: OperatorRequest,
+        answered: Callable[[Optional[OperatorAnswer]], None],
+    ) -> bool:
+        """Ask the robot at an address; return whether an answer may come.
+
+        :param robot: its name; a question (see
+            :data:`~gspn_framework_package.team.addressing.QUESTIONS`) may go without.
+        :param answered: is called with the answer on any thread, once or not at all; None: there
+            will be none.
+        :raises UnreachableError: nobody can be asked.
+        """
+
+    def close(self) -> None:
+        """Wait for no more answers."""
+
+
+class Lookout(Protocol):
+    """What a watch needs of the network. An address is where a robot is reached.
+
+    :cvar says: whom the page shows, in words.
+    :cvar where: where other runs are heard, in words.
+    :ivar orders: whether the page may give orders.
+    """
+
+    says: str
+    where: str
+    orders: bool
+
+    def open(self, seen: Callable[[str, Any], None]) -> None:
+        """Begin to look.
+
+        :param seen: takes, on any thread, ``"fired"`` and a
+            :class:`~gspn_framework_package.visualizer.fired_follower.FiredMessage`; ``"activity"``,
+            the address of a robot and what it does; ``"room"`` and ``"world"`` with that of a
+            simulated world.
+        """
+
+    def find(self) -> Set[str]:
+        """The addresses of all robots known so far, of whatever run; have those that are new
+        report what they do.
+
+        :raises UnreachableError: nobody can be found.
+        """
+
+    def line(self, seconds: float) -> RobotLine:
+        """A line on which answers take at most so long."""
+
+    def label(self, address: str) -> str:
+        """An address in words."""
+
+    def why_unheard(self) -> str:
+        """Why no firing may be heard although the robots answer."""
+
+    def tell(self, text: str) -> None:
+        """Report to whoever runs the server, at most every few seconds."""
+
+    def tell_departures(
+        self,
+        plan: Plan,
+        run: str,
+        lasting: Sequence[Alarm],
+        new: Sequence[Alarm],
+        levels: Sequence[Tuple[str, float]],
+    ) -> None:
+        """Report once a second whether the run goes as predicted; on a thread of its own.
+
+        :param lasting: how it departs.
+        :param new: those of them that are new.
+        :param levels: (what is compared, how near it is to an alarm), from 0 to 1.
+        """
+
+    def close(self) -> None:
+        """Look no more."""
+
+
+def ask(
+    line: RobotLine, address: str, robot: str, request: OperatorRequest, answers: Replies
+) -> bool:
+    """Ask a robot, and have its answer put into a queue; return whether one may come.
+
+    :raises UnreachableError: see :class:`RobotLine`.
+    """
+    return line.call(address, robot, request, lambda answer: answers.put((address, answer)))

@@ -1,0 +1,208 @@
+"""The orders of the page to a team."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import queue
+from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, Mapping, Protocol, Tuple
+
+from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.execution.breakpoints import Breakpoints
+from gspn_framework_package.execution.plan_change import stage_of
+from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.carrier import OperatorRequest
+from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
+from gspn_framework_package.visualizer.activity import Fields, Handler, names_field, text_field
+from gspn_framework_package.visualizer.lookout import (
+    ANSWER_TIME,
+    ORDER_TIME,
+    Lookout,
+    RobotLine,
+    UnreachableError,
+    ask,
+)
+from gspn_framework_package.visualizer.submissions import submission
+
+if TYPE_CHECKING:
+    from gspn_framework_package.visualizer.lookout import Replies
+
+Order = Tuple[str, str, str]
+"""An order to the team: the command, the robot and the argument of the Command service."""
+
+
+Answer = Tuple[str, Dict[str, Any]]
+"""The address of a robot, and the status in its answer."""
+
+
+class OrderedTeam(Protocol):
+    """The team that is given orders, as it is known now."""
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that it follows."""
+
+    @property
+    def run(self) -> str:
+        """The name of its run."""
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """Address -> robot."""
+
+    @property
+    def gone(self) -> FrozenSet[str]:
+        """Robots that have no token in the net any more."""
+
+    def obeyed(self, order: Order) -> None:
+        """Note that an order is in the team's log."""
+
+    def ask_soon(self) -> None:
+        """Have the team asked for its state soon."""
+
+    def statuses(self, addresses: List[str], line: RobotLine) -> List[Answer]:
+        """What robots answer about the team."""
+
+
+class PageOrders:
+    """Gives the page's orders to a team. Every order names the run.
+
+    :param team: the team.
+    :param lookout: how it is reached.
+    :ivar commands: command of the page -> what carries it out.
+    """
+
+    def __init__(self, team: OrderedTeam, lookout: Lookout) -> None:
+        self._team, self._lookout = team, lookout
+        self._line = lookout.line(ORDER_TIME)
+        self.commands: Dict[str, Handler] = {
+            "stop": self._ordered(
+                lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")
+            ),
+            "pause": self._ordered(lambda f: ("pause", text_field(f, "robot", ""), "")),
+            "resume": self._ordered(lambda f: ("resume", text_field(f, "robot", ""), "")),
+            "retry": self._ordered(lambda f: ("retry", text_field(f, "robot"), "")),
+            "evict": self._ordered(lambda f: ("evict", text_field(f, "robot"), "")),
+            "leave": self._ordered(lambda f: ("leave", text_field(f, "robot"), "")),
+            "set_place": self._ordered(self._set_place),
+            "fire": self._ordered(self._fire),
+            "submit": self._ordered(self._submit),
+            "breakpoints": self._set_breakpoints,
+        }
+
+    def close(self) -> None:
+        """Wait for no more answers."""
+        self._line.close()
+
+    def deploy(
+        self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
+    ) -> DeployOutcome:
+        """See :class:`Activity`; the robots find its functions where those of their plan are."""
+        report = check(plan)
+        if report.refused:
+            raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
+        line = self._lookout.line(ANSWER_TIME)
+
+        def order(command: str, text: str) -> Tuple[bool, str]:
+            try:
+                return True, str(self._order((command, "", text))["message"])
+            except RefusedError as error:
+                return False, str(error)
+
+        def statuses() -> List[Dict[str, Any]]:
+            found = self._team.statuses(sorted(self._team.names), line)
+            return [status for _, status in found if status["run"] == self._team.run]
+
+        try:
+            return DeployTeam(order, statuses, tell).deploy(stage_of(plan, mapping))
+        except UnreachableError as error:
+            raise RefusedError(str(error)) from None
+        finally:
+            line.close()
+
+    def _ordered(self, order_from: Callable[[Fields], Order]) -> Handler:
+        def run(fields: Fields) -> Dict[str, Any]:
+            return self._order(order_from(fields))
+
+        return run
+
+    def _set_place(self, fields: Fields) -> Order:
+        place = text_field(fields, "place")
+        self._team.plan.net.place_number(place)
+        return "set_place", text_field(fields, "robot"), place
+
+    def _fire(self, fields: Fields) -> Order:
+        name = text_field(fields, "transition")
+        self._team.plan.net.transition_number(name)
+        return "fire", "", name
+
+    def _submit(self, fields: Fields) -> Order:
+        task = submission(self._team.plan, fields)
+        return "submit", "", json.dumps(task._asdict())
+
+    def _order(self, order: Order) -> Dict[str, Any]:
+        """Send an order to the robots of the run in turn, until one answers.
+
+        :raises RefusedError: the order was not carried out.
+        """
+        command, robot, argument = order
+        request = OperatorRequest(command, robot, argument, self._team.run)
+        for address in self._first_to_order(command, robot):
+            robot_there = self._team.names.get(address, "")
+            answers: Replies = queue.SimpleQueue()
+            try:
+                if not ask(self._line, address, robot_there, request, answers):
+                    continue
+                _, answer = answers.get(timeout=ORDER_TIME + 0.2)
+            except queue.Empty:
+                continue
+            except UnreachableError as error:
+                raise RefusedError(str(error)) from None
+            if answer is None:
+                continue
+            if not answer.success:
+                raise RefusedError(answer.message)
+            self._team.obeyed(order)
+            return {"message": answer.message}
+        raise RefusedError(
+            "no robot of run '%s' answers" % self._team.run
+            if self._team.names
+            else "no robot of the run has been heard of yet"
+        )
+
+    def _set_breakpoints(self, fields: Fields) -> Dict[str, Any]:
+        """Have every robot of the run halt at these places and transitions.
+
+        :raises RefusedError: a robot did not take them.
+        """
+        found = Breakpoints.of_names(names_field(fields), self._team.plan)
+        names = json.dumps([*found.places, *found.transitions])
+        request = OperatorRequest("breakpoints", "", names, self._team.run)
+        answers: Replies = queue.SimpleQueue()
+        try:
+            known = sorted(n for n, name in self._team.names.items() if name not in self._team.gone)
+            asked = [n for n in known if ask(self._line, n, self._team.names[n], request, answers)]
+        except UnreachableError as error:
+            raise RefusedError(str(error)) from None
+        silent, refusals = set(asked), []
+        with contextlib.suppress(queue.Empty):
+            for _ in asked:
+                address, answer = answers.get(timeout=ORDER_TIME + 0.2)
+                if answer is None:
+                    continue
+                silent.discard(address)
+                if not answer.success:
+                    refusals.append("%s: %s" % (self._lookout.label(address), answer.message))
+        self._team.ask_soon()
+        refusals += ["%s does not answer" % self._lookout.label(n) for n in sorted(silent)]
+        if refusals or not asked:
+            raise RefusedError("; ".join(refusals) or "no robot of the run has been heard of yet")
+        return {"message": "robots halt at: %s" % found.told}
+
+    def _first_to_order(self, command: str, robot: str) -> List[str]:
+        """The addresses of the run's robots, in the order to try them: first the robot concerned
+        (last, if the order is to cast it out), and at the end those that are gone."""
+        names, gone = self._team.names, self._team.gone
+        own_last = command == "evict"
+        return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))

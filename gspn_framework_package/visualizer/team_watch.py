@@ -1,0 +1,600 @@
+"""LIVE: a page that watches a team without being one of its robots.
+
+One thread with one queue does the work. What comes from the network is only put into the queue. So
+does a second thread, which asks the team for its state, since an answer may take a while. How the
+team is reached, on ROS or over Zenoh, is for the :class:`Lookout` to know.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from collections import deque
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    FrozenSet,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
+
+from gspn_framework_package.analysis.monitoring.monitor import Alarm
+from gspn_framework_package.execution.enabled_set import EnabledSet
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.plan_change import NewNames
+from gspn_framework_package.execution.told_data import order_text
+from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.addressing import read_status
+from gspn_framework_package.team.carrier import OperatorRequest
+from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
+from gspn_framework_package.visualizer.activity import Activity
+from gspn_framework_package.visualizer.board import Event, data_event, plan_event, renumbered
+from gspn_framework_package.visualizer.deployed_plan import DeployedPlan, read_deployed
+from gspn_framework_package.visualizer.feedback import Feedback
+from gspn_framework_package.visualizer.fired_follower import (
+    FiredFollower,
+    FiredMessage,
+    RobotSeen,
+    TeamSeen,
+)
+from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.live_comparison import LiveComparison
+from gspn_framework_package.visualizer.lookout import (
+    ANSWER_TIME,
+    Lookout,
+    RobotLine,
+    UnreachableError,
+    ask,
+)
+from gspn_framework_package.visualizer.page_orders import Answer, Order, PageOrders
+
+if TYPE_CHECKING:
+    from gspn_framework_package.visualizer.lookout import Replies
+
+LOOK_AROUND = 2.0
+"""Seconds between two searches for robots, and between two requests for the team's state."""
+
+SILENT = 3
+"""Number of unanswered requests after which the run is considered over."""
+
+UNPLACED = 500
+"""Largest number of firings that wait until it is known under which plan they happened."""
+
+UNHEARD = 3
+"""Number of consecutive answers that show progress of the team without any received firing, after
+which the page warns the viewer."""
+
+
+class TeamWatch(Activity):
+    """Watches a team that runs ``plan``. No robot waits for it.
+
+    It asks for ``status`` at intervals. Other teams may run in the same network. Only robots of the
+    plan and run shown are listed, followed and given orders, and every order names the run.
+
+    :param plan: the plan, with its initial robots.
+    :param lookout: how the team is reached.
+    :param run: the run to show; "" takes the first run of this plan that is heard.
+    """
+
+    mode = "LIVE"
+
+    def __init__(self, plan: Plan, lookout: Lookout, run: str = "") -> None:
+        super().__init__()
+        self._lookout = lookout
+        self._plan = plan
+        self._net: Net = plan.net
+        self._hash = self._given = plan.hash()
+        self._plans: Dict[int, Plan] = {}
+        """Number -> plan that the team went on under."""
+        self._stage = 0
+        """Number of the stage of the plan shown, 0 for the plan that was given."""
+        self._unplaced: Deque[FiredMessage] = deque(maxlen=UNPLACED)
+        """Firings under a plan that is not known yet."""
+        self._run = run
+        self._queue: queue.SimpleQueue[Tuple[Any, ...]] = queue.SimpleQueue()
+        self._known: Set[str] = set()
+        # address -> robot; replaced as a whole, never modified: three threads read it
+        self._names: Dict[str, str] = {}
+        self._strangers: FrozenSet[str] = frozenset()
+        self._follower = FiredFollower(plan)
+        self._shown: Dict[str, Dict[str, Any]] = {}
+        self._data: Dict[str, Any] = {}
+        self._status: Dict[str, Any] = {}
+        self._others: Set[Tuple[str, str]] = set()
+        self._unread: Set[str] = set()
+        self._ordered_until: Dict[str, float] = {}
+        """Robot -> time of the last order that was noted (seconds since 1970)."""
+        self._early: Dict[str, Dict[str, Any]] = {}
+        self._comparison: Optional[LiveComparison] = None
+        self._stop = threading.Event()
+        self._asking = lookout.line(ANSWER_TIME)
+        self._ask_now = threading.Event()
+        self._turn = self._silent = 0
+        self._before: Optional[TeamSeen] = None
+        self._heard = True
+        self._unheard = 0
+        self._orders = PageOrders(self, lookout)
+        self.commands = self._orders.commands if lookout.orders else {}
+
+    @property
+    def plan(self) -> Plan:
+        """See :class:`OrderedTeam`."""
+        return self._plan
+
+    @property
+    def run(self) -> str:
+        """See :class:`OrderedTeam`."""
+        return self._run
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """See :class:`OrderedTeam`."""
+        return self._names
+
+    @property
+    def gone(self) -> FrozenSet[str]:
+        """See :class:`OrderedTeam`."""
+        return self._follower.gone
+
+    def obeyed(self, order: Order) -> None:
+        """See :class:`OrderedTeam`."""
+        self._queue.put(("obeyed", order))
+
+    def ask_soon(self) -> None:
+        """See :class:`OrderedTeam`."""
+        self._ask_now.set()
+
+    def deploy(
+        self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
+    ) -> DeployOutcome:
+        """See :class:`Activity`."""
+        if not self.commands:
+            raise RefusedError("the keys of this page give no orders")
+        return self._orders.deploy(plan, mapping, tell)
+
+    def plan_of(self, number: int) -> Optional[Plan]:
+        """See :class:`Activity`."""
+        return self._plans.get(number)
+
+    def begin(self, hub: Hub) -> None:
+        """Subscribe, and start asking the team for its state."""
+        self._hub = hub
+        self._feedback = Feedback(hub)
+        self._status = {
+            "run": self._run,
+            "running": False,
+            "paused": False,
+            "ended": None,
+            "finished": False,
+            "stalled": "",
+            "unreachable": "",
+            "fault": False,
+        }
+        offered = sorted([*self.commands, "deploy"]) if self.commands else []
+        info = {"commands": offered, "says": self._lookout.says}
+        hub.restart(self.mode, self._follower.board(self._status), info)
+        self._comparison = LiveComparison(
+            self._plan, hub, complete=False, listener=self._tell_departures
+        )
+        self._lookout.open(lambda *seen: self._queue.put(seen))
+        threading.Thread(target=self._work, name="watch", daemon=True).start()
+        threading.Thread(target=self._ask_around, name="ask", daemon=True).start()
+
+    def end(self) -> None:
+        """Look no more."""
+        self._stop.set()
+        if self._comparison is not None:
+            self._comparison.end()
+        self._asking.close()
+        self._orders.close()
+        self._lookout.close()
+
+    # -- the worker --------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while not self._stop.is_set():
+            try:
+                what, *seen = self._queue.get(timeout=0.1)
+            except queue.Empty:
+                what, seen = "nothing", []
+            try:
+                getattr(self, "_on_" + what)(*seen)
+                self._hub.publish(*self._follower.retry(time.monotonic()))
+            except Exception as error:  # logged; the page continues
+                self._lookout.tell("the page: %s: %s" % (type(error).__name__, error))
+            if self._follower.lost_track:
+                self._ask_now.set()
+
+    def _on_nothing(self) -> None:
+        """Handle the absence of messages."""
+
+    def _on_fired(self, message: FiredMessage) -> None:
+        if not self._run and message.plan == self._hash:
+            self._show_run(message.run)
+        if message.run == self._run and message.plan != self._hash:
+            if not self._unplaced:
+                self._ask_now.set()
+            self._unplaced.append(message)  # until it is known what the team follows
+        elif self._is_shown(message.plan, message.run):
+            self._heard = True
+            self._hub.publish(*self._follower.take(message, time.monotonic()))
+
+    def _is_shown(self, plan: str, run: str) -> bool:
+        """Whether a message belongs to the plan and run that the page shows. The first message of
+        another run produces a note."""
+        if (plan, run) == (self._hash, self._run):
+            return True
+        if (plan, run) not in self._others:
+            self._others.add((plan, run))
+            if run == self._run:
+                text = (
+                    "run '%s' has another plan, or another number of robots, "
+                    "than this page was given"
+                )
+            elif plan == self._hash:
+                text = "run '%s' {} has the same plan; it is not shown"
+            else:
+                text = "run '%s' {} has another plan; it is not shown"
+            self._note("warning", "", text.format(self._lookout.where) % run)
+        return False
+
+    def _show_run(self, run: str) -> None:
+        """Show this run, since none was chosen, with the activity its robots published earlier."""
+        self._run = run
+        self._set_status(run=run)
+        early, self._early = self._early, {}
+        for address, told in early.items():
+            self._on_activity(address, told)
+
+    def _on_activity(self, address: str, activity: Dict[str, Any]) -> None:
+        name = str(activity["robot"])
+        if activity["run"] == self._run and activity["plan"] != self._hash and self._run:
+            self._ask_now.set()  # the team may follow another plan
+            return
+        if not self._run:  # it may be left over from a run that has ended
+            self._early[address] = activity
+            return
+        if not self._is_shown(str(activity["plan"]), str(activity["run"])):
+            self._names = {n: robot for n, robot in self._names.items() if n != address}
+            self._strangers |= {address}
+            return
+        self._is_ours(address, name)
+        if activity["ended"]:  # the robots leave soon; later, none may answer
+            self._show_end(activity)
+        phase = Phase.of_state(str(activity.get("state", "")))
+        waits = str(activity.get("waits_for", ""))
+        self._show_robot(
+            name,
+            # a halted robot does not continue by itself either
+            phase=(Phase.FAILED if activity["needs_operator"] and not phase.gone else phase.logged),
+            paused=phase is Phase.PAUSED,
+            visit=activity.get("visit"),
+            attempt=activity.get("attempt"),
+            why=waits,
+            refused=activity.get("refused") or None,
+        )
+        self._show_orders(name, activity.get("orders") or [])
+        feedback = activity.get("feedback")
+        if feedback and phase is Phase.DOING:
+            self._feedback.tell(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
+        else:
+            self._feedback.forget(name)
+
+    def _show_orders(self, name: str, orders: List[Dict[str, Any]]) -> None:
+        """Note the orders that a robot was given since it was first heard."""
+        newest = max((float(order["wall"]) for order in orders), default=0.0)
+        known = self._ordered_until.setdefault(name, newest)
+        for order in orders:
+            if order["wall"] > known:
+                self._note("info", str(order["robot"]), order_text(order))
+        self._ordered_until[name] = max(known, newest)
+
+    def _show_end(self, told: Dict[str, Any]) -> None:
+        self._set_status(
+            running=False,
+            ended=told["ended"],
+            finished=told["finished"],
+            fault=told["fault"],
+            stalled="",
+        )
+
+    def _is_ours(self, address: str, name: str) -> None:
+        if self._names.get(address) != name:
+            self._names = {**self._names, address: name}
+            self._strangers -= {address}
+
+    def _on_room(self, room: Dict[str, Any]) -> None:
+        self._hub.set_latest("room", room)
+
+    def _on_world(self, world: Dict[str, Any]) -> None:
+        self._hub.set_latest("world", world)
+
+    def _on_unreachable(self, why: str) -> None:
+        """Show why the team cannot be reached, or "" once it can be again."""
+        self._set_status(unreachable=why)
+
+    def _on_obeyed(self, order: Order) -> None:
+        """Handle an order that is in the team's log: ask soon for its effect. A stop is shown at
+        once: the robots leave, and there may be none left to ask."""
+        command, _, argument = order
+        if command == "stop":
+            self._set_status(running=False, ended=argument, stalled="")
+        self._ask_now.set()
+
+    # -- asking the team ---------------------------------------------------------------------------
+
+    def _ask_around(self) -> None:
+        """Find the robots and ask them for the team's state, on the asking thread."""
+        while not self._stop.is_set():
+            lost_track = self._follower.lost_track
+            self._ask_now.clear()
+            why = ""
+            try:
+                self._known = self._lookout.find()
+                heard = self.statuses(self._askable(), self._asking)
+                self._queue.put(("answers", lost_track, heard, self._ask_plan(heard)))
+            except UnreachableError as error:
+                why = str(error)
+                self._lookout.tell("the page: %s" % why)
+            if why != self._status["unreachable"]:
+                self._queue.put(("unreachable", why))
+            self._ask_now.wait(LOOK_AROUND)
+
+    def _ask_plan(self, heard: List[Answer]) -> Optional[DeployedPlan]:
+        """The plan that the team of the run shown went on under, if it is not the one shown; on the
+        asking thread."""
+        others = [
+            (address, status)
+            for address, status in heard
+            if status["plan"] != self._hash
+            and (
+                status["run"] == self._run if self._run else status.get("began_with") == self._given
+            )
+        ]
+        for address, status in sorted(others, key=lambda a: -int(a[1]["log_length"])):
+            answers: Replies = queue.SimpleQueue()
+            request = OperatorRequest("plan", run=status["run"])
+            if not ask(self._asking, address, "", request, answers):
+                continue
+            with contextlib.suppress(queue.Empty):
+                _, answer = answers.get(timeout=ANSWER_TIME + 0.2)
+                found = read_deployed(status["run"], answer.message) if answer else None
+                if found is not None and found.plan.hash() == status["plan"]:
+                    return found if found.number > self._stage else None
+        return None
+
+    def _follow(self, deployed: DeployedPlan, heard: List[Answer]) -> None:
+        """Show the run under the plan that its team went on under.
+
+        :param heard: what robots answered; at least one of them follows the plan.
+        """
+        old, new = self._plan, deployed.plan
+        self._plan, self._net, self._hash = new, new.net, new.hash()
+        self._stage = deployed.number
+        statuses = [s for _, s in heard if (s["plan"], s["run"]) == (self._hash, self._run)]
+        newest = max(statuses, key=lambda s: int(s["log_length"]))
+        self._before = self._team_seen(newest, statuses)
+        self._follower = FiredFollower(new)
+        self._follower.adopt(self._before, "")
+        number = len(self._plans) + 1
+        self._plans[number] = new
+        enabled = EnabledSet(new.net, self._before.marking, by_priority=False)
+        names = NewNames(old, new, deployed.mapping)
+        event = plan_event(number, old, new, names, enabled)
+        for shown in self._shown.values():
+            shown["place"] = renumbered(shown.get("place"), event["places"])
+        self._hub.publish(event)
+        for name, seen in self._follower.robots.items():
+            self._show_robot(name, place=seen.place)
+        if self._comparison is not None:
+            self._comparison = self._comparison.go_on(new)
+
+    def _is_elsewhere(self, status: Dict[str, Any]) -> bool:
+        """Whether a robot of the run shown follows another of its team's plans: its log, or the
+        page, is not that far yet."""
+        ours = bool(self._stage) or status.get("began_with") == self._given
+        return ours and status["run"] == self._run and status["plan"] != self._hash
+
+    def _on_answers(
+        self, lost_track: bool, heard: List[Answer], deployed: Optional[DeployedPlan]
+    ) -> None:
+        answers = []
+        if not self._run:
+            same_plan = [s for _, s in heard if self._hash in (s["plan"], s.get("began_with"))]
+            for status in sorted(same_plan, key=lambda s: bool(s["ended"]))[:1]:
+                self._show_run(status["run"])
+        if deployed is not None and (deployed.run, deployed.number > self._stage) == (
+            self._run,
+            True,
+        ):
+            self._follow(deployed, heard)
+        unplaced = list(self._unplaced)
+        if not any(self._is_elsewhere(status) for _, status in heard):
+            self._unplaced.clear()  # what remains came late, under an earlier plan
+        for message in unplaced:
+            if message.plan == self._hash:
+                self._on_fired(message)
+        for address, status in heard:
+            if self._is_elsewhere(status):
+                continue
+            if self._is_shown(status["plan"], status["run"]):
+                self._is_ours(address, status["robot"])
+                answers.append(status)
+        if not answers:
+            self._silent += 1
+            if lost_track:
+                self._hub.publish(*self._follower.give_up("firings were missed"))
+            if self._silent >= SILENT and self._status["running"]:
+                self._set_status(
+                    running=False, ended="no robot answers any more", stalled="", fault=True
+                )
+            return
+        self._silent = 0
+        newest = max(answers, key=lambda a: int(a["log_length"]))
+        team, before = self._team_seen(newest, answers), self._before
+        self._before = team
+        self._note_deafness(team, before)
+        # Behind the previous answer, too: firings still in transit are not lost.
+        behind = self._follower.is_behind(team) and (
+            before is None or self._follower.is_behind(before)
+        )
+        behind = behind or self._follower.gone != team.gone
+        if lost_track or behind:
+            why = "opened in mid-run" if before is None else "caught up with the team"
+            self._hub.publish(*self._follower.adopt(team, why))
+            for name, seen in self._follower.robots.items():
+                self._show_robot(name, place=seen.place)
+        self._show_status(newest)
+
+    def _note_deafness(self, team: TeamSeen, before: Optional[TeamSeen]) -> None:
+        """Warn once if the team makes progress but none of its firings is received: the topic may
+        have another name here."""
+        if self._heard:
+            self._unheard = 0
+        elif before is not None and team.marking != before.marking:
+            self._unheard += 1
+            if self._unheard == UNHEARD:
+                self._note(
+                    "warning",
+                    "",
+                    "the team moves, but no firing is heard%s: the page shows what robots answer "
+                    "every %g s" % (self._lookout.why_unheard(), LOOK_AROUND),
+                )
+        self._heard = False
+
+    def _askable(self) -> List[str]:
+        """The robots to ask: one in full synchronisation, where each knows the whole team; all in
+        partial synchronisation, where each only knows itself."""
+        names, strangers = self._names, self._strangers
+        addresses = sorted(self._known - strangers)
+        if self._follower.full and self._before is not None and not self._silent:
+            there = [n for n in sorted(names) if names[n] not in self._follower.gone] or addresses
+            self._turn += 1  # in turn: a dead robot would not answer
+            return [there[self._turn % len(there)]] if there else []
+        return addresses
+
+    def statuses(self, addresses: List[str], line: RobotLine) -> List[Answer]:
+        """The robots' answers about the team, without those that come too late."""
+        answers: Replies = queue.SimpleQueue()
+        request = OperatorRequest("status", argument="brief", run=self._run)
+        asked = [ask(line, n, "", request, answers) for n in addresses]
+        found = []
+        give_up = time.monotonic() + ANSWER_TIME + 0.2
+        try:
+            for _ in range(sum(asked)):
+                address, answer = answers.get(timeout=max(0.0, give_up - time.monotonic()))
+                if answer is not None and answer.success:  # otherwise it is in another run
+                    found += self._read_answer(address, answer.message)
+        except queue.Empty:
+            pass
+        return found
+
+    def _read_answer(self, address: str, message: str) -> List[Answer]:
+        """A robot's answer about the team; an empty list if it cannot be read."""
+        status = read_status(message)
+        if status is not None:
+            return [(address, status)]
+        if address not in self._unread:
+            self._unread.add(address)
+            self._lookout.tell(
+                "the page: the answer of %s to 'status' cannot be read: %.80r"
+                % (self._lookout.label(address), message)
+            )
+        return []
+
+    def _team_seen(self, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
+        robots: Dict[str, RobotSeen] = {}
+        for answer in [newest] + answers:
+            for robot in answer["robots"]:
+                own = robot["robot"] == answer["robot"]
+                known = robots.get(robot["robot"])
+                if known is None or own or (known.visit or 0) < robot["visit"]:
+                    place = self._net.place_index.get(robot["place"], -1)
+                    robots[robot["robot"]] = RobotSeen(place, int(robot["visit"]))
+        marking = self._net.marking(newest["marking"])
+        gone = frozenset(r["robot"] for r in newest["robots"] if Phase.of_state(r["state"]).gone)
+        if not self._follower.full:
+            counts = [
+                n if p.name in self._plan.resource_places else 0
+                for p, n in zip(self._net.places, marking)
+            ]
+            for name, seen in robots.items():
+                if seen.place >= 0 and name not in gone:
+                    counts[seen.place] += 1
+            marking = tuple(counts)
+        return TeamSeen(marking, robots, int(newest["log_length"]), gone)
+
+    def _show_status(self, status: Dict[str, Any]) -> None:
+        for robot in status["robots"]:
+            phase = Phase.of_state(robot["state"]).logged
+            was = Phase.of_value(self._shown.get(robot["robot"], {}).get("phase", ""))
+            silent = robot["robot"] not in self._names.values()  # does not publish
+            if silent or phase.gone or was.gone:  # a robot that left cannot report it
+                self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
+            self._show_extras(robot)
+        told = status.get("breakpoints", {})
+        names = [*told.get("places", ()), *told.get("transitions", ())]
+        if self._hub.info.get("breakpoints", []) != names:
+            self._hub.change_info(breakpoints=names)
+        if "data" in status:
+            self._hub.publish(*data_event(self._data, status["data"]))
+        phases = [Phase.of_state(r["state"]) for r in status["robots"]]
+        acting = [p for p in phases if not (p.gone or p.told.at_rest)]
+        waits = [r for r in status["robots"] if r["waits_for"]]
+        stalled = acting and all(p.logged is Phase.DONE or p.told.failed for p in acting)
+        if status["ended"]:
+            self._show_end(status)
+            return
+        why = ""
+        if status.get("stuck") or status.get("astray"):
+            why = "%s %s" % (status["robot"], status["waits_for"])
+        elif stalled:
+            why = ", ".join("%s %s" % (r["robot"], r["waits_for"]) for r in waits[:3])
+        self._set_status(running=True, paused=bool(status["paused"]), ended=None, stalled=why)
+
+    # -- publishing on the hub ---------------------------------------------------------------------
+
+    def _show_robot(self, name: str, phase: Optional[Phase] = None, **fields: Any) -> None:
+        if phase is not None:
+            fields["phase"] = phase.value
+        shown = self._shown.setdefault(name, {"name": name})
+        changed = {k: v for k, v in fields.items() if v is not None and shown.get(k) != v}
+        if changed:
+            shown.update(changed)
+            event: Event = {"k": "robots", "r": [{"name": name, **changed}], "gone": []}
+            self._hub.publish(event)
+
+    def _show_extras(self, told: Dict[str, Any]) -> None:
+        """Show the data, the task and the held events of a robot, as far as it has had any."""
+        shown = self._shown.get(told["robot"], {})
+        known: List[str] = [k for k in ("data", "task", "held", "resumed_from") if k in told]
+        new = {k: told[k] for k in known if told[k] or shown.get(k)}
+        new = {k: v for k, v in new.items() if shown.get(k) != v}
+        if new:
+            self._shown.setdefault(told["robot"], {"name": told["robot"]}).update(new)
+            self._hub.publish({"k": "robots", "r": [{"name": told["robot"], **new}], "gone": []})
+
+    def _set_status(self, **fields: Any) -> None:
+        changed = {k: v for k, v in fields.items() if self._status.get(k) != v}
+        if changed:
+            self._status.update(changed)
+            self._hub.publish({"k": "status", "status": changed})
+
+    def _note(self, level: str, robot: str, text: str) -> None:
+        self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
+
+    def _tell_departures(
+        self, lasting: List[Alarm], new: Sequence[Alarm], levels: Sequence[Tuple[str, float]]
+    ) -> None:
+        self._lookout.tell_departures(self._plan, self._run, lasting, new, levels)
