@@ -129,8 +129,8 @@ class ZenohCarrier:
 
     def tell_firing(self, fields: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
-        if self._has_listeners("fired"):
-            self._put(_json(fields), "fired")
+        # without asking for listeners: just after the start or a cut, those are not known yet
+        self._put(_json(fields), "fired")
 
     def tell_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
@@ -139,11 +139,8 @@ class ZenohCarrier:
 
     def is_watched(self) -> bool:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
-        return self._has_listeners("activity")
-
-    def _has_listeners(self, *rest: str) -> bool:
         with contextlib.suppress(self._zenoh.ZError):
-            status: Any = self._publisher(*rest).matching_status
+            status: Any = self._publisher("activity").matching_status
             return bool(status.matching)
         return False
 

@@ -39,6 +39,7 @@ def _agents(tmp_path, monkeypatch):
     monkeypatch.setattr(host_module, "FAREWELL", 0.3)
     hub = Hub(make_keys(tmp_path / "keys"))
     made = Agents(hub, tmp_path / "meeting")
+    made.wait_for_team()
     yield made
     made.close()
     hub.close()

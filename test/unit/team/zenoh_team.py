@@ -116,6 +116,15 @@ class Agents:
         self.hosts[robot] = host
         host.start(lambda robot: None)
 
+    def wait_for_team(self):
+        """Wait until each robot takes part, and would answer an operator."""
+
+        def all_in():
+            told = [host.ask(lambda host=host: host.status(), 10) for host in self.hosts.values()]
+            return all(status["active"] and status["quorum"] for status in told)
+
+        wait_for(all_in, 30)
+
     def let_them_meet(self):
         (self.folder / "open").touch()
 
