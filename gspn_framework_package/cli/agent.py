@@ -7,12 +7,18 @@ import os
 import signal
 import threading
 from types import FrameType
-from typing import Optional
+from typing import TYPE_CHECKING, Optional
 
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
+
+if TYPE_CHECKING:
+    from gspn_framework_package.team.zenoh_session import TeamAccess
+
+INTERRUPTED = 130
+"""Exit code of a program that was interrupted."""
 
 LAST_WORDS = 5.0
 """Seconds that an agent has to end when it is told to."""
@@ -57,7 +63,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let the plan run programs on this computer (actions with 'command')",
     )
+    parser.add_argument(
+        "--robots",
+        type=int,
+        default=0,
+        metavar="N",
+        help="size of the team at the start (default: as in the plan)",
+    )
     parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print an object on each line: what the robot says, how it is, and how it ended",
+    )
     parser.epilog = (
         "Start one for each robot; 'gspn router' connects them, and 'gspn status --connect "
         "ENDPOINT' and the orders reach them. Exit codes: 0 the run came to its end, 1 the plan "
@@ -68,14 +86,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan, and be the robot until the run is over."""
-    from gspn_framework_package.team.agent import PrintedVoice, make_agent
+    from gspn_framework_package.team.agent import JsonVoice, PrintedVoice, make_agent
     from gspn_framework_package.team.host import HostOptions
     from gspn_framework_package.team.plan_examination import check_plan
     from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 
     plan = _plan_of(args)
-    access = access_of(args)
-    voice = PrintedVoice(args.robot, args.quiet)
+    access = _access(args)
+    told = JsonVoice(args.robot) if args.json else None
+    voice = told or PrintedVoice(args.robot, args.quiet)
     check_plan(plan, voice.warn)
     partial = plan.synchronisation is Synchronisation.PARTIAL
     host = make_agent(
@@ -89,12 +108,25 @@ def run(args: argparse.Namespace) -> int:
     over = threading.Event()
     signal.signal(signal.SIGTERM, _interrupt)
     host.start(lambda robot: over.set())
+    code = INTERRUPTED
     try:
         over.wait()
+        code = host.exit_code or 0
     finally:
         host.stop()
         host.join(LAST_WORDS)
-    return host.exit_code or 0
+        if told is not None:
+            told.tell("end", exit_code=code, log=_log_of(args))
+    return code
+
+
+def _access(args: argparse.Namespace) -> TeamAccess:
+    """The endpoints, with the keys of this robot."""
+    from gspn_framework_package.team.keys import keys_of_robot
+
+    folder, args.keys = args.keys, ""
+    keys = keys_of_robot(folder, args.robot) if folder else None
+    return access_of(args)._replace(keys=keys)
 
 
 def _interrupt(number: int, frame: Optional[FrameType]) -> None:
@@ -103,6 +135,8 @@ def _interrupt(number: int, frame: Optional[FrameType]) -> None:
 
 def _plan_of(args: argparse.Namespace) -> Plan:
     plan = read_plan(args.plan)
+    if args.robots:
+        plan = plan.for_robots(args.robots)
     names = [robot.name for robot in plan.robots]
     if args.robot not in names + list(plan.witness) and not args.place:
         raise UsageError(

@@ -8,7 +8,8 @@ import json
 import sys
 import time
 
-from gspn_framework_package.team.router import Router
+from gspn_framework_package.team.router import Router, router_access
+from gspn_framework_package.team.zenoh_session import session_config
 
 _LOOK_PERIOD = 1.0
 
@@ -33,6 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="drop no flood; needed without keys where other routers connect to this one",
     )
+    parser.add_argument(
+        "--print-config",
+        action="store_true",
+        help="print the configuration of such a router for 'zenohd --config FILE', and end",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON, a line for each event")
     parser.epilog = (
         "Without keys, whoever reaches the router takes part in any run. A changed team.json in "
@@ -44,6 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Route until interrupted; return 0."""
     listen = args.listen or ["tls/0.0.0.0:7447" if args.keys else "tcp/127.0.0.1:7447"]
+    if args.print_config:
+        access = router_access(listen, args.connect, args.keys, not args.no_limit)
+        print(json.dumps(session_config(access), indent=2))
+        return 0
     router = Router(listen, args.connect, args.keys, limited=not args.no_limit)
     try:
         _tell(args, "listens at %s; %s" % (", ".join(listen), _who(router)), listen=listen)

@@ -3,8 +3,10 @@ functions."""
 
 from __future__ import annotations
 
+import json
 import sys
-from typing import Any, Callable, Mapping
+import threading
+from typing import Any, Callable, Mapping, Tuple
 
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import Carrier
@@ -84,3 +86,50 @@ class PrintedVoice:
 
     def _print(self, text: str) -> None:
         print("%s: %s" % (self._robot, text), file=sys.stderr, flush=True)
+
+
+class JsonVoice:
+    """The voice of a robot for programs (see :class:`Voice`): lines on standard output, a
+    JSON object each, with the key ``event``: ``say``, ``warning`` and ``error`` have a ``text``;
+    ``diagnosis`` has what a robot on ROS publishes on ``/diagnostics``, whenever it changes.
+
+    :param robot: name of the robot.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._lock = threading.Lock()
+        self._last: Tuple[int, str] = (-1, "")
+
+    def say(self, text: str) -> None:
+        """See :class:`Voice`."""
+        self.tell("say", text=text)
+
+    def warn(self, text: str) -> None:
+        """See :class:`Voice`."""
+        self.tell("warning", text=text)
+
+    def error(self, text: str, traceback: bool = False) -> None:
+        """See :class:`Voice`."""
+        error = sys.exc_info()[1] if traceback else None
+        cause = "" if error is None else " (%s: %s)" % (type(error).__name__, error)
+        self.tell("error", text=text + cause)
+
+    def is_asked(self) -> bool:
+        """See :class:`Voice`."""
+        return True
+
+    def diagnose(self, level: int, message: str, values: Mapping[str, Any]) -> None:
+        """See :class:`Voice`."""
+        if (level, message) != self._last:
+            self._last = (level, message)
+            self.tell("diagnosis", level=level, message=message, values=dict(values))
+
+    def tell(self, event: str, **more: Any) -> None:
+        """Print a line about the robot.
+
+        :param event: what kind of line.
+        :param more: the other keys.
+        """
+        with self._lock:
+            print(json.dumps({"event": event, "robot": self._robot, **more}), flush=True)

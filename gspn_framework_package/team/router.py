@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.team.keys import KeyFolder, read_keys
@@ -101,3 +101,22 @@ class Router:
     def close(self) -> None:
         """Close all connections."""
         self._session.close()
+
+
+class _Unopened(Router):
+    """A router that is not opened: it only knows how it would take part."""
+
+    def _open(self) -> Any:
+        keys = self._keys()
+        limited = self._is_limited(keys)
+        self.access = TeamAccess(self._connect, self._listen, keys, router=True, limited=limited)
+
+
+def router_access(
+    listen: Sequence[str], connect: Sequence[str], keys_folder: str, limited: bool
+) -> TeamAccess:
+    """How a :class:`Router` with these parameters takes part.
+
+    :raises GspnError: the keys cannot be used.
+    """
+    return _Unopened(listen, connect, keys_folder, limited).access

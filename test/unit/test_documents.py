@@ -8,9 +8,11 @@ not run. A command that is none of these fails.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import urllib.request
@@ -52,7 +54,7 @@ SET_UP = (
 )
 """Commands that change the machine or need another: read, not run."""
 
-ENDLESS = {"serve", "replay", "record"}
+ENDLESS = {"serve", "replay", "record", "router", "agent"}
 """Verbs that end at Ctrl-C, or follow a live team: their arguments are parsed, the rest is tested
 elsewhere."""
 
@@ -77,6 +79,10 @@ DOCUMENTS = documents()
 TYPED = ("README.md", "docs/first_plan.md")
 """Documents whose ``python3 -m gspn_framework_package`` commands are typed in a terminal below, each
 once and with the same demands: what runs them all need not run those."""
+
+
+ANYWHERE = "docs/teams_anywhere.md"
+"""Typed below too, in a terminal for each program that goes on."""
 
 
 def _name(document: Path) -> str:
@@ -113,6 +119,8 @@ def _try(command: Command, sandbox: Path) -> None:
     if any(re.fullmatch(pattern, command.line) for pattern in SET_UP):
         return
     words = Command(*command[:2], re.sub(r"\$\([^)]*\)", "FOUND", command.line), "").words
+    if command.document == ANYWHERE and words[0] in ("gspn", "python3"):
+        return
     if command.document in TYPED and words[:3] == ["python3", "-m", PACKAGE]:
         return
     if words[0] == "gspn":
@@ -270,6 +278,69 @@ def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
             *("new", "serve", "serve", "replay"),
         ]
     )
+
+
+def test_teams_anywhere_typed_in_terminals(sandbox, tmp_path):
+    """Every line that needs no ROS: routers and robots go on in terminals of their own, and end as
+    they should."""
+    pytest.importorskip("zenoh")
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port = str(found.getsockname()[1])
+    (tmp_path / "bin").mkdir()
+    gspn = tmp_path / "bin" / "gspn"
+    gspn.write_text('#!/bin/sh\nexec "%s" -m %s "$@"\n' % (sys.executable, PACKAGE))
+    gspn.chmod(0o755)
+    environment = {
+        **os.environ,
+        "HOME": str(tmp_path),
+        "PATH": "%s:%s" % (gspn.parent, os.environ["PATH"]),
+        "PYTHONPATH": str(ROOT),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    environment.pop("ROS_HOME", None)
+    typed, robots = [], []
+    with contextlib.ExitStack() as stack:
+
+        def terminal():
+            return stack.enter_context(Terminal(sandbox, environment))
+
+        here = terminal()
+        for step in steps(ROOT / ANYWHERE):
+            assert isinstance(step, Command), str(step)
+            words, line = step.words, step.line.replace("7447", port)
+            if words[0] != "gspn":
+                continue
+            typed.append(words[1])
+            if words[1] not in ENDLESS or "--print-config" in words:
+                if words[1] == "status":
+                    here.type("until %s > told; do sleep 0.2; done" % line)
+                code, text = here.type(line)
+                assert code == step.exit_code, "%s\n%s" % (step, text)
+                assert "Traceback" not in text, text
+            elif words[1] == "agent":
+                robots.append(terminal())
+                robots[-1].begin(line)
+            elif words[1] == "serve":
+                page = terminal()
+                page.begin(line + " --port 0")
+                page.shows(r"The page is at http://[^\s]+")
+                page.interrupt()
+                assert page.end()[0] in (0, 130)
+            else:
+                router = terminal()
+                router.begin(line)
+                router.shows("listens at")
+            if words[1] == "stop":
+                for robot in robots:
+                    code, text = robot.end()
+                    assert code == 1 and "the run is over: " in text, text
+        router.interrupt()
+        assert router.end()[0] in (0, 130)
+    assert typed == [
+        *("keys", "router", "agent", "agent", "agent", "status", "pause", "resume", "pause"),
+        *("serve", "stop", "verify", "router"),
+    ]
 
 
 # -- with ROS --------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from meeting import WORK, meeting_of
 from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.team import host as host_module
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def test_processes_without_ros_are_a_team(plan, tmp_path, capsys):
     endpoint = "tcp/127.0.0.1:%d" % zenoh_team.free_port()
     way = {"robot_1": "--listen", "robot_2": "--connect"}
     environment = {**os.environ, "ROS_HOME": str(tmp_path / "home")}
-    command = [sys.executable, "-m", "gspn_framework_package", "agent", str(plan)]
+    command = [sys.executable, "-m", "gspn_framework_package", "agent", str(plan), "--json"]
     agents = []
 
     def statuses():
@@ -40,7 +41,8 @@ def test_processes_without_ros_are_a_team(plan, tmp_path, capsys):
     try:
         for robot, option in way.items():
             words = ["--robot", robot, option, endpoint, "--run", "monday"]
-            agents.append(subprocess.Popen([*command, *words], env=environment))
+            with open(tmp_path / robot, "w") as out:
+                agents.append(subprocess.Popen([*command, *words], env=environment, stdout=out))
             if option == "--listen":
                 log = tmp_path / "home" / "gspn" / "monday" / "robot_1.jsonl"
                 wait_for(log.exists, 60, "the first agent")
@@ -56,6 +58,130 @@ def test_processes_without_ros_are_a_team(plan, tmp_path, capsys):
             agent.wait()
     logs = [str(log.with_name(robot + ".jsonl")) for robot in way]
     assert main(["verify", *logs]) == 0
+    for robot, log in zip(way, logs):
+        lines = [json.loads(line) for line in (tmp_path / robot).read_text().splitlines()]
+        assert {line["robot"] for line in lines} == {robot}
+        assert lines[-1] == {"event": "end", "robot": robot, "exit_code": 0, "log": log}
+        assert "meet fires" in " ".join(line.get("text", "") for line in lines)
+        told = [line for line in lines if line["event"] == "diagnosis"]
+        assert told and told[-1]["values"]["run"] == "monday" and told[-1]["level"] in (0, 1, 2)
+
+
+@pytest.fixture(name="secured")
+def _secured(tmp_path, monkeypatch):
+    """Agents of this process with keys, and how an operator reaches them."""
+    zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
+    monkeypatch.setattr(host_module, "FAREWELL", 0.3)
+    hub = zenoh_team.Hub(zenoh_team.make_keys(tmp_path / "keys"))
+    agents = zenoh_team.Agents(hub, tmp_path / "meeting", **QUEUE)
+    yield agents
+    agents.close()
+    hub.close()
+
+
+QUEUE = {
+    "net": {
+        "places": [{"name": "Look", "tokens": 2}, {"name": "Jobs"}, {"name": "Home"}],
+        "transitions": [
+            {"name": "order", "timed": True, "rate": 1.0},
+            {"name": "serve"},
+        ],
+        "arcs": [
+            {"from": "order", "to": "Jobs"},
+            {"from": "Look", "to": "serve"},
+            {"from": "Jobs", "to": "serve"},
+            {"from": "serve", "to": "Home"},
+        ],
+    },
+    "resource_places": ["Jobs"],
+    "actions": {"Look": "work.look", "Home": None},
+    "tasks": {"queues": ["Jobs"]},
+}
+
+
+def test_an_operator_with_keys_asks_orders_submits_and_deploys(secured, tmp_path, capsys):
+    def gspn(verb, *words, by="ann", run="monday"):
+        way = ["--connect", secured.hub.endpoint, "--keys", str(tmp_path / "keys" / by)]
+        code = main([verb, *words, *way, "--run", run])
+        return code, capsys.readouterr()
+
+    def all_act():
+        code, said = gspn("status", "--json", by="screen")
+        told = json.loads(said.out) if said.out else {}
+        return code == 0 and len(told) == 2
+
+    wait_for(all_act, 60, "both robots")
+    assert gspn("pause")[0] == 0
+    assert gspn("resume")[0] == 0
+    assert gspn("breakpoints", "Look")[0] == 0
+    code, said = gspn("breakpoints")
+    assert code == 0 and "Look" in said.out
+    assert gspn("breakpoints", "--clear")[0] == 0
+    assert gspn("submit", "order", "--id", "o1")[0] == 0
+    wait_for(lambda: "o1" in gspn("status", "--data", by="screen")[1].out, 30, "the task")
+    plan = json.loads((secured.folder / "plan.json").read_text())
+    other = secured.folder.with_name("other")
+    other.mkdir()
+    (other / "plan.json").write_text(json.dumps({**plan, "seed": 7}))
+    (other / "work.py").write_text(WORK)
+    code, said = gspn("deploy", str(other), "--json")
+    assert code == 0, said
+    for by, run, says in (
+        ("screen", "monday", "the keys of watcher 'screen' give no orders"),
+        ("robot_1", "monday", "the keys of robot 'robot_1' give no orders"),
+        ("ann", "tuesday", "no execution node answers of run 'tuesday'"),
+    ):
+        code, said = gspn("stop", by=by, run=run)
+        assert code == 1 and says in said.err
+    assert gspn("stop")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [("robot_2", "the keys of robot 'robot_2', not of robot 'robot_1'"), ("ann", "operator 'ann'")],
+)
+def test_an_agent_takes_no_keys_of_another_member(plan, tmp_path, capsys, keys, says):
+    zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
+    folder = zenoh_team.make_keys(tmp_path / "keys")
+    words = ["--robot", "robot_1", "--connect", "tls/127.0.0.1:1", "--keys"]
+    assert main(["agent", str(plan), *words, os.path.join(folder, keys)]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_an_agent_whose_key_others_can_read_or_whom_nobody_answers_does_not_begin(
+    plan, tmp_path, capsys
+):
+    zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
+    own = os.path.join(zenoh_team.make_keys(tmp_path / "keys"), "robot_1")
+    port = zenoh_team.free_port()
+    begin = ["agent", str(plan), "--robot", "robot_1", "--keys", own]
+
+    def code(endpoint):
+        log = str(
+            tmp_path / ("%s.jsonl" % endpoint.replace("/", "_"))
+        )  # each has a lock of its own
+        return main([*begin, "--log", log, "--connect", "%s:%d" % (endpoint, port)])
+
+    assert code("tls/127.0.0.1") == 1
+    assert "no Zenoh session with tls/127.0.0.1:%d" % port in capsys.readouterr().err
+    assert code("tcp/127.0.0.1") == 2
+    assert "keys protect nothing" in capsys.readouterr().err
+    os.chmod(os.path.join(own, "key.pem"), 0o644)
+    assert code("tls/127.0.0.1") == 2
+    assert "others can read this private key" in capsys.readouterr().err
+
+
+def test_a_router_prints_a_configuration_that_zenoh_reads(tmp_path, capsys):
+    zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
+    zenoh = pytest.importorskip("zenoh")
+    own = os.path.join(zenoh_team.make_keys(tmp_path / "keys"), "hub")
+    assert main(["router", "--keys", own, "--listen", "tls/127.0.0.1:7447", "--print-config"]) == 0
+    text = capsys.readouterr().out
+    zenoh.Config.from_json5(text)
+    config = json.loads(text)
+    assert config["mode"] == "router" and config["access_control"]["default_permission"] == "deny"
+    assert main(["router", "--keys", own + "/../ann", "--print-config"]) == 2
+    assert "not of a router" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
