@@ -29,6 +29,7 @@ QUICK = (
     "newest first",
     "off for ever",
     "rest decides",
+    "decides and stays",
     "any log",
     "trusts the end",
     "no sync",

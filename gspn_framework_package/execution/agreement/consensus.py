@@ -37,7 +37,7 @@ from gspn_framework_package.execution.agreement.messages import (
 )
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
-from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.state import BallotAttempt, ReplicaState
 
 LONGEST_ROUND_TRIP = 1.0
@@ -97,7 +97,7 @@ class Consensus:
             not self.config.partial
             and state.followers is not None
             and state.promised.robot == self.config.name
-            and self.electorate.may_decide(state.followers)
+            and is_quorum(state.followers, self.electorate.members())
         )
 
     def restore(self, record: Dict[str, Any], slot: int) -> None:
@@ -222,9 +222,17 @@ class Consensus:
             return False
         if not self.electorate.may_decide(attempt.promises):
             return False
-        accepted = [a for a in attempt.promises.values() if a is not None]
-        if accepted:
-            batch: Batch = max(accepted, key=lambda a: a[0])[1]
+        held = [a for a in attempt.promises.values() if a is not None]
+        accepted = max(held, key=lambda a: a[0])[1] if held else None
+        if not is_quorum(attempt.promises, self.electorate.members()):
+            first = accepted.items if accepted is not None else ()
+            forced = self.proposals.batch_without_quorum(attempt.frozen, first, attempt.promises)
+            if forced is None:
+                state.attempt = None  # the next one is frozen
+                return True
+            batch = forced
+        elif accepted is not None:
+            batch = accepted
         else:
             unasked = self._unasked(attempt) if self.config.partial else {}
             batch = self.proposals.batch(attempt.frozen, unasked)
@@ -264,7 +272,7 @@ class Consensus:
         attempt.batch = batch
         assert state.promised == attempt.ballot  # a higher promise ends the first phase
         state.accepted = (attempt.ballot, batch)
-        alone = self.electorate.may_decide([self.config.name])
+        alone = self.electorate.may_choose([self.config.name], batch.items)
         if not alone:  # otherwise the record of the slot itself follows, before anything leaves
             self._persist_accepted(attempt.slot)
         state.votes.setdefault(attempt.ballot, set()).add(self.config.name)
@@ -447,6 +455,6 @@ class Consensus:
         held = state.accepted
         if held is None or held[0] != ballot:
             return
-        if self.electorate.may_decide(state.votes.get(ballot, ())):
+        if self.electorate.may_choose(state.votes.get(ballot, ()), held[1].items):
             mine = state.attempt is not None and state.attempt.ballot == ballot
             self.log.decided(held[1], ballot, mine=mine)

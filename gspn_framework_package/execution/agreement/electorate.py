@@ -75,6 +75,27 @@ class Electorate:
         left = [m for m in members if m not in off]
         return bool(left) and not is_quorum(left, members) and all(m in voters for m in left)
 
+    def may_choose(self, voters: Collection[str], items: Sequence[Item]) -> bool:
+        """Whether these members may decide the open slot with these items. Without a quorum, they
+        have to evict by force everybody whose word they do without: what was decided under an
+        assertion, and without its eviction, would not outlast the return of the robot."""
+        return self.may_decide(voters) and not self.not_cast_out(voters, items)
+
+    def not_cast_out(self, voters: Collection[str], items: Sequence[Item]) -> Set[str]:
+        """The members whose word these voters do without, by an assertion that they are off, and
+        that these items do not evict by force; none where the voters are a quorum."""
+        if is_quorum(voters, self.members()):
+            return set()
+        off = self.asserted_off()
+        lives = dict.fromkeys(off, False)
+        return off - {
+            i.entry.robot
+            for i in self.state.ledger.news(items)
+            if isinstance(i.entry, log_entries.Evict)
+            and i.entry.forced
+            and self.ends_life(i.entry, lives)
+        }
+
     def known_log(self, robot: str) -> str:
         """The id of the log whose votes count for a robot: the one with which it was let in, else
         the first one that we heard of; "" for none."""

@@ -6,7 +6,7 @@ the log), puts records and the answers to orders into the outbox.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set
+from typing import Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Set
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
@@ -191,32 +191,66 @@ class Proposals:
             for item in items.values()
         )
 
-    def batch(self, frozen: bool, unasked: Optional[Mapping[str, bool]] = None) -> Batch:
+    def batch(
+        self,
+        frozen: bool,
+        unasked: Optional[Mapping[str, bool]] = None,
+        accepted: Sequence[Item] = (),
+    ) -> Batch:
         """The batch for the open slot.
 
         :param frozen: nobody makes a local transition until the slot is decided.
         :param unasked: members, as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`: the
             slot cannot be decided without the entries that end the lives of these.
+        :param accepted: what comes first, since somebody voted for it.
         """
-        items = self.in_order(frozen or not self.config.partial)
+        held = {i.origin for i in accepted}
+        waiting = self.in_order(frozen or not self.config.partial)
+        items = [*accepted, *(i for i in waiting if i.origin not in held)]
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
         most = self.config.limits.batch
         if len(items) > most and unasked:
-            first = self._up_to_those_who_end(items, unasked)
-            held = {i.origin for i in first}
-            items = first + [i for i in items if i.origin not in held]
-            most = max(most, len(first))
+            needed = self._up_to_those_who_end(items, unasked)
+            needed |= {n for n, i in enumerate(items) if i.origin in held}
+            items = [items[n] for n in sorted(needed)] + [
+                i for n, i in enumerate(items) if n not in needed
+            ]
+            most = max(most, len(needed))
         return Batch.of(items[:most])
 
-    def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, bool]) -> List[Item]:
-        """The proposals that end the lives of unasked members, and those of their robots before
-        them."""
+    def batch_without_quorum(
+        self, frozen: bool, accepted: Sequence[Item], voters: Collection[str]
+    ) -> Optional[Batch]:
+        """The batch for a slot that is decided by all but the members that are asserted to be off:
+        it evicts these by force; None if it cannot, because of an order before that needs a frozen
+        attempt. An eviction may have to be proposed anew: the proposal is lost if the robot stopped
+        right after it noted the assertion.
+
+        :param frozen: see :meth:`batch`.
+        :param accepted: what somebody accepted, or nothing.
+        :param voters: who promised.
+        """
+        state = self.state
+        off = self.electorate.not_cast_out(voters, ())
+        for robot in sorted(off):
+            eviction = log_entries.Evict(robot, state.off[robot], True)
+            if all(own.item.entry != eviction for own in state.own_proposals):
+                self.propose(eviction)
+        batch = self.batch(frozen, dict.fromkeys(off, False), accepted)
+        return None if self.electorate.not_cast_out(voters, batch.items) else batch
+
+    def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, bool]) -> Set[int]:
+        """The numbers of the proposals that end the lives of unasked members, of those of their
+        robots before them, and, if orders that local transitions must not pass are among these, of
+        the local transitions before them."""
         last: Dict[str, int] = {}
         for number, item in enumerate(items):
             if self.electorate.ends_life(item.entry, unasked):
                 last[item.origin.robot] = number
-        return [i for n, i in enumerate(items) if n <= last.get(i.origin.robot, -1)]
+        needed = {n for n, i in enumerate(items) if n <= last.get(i.origin.robot, -1)}
+        control = max((n for n in needed if isinstance(items[n].entry, CONTROLS)), default=-1)
+        return needed | {n for n, i in enumerate(items) if i.private and n < control}
 
     def in_order(self, frozen: bool, most: Optional[int] = None) -> List[Item]:
         """The first ``most`` items: for each robot, in the order of the members (others after

@@ -63,7 +63,7 @@ class Replication:
     def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
         """The batch is chosen in the open slot; ``mine``: by our own attempt."""
         slot = self.state.ledger.length
-        alone = mine and self.electorate.may_decide([self.config.name])
+        alone = mine and self.electorate.may_choose([self.config.name], batch.items)
         self._commit(batch, ballot, mine=mine, alone=alone)
         if mine and self.state.halted is None:
             origins = {item.origin.robot for item in batch.items}

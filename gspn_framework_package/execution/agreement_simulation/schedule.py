@@ -59,6 +59,7 @@ KINDS = {
     "rivals": "robots pass the leader over at once, messages are lost and late: many attempts at "
     "a slot",
     "late": "a robot is evicted by force before it ever started",
+    "assertion": "evictions by force, each ordered from a robot that stops right after it noted it",
     "archive": "logs are lost, and snapshots taken every few slots; long runs",
 }
 """The kinds of schedules, each with the faults that it injects."""
@@ -99,6 +100,10 @@ MOST_FAULTS = {
     "late": 3,
 }
 """The maximum number of injected faults by kind of schedule; seven for all other kinds."""
+
+
+FORCED = ("operator", "assertion")
+"""Kinds of schedules in which robots are evicted by force."""
 
 
 FORGETFUL = ("amnesia", "archive")
@@ -238,7 +243,7 @@ class _Run:
             (2, self._join),
             (12 if often in ("operator", "calm") else 3, self._order),
             (4 if often == "operator" else 1, self._evict),
-            (8 if often == "operator" else 0, self._force_evict),
+            (8 if often in FORCED else 0, self._force_evict),
             (6 if often == "spare" else 0, self._spare),
             (12 if often == "stand-in" else 0, self._stand_in),
         ]
@@ -425,6 +430,8 @@ class _Run:
                 # the operator accepts that what only those robots know is lost
                 self.world.given_up = True
             number = "f%d" % next(self.world._count)
+            if self.kind == "assertion":
+                node.doomed = self.random.randint(2, 6)
             node.give(interface.ForceEvict(number, victim.name))
             self._count("eviction by force")
             if number in node.results and not node.results[number].ok:

@@ -156,7 +156,8 @@ def _quorum(
         raise BrokenRuleError(1, "slot %d does not say under which ballot it was decided" % slot)
     if not complete:
         return
-    off = [those for _, those in assertions]
+    evicted = {e["robot"] for e in record["entries"] if e["entry"] == "evict" and e.get("forced")}
+    off = [those & evicted for _, those in assertions]
     proposer = record["ballot"][1]
     if _may_decide({proposer}, members, off):
         return  # the proposer decides alone: the slot's record is its vote
@@ -199,7 +200,8 @@ def _leads_to(batch: str, record: Record) -> bool:
 
 def _may_decide(voters: Set[str], members: Sequence[str], off: Sequence[Set[str]]) -> bool:
     """Whether the voters can decide: they are a quorum, or they include all remaining members where
-    the robots asserted to be off (in one of the logs) leave no quorum."""
+    the robots that were asserted to be off (in one of the logs), and that the slot evicts by force,
+    leave no quorum."""
     if _is_quorum(voters, members):
         return True
     return any(

@@ -246,6 +246,55 @@ def test_where_a_quorum_is_off_the_order_says_what_is_given_up_and_asks_all_the_
     world.verify()
 
 
+@pytest.mark.parametrize("partial", [False, True])
+def test_what_is_decided_without_a_quorum_evicts_those_who_are_off(partial: bool) -> None:
+    """However much waited before, and though the robot stopped before it proposed the eviction."""
+    world = team(TOUR, 3, partial)
+    world.limits = ProtocolLimits(batch=1)
+    for name in ("r1", "r2", "r3"):
+        world.nodes[name].crash()
+    node = world.nodes["r3"]
+    node.start()
+    for number in range(3):
+        node.give(interface.Order("resume %d" % number, log_entries.Resume()))
+    world.run(world.now + 1)
+    length = world.replica("r3").ledger.length
+    for name in ("r1", "r2"):
+        world.force("r3", name)
+    node.crash()
+    world.given_up = True
+    assert node.disk is not None
+    asserted = max(n for n, r in enumerate(node.disk.records()) if r["kind"] == "forced")
+    del node.disk.lines[asserted + 1 :]
+    assert not any(r.get("entry", {}).get("robot") == "r2" for r in node.disk.records()[asserted:])
+    node.start()
+    world.run(world.now + 2)
+    slots = [r for r in node.disk.records() if r["kind"] == "slot"]
+    assert {e["robot"] for e in slots[length]["entries"] if e.get("forced")} == {"r1", "r2"}
+    for name in ("r1", "r2"):
+        world.nodes[name].start()
+    all_agree(world)
+    world.verify()
+
+
+def test_no_local_transition_waits_behind_a_pause_that_comes_with_an_eviction() -> None:
+    world = team(TOUR, 3, True)
+    world.limits = ProtocolLimits(batch=1)
+    for name in ("r1", "r2"):
+        world.nodes[name].crash()
+        world.nodes[name].start()
+    world.run(world.now + 1)
+    world.nodes["r3"].crash()
+    world.run(world.now + 0.1)
+    assert any(own.item.private for own in world.replica("r1").state.own_proposals)
+    world.nodes["r2"].give(interface.Order("pause", log_entries.Pause()))
+    world.run(world.now + 1)
+    world.nodes["r2"].give(interface.Order("evict", log_entries.Evict("r3", -1)))
+    world.run(world.now + 2)
+    assert world.nodes["r2"].results["evict"].ok
+    world.verify()
+
+
 def test_a_robot_that_is_heard_is_not_evicted_by_force() -> None:
     world = team(TOKENS, 3)
     world.force("r1", "r2")

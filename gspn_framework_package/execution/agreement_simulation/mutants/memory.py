@@ -151,6 +151,10 @@ def _any_of_those_left() -> ContextManager[Any]:
     return mock.patch.object(Electorate, "may_decide", may_decide)
 
 
+def _evicts_nobody() -> ContextManager[Any]:
+    return mock.patch.object(Electorate, "not_cast_out", lambda self, voters, items: set())
+
+
 def _forgets_who_was_cast_out() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def resume(self: Recovery, records: Any) -> None:
@@ -416,6 +420,14 @@ MUTANTS: List[Mutant] = [
         "a quorum of those who are left decides after an eviction by force",
         _any_of_those_left,
         kinds=("operator",),
+    ),
+    Mutant(
+        "decides and stays",
+        "operator",
+        "without a quorum, a team decides slots that do not evict those who are said to be off",
+        _evicts_nobody,
+        robots=2,
+        kinds=("assertion",),
     ),
     Mutant(
         "forgets cast out",
