@@ -28,6 +28,7 @@ from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.editing import routes as editing
 from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
 from gspn_framework_package.visualizer.hub import Cursor, Hub
+from gspn_framework_package.visualizer.openapi import interface
 from gspn_framework_package.visualizer.optimise_form import FormError
 from gspn_framework_package.visualizer.optimised import ROWS, ExistsError
 from gspn_framework_package.visualizer.project import Project
@@ -133,6 +134,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.route("/plan.schema.json")
     def plan_schema() -> Response:
         return flask.send_file(SCHEMA_FILE, mimetype="application/json")
+
+    @app.route("/api/openapi.json")
+    def describe_interface() -> Dict[str, Any]:
+        return interface(__version__)
 
     @app.route("/api/login", methods=["POST"])
     def login() -> Union[Answer, Response]:

@@ -1,0 +1,357 @@
+"""The interface of the page for other programs, as an OpenAPI 3.1 document.
+
+Its parts are written here, and a test holds them against the routes of the application.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+
+from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER
+
+API_VERSION = "1.0.0"
+"""Version of the interface: the first number grows with each change that a client has to follow,
+the second with each addition."""
+
+Schema = Dict[str, Any]
+
+TEXT: Schema = {"type": "string"}
+WHOLE: Schema = {"type": "integer", "minimum": 0}
+FLAG: Schema = {"type": "boolean"}
+OBJECT: Schema = {"type": "object"}
+NAMES: Schema = {"type": "array", "items": TEXT}
+
+PARAMETERS: Dict[str, Tuple[Schema, str]] = {
+    "id": (TEXT, "the open net, as /api/open answered; in /api/hello, 'first' is the one shown"),
+    "job": (TEXT, "the computation, as POST /api/analysis answered"),
+    "at": (WHOLE, "number of an event"),
+    "plan": (WHOLE, "number of the plan that the team went on under; 0: the one it began with"),
+    "slot": (WHOLE, "number of a slot of the log"),
+    "after": (WHOLE, "number of the event after which to begin"),
+    "to": (WHOLE, "number of the last event"),
+    "limit": (WHOLE, "how many at most"),
+    "from": (WHOLE, "number of the first row"),
+    "since": (
+        TEXT,
+        "of news: the cursor of the last answer; without it, the whole board comes first. Of the "
+        "history: the first day, YYYY-MM-DD",
+    ),
+    "transition": (TEXT, "name of a transition"),
+    "kind": ({"enum": ["action", "service", "message"]}, "kind of a ROS type"),
+    "type": (TEXT, "name of a ROS type, such as std_msgs/String"),
+    "by": (TEXT, "what the rows are grouped by, separated by commas"),
+    "until": (TEXT, "the day before which to end, YYYY-MM-DD"),
+    "robot": (TEXT, "only this robot"),
+    "place": (TEXT, "only this place"),
+}
+
+
+class ApiOperation(NamedTuple):
+    """What a client may ask for.
+
+    :ivar name: its identifier.
+    :ivar about: what it does, as one sentence.
+    :ivar query: names of its parameters; with a question mark if it may be missing.
+    :ivar body: the fields of its JSON object, with their schemas; with a question mark if it may
+        be missing.
+    :ivar answer: the fields of its answer.
+    :ivar media: the type of its answer.
+    """
+
+    name: str
+    about: str
+    query: Sequence[str] = ()
+    body: Mapping[str, Schema] = {}
+    answer: Mapping[str, Schema] = {}
+    media: str = "application/json"
+
+
+DOCUMENT = {"document": OBJECT}
+CHECKED = {**DOCUMENT, "page?": TEXT}
+EPOCH = {"epoch": TEXT}
+HISTORY = ("since?", "until?", "robot?", "place?")
+
+OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
+    ("GET", "/api/openapi.json"): ApiOperation("describe_interface", "This document."),
+    ("POST", "/api/login"): ApiOperation(
+        "login", "Exchange a token for a cookie, as the page does.", body={"token": TEXT}
+    ),
+    ("GET", "/api/hello"): ApiOperation(
+        "hello",
+        "Who serves, in which role the client is, and which files can be opened.",
+        answer={
+            "version": TEXT,
+            "role": {"enum": ["operator", "viewer"]},
+            "first": {"type": ["string", "null"]},
+            "files": {"type": "array", "items": OBJECT},
+        },
+    ),
+    ("POST", "/api/open"): ApiOperation(
+        "open_file", "Open a file of the folder.", body={"path": TEXT}, answer={"id": TEXT}
+    ),
+    ("POST", "/api/upload"): ApiOperation(
+        "upload",
+        "Open a net, or an input file with its net; contents are base64.",
+        body={
+            "files": {
+                "type": "array",
+                "items": {
+                    "type": "object",
+                    "required": ["name", "content"],
+                    "properties": {"name": TEXT, "content": TEXT},
+                },
+            }
+        },
+        answer={"id": TEXT},
+    ),
+    ("GET", "/api/session"): ApiOperation(
+        "session",
+        "An open net: its title, and its picture with all places, transitions and arcs.",
+        ("id",),
+        answer={"id": TEXT, "title": TEXT, "executable": FLAG, "scene": OBJECT},
+    ),
+    ("POST", "/api/do"): ApiOperation(
+        "command",
+        "Give an order: to the simulation, the run or the team. Which there are, the field 'info' "
+        "of the first answer of /api/poll says; further fields depend on the command. With 'run' "
+        "it is refused if another run is shown.",
+        ("id",),
+        {"command": TEXT, "run?": TEXT},
+    ),
+    ("GET", "/api/state"): ApiOperation(
+        "state_at", "The board after an event.", ("id", "at"), answer={**EPOCH, "board": OBJECT}
+    ),
+    ("GET", "/api/scene"): ApiOperation(
+        "scene", "The picture of the net of one of the plans.", ("id", "plan?"), answer=EPOCH
+    ),
+    ("GET", "/api/reasons"): ApiOperation(
+        "reasons", "Why a transition cannot fire.", ("id", "transition", "at?")
+    ),
+    ("GET", "/api/slot"): ApiOperation(
+        "after_slot",
+        "The event that is the first after a slot of the log.",
+        ("id", "slot"),
+        answer={**EPOCH, "event": {}},
+    ),
+    ("GET", "/api/events"): ApiOperation(
+        "events",
+        "Events of the past.",
+        ("id", "after", "to", "limit?"),
+        answer={**EPOCH, "events": {"type": "array", "items": OBJECT}},
+    ),
+    ("GET", "/api/poll"): ApiOperation(
+        "poll",
+        "What is new since a cursor: first a snapshot of the board, later events.",
+        ("id", "since?"),
+        answer={"cursor": TEXT, "snapshot?": OBJECT, "events?": {"type": "array"}},
+    ),
+    ("GET", "/api/stream"): ApiOperation(
+        "stream",
+        "The same as server-sent events; Last-Event-ID resumes. 503 if too many viewers follow.",
+        ("id", "since?"),
+        media="text/event-stream",
+    ),
+    ("POST", "/api/analysis"): ApiOperation(
+        "analyse",
+        "Begin a computation for the marking that is shown, or that of an event: an analysis, a "
+        "simulation, a sweep, or a policy.",
+        ("id",),
+        {"event?": WHOLE},
+        {"job": TEXT, "event": WHOLE},
+    ),
+    ("GET", "/api/analysis/{job}"): ApiOperation(
+        "analysis_progress", "How far a computation is, and its result."
+    ),
+    ("POST", "/api/analysis/{job}/cancel"): ApiOperation("analysis_cancel", "End a computation."),
+    ("GET", "/api/optimised"): ApiOperation(
+        "latest_policy",
+        "The policy that was last computed for a net.",
+        ("id",),
+        answer={"job": {"type": ["string", "null"]}},
+    ),
+    ("GET", "/api/analysis/{job}/rows"): ApiOperation(
+        "policy_rows", "Rows of a computed policy.", ("from?", "limit?")
+    ),
+    ("GET", "/api/analysis/{job}/choices"): ApiOperation(
+        "policy_choices", "What a computed policy chooses after an event.", ("id", "at?")
+    ),
+    ("GET", "/api/analysis/{job}/plan"): ApiOperation(
+        "policy_plan", "The plan with a computed policy, as a file."
+    ),
+    ("POST", "/api/analysis/{job}/save"): ApiOperation(
+        "policy_save",
+        "Save that plan beside its own.",
+        body={"name": TEXT, "overwrite?": FLAG},
+        answer={"name": TEXT, "path": TEXT},
+    ),
+    ("GET", "/api/deploy/targets"): ApiOperation(
+        "deploy_targets",
+        "The runs that can go on under another plan.",
+        answer={"runs": {"type": "array", "items": OBJECT}},
+    ),
+    ("POST", "/api/deploy/look"): ApiOperation(
+        "deploy_look",
+        "What would change for a run under another plan: a file, or a computed policy.",
+        ("id",),
+        {"path?": TEXT, "job?": TEXT},
+    ),
+    ("POST", "/api/deploy"): ApiOperation(
+        "deploy",
+        "Have a running team go on under another plan.",
+        ("id",),
+        {"path?": TEXT, "job?": TEXT, "map?": OBJECT},
+    ),
+    ("GET", "/api/deploy"): ApiOperation("deploy_progress", "How far that is.", ("id",)),
+    ("GET", "/api/history/names"): ApiOperation(
+        "history_names", "The robots, places and days of the fleet's history."
+    ),
+    ("GET", "/api/history/report"): ApiOperation(
+        "history_report", "A report on the fleet's history.", ("by?", *HISTORY)
+    ),
+    ("GET", "/api/history/moments"): ApiOperation(
+        "history_moments", "What happened, each with the net that replays it.", HISTORY
+    ),
+    ("GET", "/api/edit"): ApiOperation(
+        "edit_open", "A plan of the folder as a document.", ("id",), answer={"document": OBJECT}
+    ),
+    ("POST", "/api/edit/save"): ApiOperation(
+        "edit_save",
+        "Save a document; 412 if the files have changed since.",
+        ("id",),
+        {"etag": TEXT, **DOCUMENT},
+        {"etag": TEXT, "written": NAMES, "notes": NAMES},
+    ),
+    ("POST", "/api/edit/save_as"): ApiOperation(
+        "edit_save_as", "Save it under a new name.", ("id",), {"name": TEXT, **DOCUMENT}
+    ),
+    ("POST", "/api/edit/new"): ApiOperation(
+        "edit_new", "Make a plan from a template.", body={"template": TEXT, "name": TEXT}
+    ),
+    ("POST", "/api/edit/draft"): ApiOperation(
+        "edit_draft", "Keep a document that is not saved.", ("id",), {"etag": TEXT, **DOCUMENT}
+    ),
+    ("POST", "/api/edit/export"): ApiOperation(
+        "edit_export",
+        "A document in another format.",
+        ("id",),
+        {"format": TEXT, **DOCUMENT},
+        media="application/octet-stream",
+    ),
+    ("POST", "/api/edit/check"): ApiOperation(
+        "edit_check", "Check a document.", ("id",), {**CHECKED, "full?": FLAG, "standalone?": FLAG}
+    ),
+    ("POST", "/api/edit/choices"): ApiOperation(
+        "edit_choices",
+        "What the policy of a document chooses in a marking.",
+        ("id",),
+        {**CHECKED, "marking": OBJECT},
+    ),
+    ("POST", "/api/edit/diff"): ApiOperation(
+        "edit_diff", "The difference of two documents.", ("id",), {"to": OBJECT, "from": {}}
+    ),
+    ("POST", "/api/edit/layout"): ApiOperation(
+        "edit_layout", "Positions for the nodes of a document.", ("id",), DOCUMENT
+    ),
+    ("GET", "/api/edit/palette"): ApiOperation(
+        "edit_palette", "What the actions of a plan can be chosen from.", ("id",)
+    ),
+    ("GET", "/api/edit/fields"): ApiOperation(
+        "edit_fields", "The fields of a ROS type.", ("kind", "type")
+    ),
+}
+
+ABOUT = f"""The page of `gspn serve`, `gspn replay` and the node `visualizer`, for other programs.
+
+A GET changes nothing. A POST has to carry the header `{HEADER}: 1`, and no Origin of another page.
+On this machine nobody needs a token unless one was set; otherwise each request carries one in the
+header `{TOKEN_HEADER}`, and with the viewers' token everything but GET is refused. The routes of
+`/api/edit` are there only with `gspn serve --edit`, and for the operator."""
+
+
+def interface(version: str) -> Dict[str, Any]:
+    """The document.
+
+    :param version: that of the package, for people.
+    """
+    paths: Dict[str, Dict[str, Any]] = {}
+    for (method, path), operation in OPERATIONS.items():
+        paths.setdefault(path, {})[method.lower()] = _described(method, path, operation)
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "gspn_framework_package",
+            "version": API_VERSION,
+            "description": "%s\n\nServed by version %s of the package." % (ABOUT, version),
+        },
+        "servers": [{"url": "/"}],
+        "security": [{"token": []}, {}],
+        "paths": paths,
+        "components": {
+            "securitySchemes": {"token": {"type": "apiKey", "in": "header", "name": TOKEN_HEADER}},
+            "schemas": {"Error": _object({"error": TEXT, "fields?": OBJECT, "exists?": FLAG})},
+            "parameters": {
+                "page": {
+                    "name": HEADER,
+                    "in": "header",
+                    "required": True,
+                    "schema": {"const": "1"},
+                    "description": "no form of another page can send it",
+                }
+            },
+        },
+    }
+
+
+def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any]:
+    parameters: List[Dict[str, Any]] = [
+        _parameter(name, "path", True) for name in re.findall("{(.*?)}", path)
+    ]
+    parameters += [
+        _parameter(name.rstrip("?"), "query", not name.endswith("?")) for name in operation.query
+    ]
+    if method == "POST":
+        parameters.append({"$ref": "#/components/parameters/page"})
+    described: Dict[str, Any] = {
+        "operationId": operation.name,
+        "summary": operation.about,
+        "parameters": parameters,
+        "responses": {
+            "200": {
+                "description": "the answer",
+                "content": {operation.media: {"schema": _object(operation.answer)}}
+                if operation.media == "application/json"
+                else {operation.media: {}},
+            },
+            "default": {
+                "description": "why not: 400 wrong input, 401 and 403 not allowed, 409 refused",
+                "content": {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}},
+            },
+        },
+    }
+    if method == "POST":
+        described["requestBody"] = {
+            "required": True,
+            "content": {"application/json": {"schema": _object(operation.body)}},
+        }
+    return described
+
+
+def _parameter(name: str, where: str, required: bool) -> Dict[str, Any]:
+    schema, about = PARAMETERS[name]
+    return {
+        "name": name,
+        "in": where,
+        "required": required,
+        "schema": schema,
+        "description": about,
+    }
+
+
+def _object(fields: Mapping[str, Schema]) -> Schema:
+    """An object with these fields, and perhaps others."""
+    return {
+        "type": "object",
+        "properties": {name.rstrip("?"): schema for name, schema in fields.items()},
+        "required": [name for name in fields if not name.endswith("?")],
+    }

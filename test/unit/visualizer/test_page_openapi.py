@@ -1,0 +1,136 @@
+"""The page's interface for programs: its description agrees with the routes and the answers, and
+the client in the documents works."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+from page_client import PageClient, folder_project, small_net
+
+from gspn_framework_package.visualizer.app import create_app
+from gspn_framework_package.visualizer.documents import Document, Folder
+from gspn_framework_package.visualizer.guard import Guard
+from gspn_framework_package.visualizer.openapi import OPERATIONS
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.serving import WebServer
+from gspn_framework_package.visualizer.session import Session
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(name="page")
+def _page():
+    return PageClient()
+
+
+def operations(page):
+    return {
+        (method.upper(), path): operation
+        for path, item in page.get("/api/openapi.json").get_json()["paths"].items()
+        for method, operation in item.items()
+    }
+
+
+def test_every_route_is_described_and_every_description_is_a_route(page, tmp_path):
+    app = create_app(Project(Folder(str(tmp_path)), edits=True), Guard("127.0.0.1", 8090))
+    routes = {
+        (method, re.sub("<(.*?)>", r"{\1}", rule.rule))
+        for rule in app.url_map.iter_rules()
+        for method in rule.methods - {"HEAD", "OPTIONS"}
+        if rule.rule.startswith("/api/")
+    }
+    assert set(operations(page)) == routes == set(OPERATIONS)
+
+
+def test_the_description_is_whole(page):
+    document = page.get("/api/openapi.json").get_json()
+    assert document["openapi"] == "3.1.0" and document["info"]["version"]
+    names = [operation["operationId"] for operation in operations(page).values()]
+    assert len(set(names)) == len(names)
+    for (method, path), operation in operations(page).items():
+        given = [p for p in operation["parameters"] if "$ref" not in p]
+        assert {p["name"] for p in given if p["in"] == "path"} == set(re.findall("{(.*?)}", path))
+        posted = {"$ref": "#/components/parameters/page"} in operation["parameters"]
+        assert posted == ("requestBody" in operation) == (method == "POST")
+        assert operation["summary"].endswith(".")
+        for p in given:
+            jsonschema.Draft7Validator.check_schema(p["schema"])
+
+
+def test_answers_are_as_described(page):
+    described = operations(page)
+    page.do("step")
+    for path in (
+        "/api/hello",
+        "/api/session?id=small",
+        "/api/state?id=small&at=0",
+        "/api/scene?id=small",
+        "/api/events?id=small&after=0&to=1",
+        "/api/poll?id=small",
+        "/api/slot?id=small&slot=0",
+        "/api/optimised?id=small",
+        "/api/deploy/targets",
+        "/api/analysis/no_such_job",
+        "/api/session?id=nothing",
+        "/api/history/names",
+    ):
+        plain = re.sub("no_such_job", "{job}", path.partition("?")[0])
+        responses, answer = described["GET", plain]["responses"], page.get(path)
+        if answer.status_code == 200:
+            schema = responses["200"]["content"]["application/json"]["schema"]
+        else:
+            assert responses["default"]["content"]["application/json"]["schema"] == {
+                "$ref": "#/components/schemas/Error"
+            }
+            document = page.get("/api/openapi.json").get_json()
+            schema = document["components"]["schemas"]["Error"]
+        jsonschema.validate(answer.get_json(), schema)
+    assert page.get("/api/session?id=nothing").status_code == 400
+
+
+def test_a_field_that_is_described_as_needed_is_needed(tmp_path):
+    page = PageClient(folder_project(tmp_path))
+    for path, field in (("/api/open", "path"), ("/api/upload", "files"), ("/api/do?id=x", "")):
+        operation = operations(page)["POST", path.partition("?")[0]]
+        schema = operation["requestBody"]["content"]["application/json"]["schema"]
+        assert field in [*schema["required"], ""]
+        assert page.post(path, {}).status_code == 400
+
+
+def test_a_viewer_may_read_the_description_and_nobody_without_a_token():
+    guard = Guard("127.0.0.1", 8090, token="o" * 20, viewer_token="v" * 20)
+    project = Project()
+    project.show(Session("small", Document("small", small_net())))
+    page = PageClient(project, guard)
+    assert page.get("/api/openapi.json").status_code == 401
+    assert page.get("/api/openapi.json", X_Gspn_Token="v" * 20).status_code == 200
+    refused = page.post("/api/do?id=small", {"command": "step"}, X_Gspn_Token="v" * 20)
+    assert refused.status_code == 403 and "read-only" in refused.get_json()["error"]
+
+
+def test_the_client_in_the_documents_works():
+    text = (ROOT / "docs" / "tools.md").read_text(encoding="utf-8")
+    client = re.search(r":caption: look\.py\n(.*?)```", text, re.DOTALL).group(1)
+    order = re.search(r'`(ask\("do.*?)`', text).group(1)
+    assert len([line for line in client.splitlines() if line.strip()]) <= 14
+    project = Project()
+    project.show(Session("small", Document("small", small_net())))
+    server = WebServer(project, port=0, token="o" * 20)
+    server.start()
+    try:
+        client = client.replace(":8090/", ":%d/" % server.port)
+        client = client.replace(', ""', ', "%s"' % ("o" * 20))
+        done = subprocess.run(
+            [sys.executable, "-c", client + order.replace("pause", "step")],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.stderr == "" and done.stdout.split() == ["a", "1", "b", "0"]
+        board = project.sessions.get("small").hub.board()
+        assert board.n == 1
+    finally:
+        server.stop()
