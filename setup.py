@@ -43,6 +43,7 @@ EXTRAS = {
         "duckdb>=1.2,<3 ; python_version >= '3.9'",
         "duckdb>=1.1,<1.2 ; python_version < '3.9'",
     ],
+    "symmetry": ["igraph>=0.10,<2"],
     "team": ZENOH,  # agents and their operator, without ROS
     "world": [
         "imageio-ffmpeg>=0.4,<1",

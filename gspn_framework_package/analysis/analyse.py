@@ -18,6 +18,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import (
     Any,
+    Collection,
     Dict,
     FrozenSet,
     List,
@@ -44,6 +45,9 @@ from gspn_framework_package.analysis.state_space.properties import Liveness, Pro
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep, explore
 from gspn_framework_package.analysis.structure.invariants import bounds_of
 from gspn_framework_package.analysis.structure.net_structure import Structure
+from gspn_framework_package.analysis.symmetry.lumped_properties import LumpedProperties
+from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace, explore_lumped
+from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import either, parse_condition
 from gspn_framework_package.model.errors import LimitError, UsageError
@@ -94,6 +98,9 @@ class Analysis:
     :param structure: whether P-invariants may be used for bounds. Without them, only the
         coverability tree shows which places grow without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
+    :param lump: visit one marking for all that equal parts of a net can exchange into; see
+        :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The names of the places to keep
+        apart: those of the conditions that will be asked about. None: visit all markings.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
 
@@ -110,10 +117,16 @@ class Analysis:
         timing: Optional[str] = None,
         structure: bool = True,
         engine: str = "auto",
+        lump: Optional[Collection[str]] = None,
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
     ) -> None:
         self.plan = subject if isinstance(subject, Plan) else None
+        if lump is not None and self.plan is not None:
+            raise UsageError(
+                "equal parts of a plan cannot be exchanged, since its policy may tell them apart",
+                hint="its robots are not told apart anyway; or analyse its net alone (--only-net)",
+            )
         self.net: Net = subject.net if isinstance(subject, Plan) else subject
         self._reading = checked_reading(timing or (RUN if self.plan is not None else NET))
         if self.plan is None and self._reading != NET:
@@ -126,6 +139,7 @@ class Analysis:
         self.limits = limits._replace(states=self.limit, structure=self._steps)
         self._by_structure = structure
         self._engine = engine
+        self._lump = None if lump is None else frozenset(lump)
         self._progress, self._cancel = progress, cancel
         self._counters: Tuple[str, ...] = ()  # the places left out of the state space
         self._known_tree: Optional[CoverabilityTree] = None
@@ -187,6 +201,8 @@ class Analysis:
         :raises LimitError: the state space is not complete.
         """
         self._refuse_if_unbounded("what depends on all markings")
+        if isinstance(self.space, LumpedSpace):
+            return LumpedProperties(self.space)
         return Properties(self.space)
 
     @property
@@ -200,15 +216,10 @@ class Analysis:
     def _explore(self) -> StateSpace:
         if self.plan is not None:
             return self._visit_plan(self.plan, self.limit)
-        beginning = explore(
+        beginning = self._visit_within(
             self.net,
-            limit=min(self.limit, _BEGINNING),
-            engine=self._engine,
-            progress=self._progress,
-            cancel=self._cancel,
-            bounds=[place.capacity for place in self.net.places],
-            memory=self.limits.memory,
-            seconds=self.limits.seconds,
+            min(self.limit, _BEGINNING),
+            [place.capacity for place in self.net.places],
         )
         if beginning.complete or len(beginning) <= min(self.limit, _BEGINNING):
             return beginning  # everything was visited, or time or memory ran out
@@ -236,16 +247,39 @@ class Analysis:
         return self._visit(self.net, self.limit)
 
     def _visit(self, net: Net, limit: int) -> StateSpace:
+        bounds = [self._invariant_bounds[place.name] for place in net.places]
+        return self._visit_within(net, limit, bounds)
+
+    def _visit_within(self, net: Net, limit: int, bounds: Sequence[Optional[int]]) -> StateSpace:
+        if self._lump is not None:
+            return explore_lumped(
+                self._symmetry(net),
+                limit=limit,
+                progress=self._progress,
+                cancel=self._cancel,
+                bounds=bounds,
+                memory=self.limits.memory,
+                seconds=self.limits.seconds,
+            )
         return explore(
             net,
             limit=limit,
             engine=self._engine,
             progress=self._progress,
             cancel=self._cancel,
-            bounds=[self._invariant_bounds[place.name] for place in net.places],
+            bounds=bounds,
             memory=self.limits.memory,
             seconds=self.limits.seconds,
         )
+
+    def _symmetry(self, net: Net) -> Symmetry:
+        """What can be exchanged in the net, or in the part of it without some counters. What puts
+        different numbers of tokens into these is told apart."""
+        assert self._lump is not None
+        kept = {place.name for place in net.places}
+        gone = {p for p, place in enumerate(self.net.places) if place.name not in kept}
+        counted = [tuple(arc for arc in row if arc[0] in gone) for row in self.net.outputs]
+        return Symmetry(net, self._lump, counted if gone else None)
 
     def _visit_plan(self, plan: Plan, limit: int) -> PlanSpace:
         return explore_plan(
@@ -385,7 +419,7 @@ class Analysis:
         space = self.space
         found = np.flatnonzero(space.holds(condition))
         if len(found):
-            number = len(space.distinct(found))
+            number = space.count(space.distinct(found))
             return Reachability(True, number, space.witness(int(found[0])))
         return Reachability(False if space.complete else None, 0, None)
 
@@ -396,7 +430,7 @@ class Analysis:
             space = self._visit(self.net, min(limit, self.limit))
             found = np.flatnonzero(space.holds(condition))
             if len(found):
-                return Reachability(True, len(found), space.witness(int(found[0])))
+                return Reachability(True, space.count(found), space.witness(int(found[0])))
             if space.complete:
                 return Reachability(False, 0, None)
             if limit >= min(self.limit, _SEARCHED) or len(space) <= limit:

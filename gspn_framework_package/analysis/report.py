@@ -9,7 +9,18 @@ from __future__ import annotations
 import enum
 import functools
 import math
-from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Tuple,
+)
 
 import numpy as np
 
@@ -17,7 +28,10 @@ from gspn_framework_package.analysis.analyse import Analysis, Reachability
 from gspn_framework_package.analysis.chain.markov_chain import Component
 from gspn_framework_package.analysis.plan.subnets import TITLES, SubnetFlow, subnet_flows
 from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
+from gspn_framework_package.model.net import Net
 
 INFINITE = "infinite"
 
@@ -59,10 +73,34 @@ def _most_tokens(analysis: Analysis) -> Optional[float]:
     return max((math.inf if b is None else b for b in found.bounds.values()), default=0)
 
 
+def _lumped(space: LumpedSpace) -> Dict[str, Any]:
+    symmetry = space.symmetry
+    whole = space.count(slice(None)) if space.complete else None
+    return {
+        "visited": len(space),
+        "factor": None if whole is None else whole / len(space),
+        "permutations": symmetry.order,
+        "parts": symmetry.text,
+        "unused_generators": symmetry.unused,
+    }
+
+
+def asked_places(net: Net, questions: Questions) -> FrozenSet[str]:
+    """The places that the conditions and markings of ``questions`` name.
+
+    :raises ExpressionError: a condition cannot be parsed, or names an unknown place.
+    """
+    names = [place.name for place in net.places]
+    found = {name for marking in questions.cover for name in marking}
+    for condition in (*questions.reach, *questions.mean_time_to):
+        found.update(parse_condition(condition, names, ["deadlock"]).places)
+    return frozenset(found)
+
+
 def _home_states(analysis: Analysis) -> Dict[str, Any]:
     states = analysis.properties.home_states
     return {
-        "count": len(states),
+        "count": analysis.space.count(states),
         "example": analysis.space.named(int(states[0])) if len(states) else None,
         "without": list(analysis.left_out),
     }
@@ -296,12 +334,12 @@ class _Report:
         space = analysis.space
         whole = space.complete
         if whole:
-            vanishing = int(space.is_vanishing.sum())
+            total, vanishing = space.count(slice(None)), space.count(space.is_vanishing)
             self.data["states"] = {
-                "total": len(space),
-                "tangible": len(space) - vanishing,
+                "total": total,
+                "tangible": total - vanishing,
                 "vanishing": vanishing,
-                "arcs": space.arcs,
+                "arcs": space.whole_arcs,
             }
         else:
             self.data["states"] = None
@@ -310,6 +348,8 @@ class _Report:
                 if analysis.boundedness.bounded is False
                 else "not decided within %s (%s)" % (space.extent, space.hint)
             )
+        if isinstance(space, LumpedSpace):
+            self.data["lumped"] = _lumped(space)
         self.data["left_out"] = list(analysis.left_out)
         self.data["timing"] = analysis.timing._asdict()
         self.data["engine"] = space.engine
@@ -333,7 +373,7 @@ class _Report:
         dead = space.deadlocks
         if space.complete or len(dead):
             data: Dict[str, Any] = {
-                "count": len(dead) if space.complete else None,
+                "count": space.count(dead) if space.complete else None,
                 "witness": None,
                 "marking": None,
             }
@@ -406,12 +446,10 @@ class _Report:
             data["components"] = [
                 self._component(component, len(steady.components) > 1) for component in told
             ]
-            data["component_count"] = len(steady.components)
-            dead = self.analysis.space.is_dead
-            data["deadlock_count"] = sum(
-                len(c.states) == 1 and bool(dead[chain.states[c.states[0]]])
-                for c in steady.components
-            )
+            data["component_count"] = self._number_of(steady.components)
+            space = self.analysis.space
+            dead = [c.states for c in steady.components if self._is_deadlock(c)]
+            data["deadlock_count"] = sum(space.count(chain.states[states]) for states in dead)
             data["probability_of_other_components"] = max(
                 1.0 - sum(c.probability for c in told), 0.0
             ) * (len(steady.components) > len(told))
@@ -428,13 +466,16 @@ class _Report:
     def _component(self, component: Component, several: bool) -> Dict[str, Any]:
         """A recurrent class: its size, its probability, whether it is a deadlock, and its most
         probable marking."""
-        chain = self.analysis.chain
-        likeliest = int(component.states[int(component.distribution.argmax())])
+        chain, space = self.analysis.chain, self.analysis.space
+        each = component.distribution
+        if isinstance(space, LumpedSpace):
+            each = each / space.sizes[chain.states[component.states]].astype(np.float64)
+        likeliest = int(component.states[int(each.argmax())])
         part: Dict[str, Any] = {
-            "states": len(component.states),
+            "states": space.count(chain.states[component.states]),
             "probability": component.probability,
-            "deadlock": len(component.states) == 1
-            and bool(self.analysis.space.is_dead[chain.states[likeliest]]),
+            "deadlock": self._is_deadlock(component),
+            "alike": self._alike(component),
             "marking": chain.graph.net.named(
                 chain.graph.marking(int(chain.states[likeliest])), zeros=False
             ),
@@ -444,6 +485,31 @@ class _Report:
             whole[component.states] = component.distribution
             part.update(_measures(Measures(chain, whole)))
         return part
+
+    def _is_deadlock(self, component: Component) -> bool:
+        dead = self.analysis.space.is_dead
+        states = self.analysis.chain.states[component.states]
+        return len(states) == 1 and bool(dead[states[0]])
+
+    def _alike(self, component: Component) -> Optional[int]:
+        """The number of recurrent classes that exchangeable parts make of this one; None: not
+        decided."""
+        space = self.analysis.space
+        states = self.analysis.chain.states[component.states]
+        if not isinstance(space, LumpedSpace) or (space.sizes[states] == 1).any():
+            return 1
+        return space.count(states) if self._is_deadlock(component) else None
+
+    def _number_of(self, components: List[Component]) -> Optional[int]:
+        """The number of recurrent classes; None, with the reason: not decided."""
+        found = [self._alike(component) for component in components]
+        if None in found:
+            self.undecided["steady_state.component_count"] = (
+                "not decided: exchangeable parts may make several of one recurrent class "
+                "(analyse the whole, without --lump)"
+            )
+            return None
+        return sum(number or 0 for number in found)
 
     def _reward(self, measures: Measures, rewards: Mapping[str, float]) -> float:
         net = self.analysis.net

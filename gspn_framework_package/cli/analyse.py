@@ -10,11 +10,19 @@ import re
 import sys
 from itertools import islice
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
-from gspn_framework_package.analysis.report import Part, Questions, keys_of, report, rows, titled
+from gspn_framework_package.analysis.report import (
+    Part,
+    Questions,
+    asked_places,
+    keys_of,
+    report,
+    rows,
+    titled,
+)
 from gspn_framework_package.analysis.state_space import ENGINES
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.interrupts import leave
@@ -27,6 +35,7 @@ from gspn_framework_package.cli.limits import (
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
 
 _PARTS = 1_000
 """Number of parts of the JSON text (a bracket, a name, a list) that are written together."""
@@ -113,6 +122,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="who computes: this process (local), or all those that mpiexec started, each with a "
         "part of the states (mpi): docs/scaling.md",
     )
+    effort.add_argument(
+        "--lump",
+        action="store_true",
+        help="exchange equal parts of a net: visit one marking for all that differ only by that",
+    )
     parser.epilog = "Exit codes: 0 answered (open questions are listed), 2 wrong input or usage."
 
 
@@ -144,6 +158,14 @@ def _run(args: argparse.Namespace) -> int:
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time is a number of seconds, at least 0")
     limits = limits_of(args)
+    lump = None
+    if args.lump:
+        if args.engine != "auto":
+            raise UsageError("--lump explores with an engine of its own", hint="leave out --engine")
+        if isinstance(subject, Net):
+            lump = asked_places(subject, questions)
+        else:
+            lump = frozenset()
 
     def analyse(progress: Progress, cancel: Cancel) -> Tuple[Dict[str, Any], List[str]]:
         analysis = Analysis(
@@ -152,6 +174,7 @@ def _run(args: argparse.Namespace) -> int:
             timing=args.timing,
             structure=questions.structure,
             engine=args.engine,
+            lump=lump,
             progress=progress,
             cancel=cancel,
         )
@@ -358,6 +381,8 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
             data["memory_bytes"] / 1e6,
             data["engine"],
         )
+    if "lumped" in data:
+        yield from _lumped_text(data["lumped"], states)
     if data["kind"] == "plan":
         yield from _timing_text(data["timing"])
     if data["left_out"]:
@@ -387,6 +412,31 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield "home states%s: %d" % (" without %s" % left_out if left_out else "", home["count"])
 
 
+def _lumped_text(lumped: Mapping[str, Any], states: Optional[Mapping[str, int]]) -> Iterator[str]:
+    visited = format(lumped["visited"], ",")
+    if not lumped["parts"]:
+        yield "exchanged: nothing, since no parts are equal"
+    elif states:
+        yield "exchanged: visited %s of %s markings: %.3g times fewer" % (
+            visited,
+            format(states["total"], ","),
+            lumped["factor"],
+        )
+    else:
+        yield "exchanged: visited %s markings, each for up to %s" % (
+            visited,
+            _number(lumped["permutations"]),
+        )
+    for part in lumped["parts"][:SHOWN]:
+        yield "    %s" % part
+    yield from _more(lumped["parts"])
+    if lumped["unused_generators"]:
+        yield (
+            "    parts of unknown form were not exchanged (%d generators of the group)"
+            % lumped["unused_generators"]
+        )
+
+
 def _timing_text(timing: Mapping[str, Any]) -> Iterator[str]:
     as_it_runs = timing["reading"] == RUN
     yield "time: %s" % ("as the plan runs" if as_it_runs else "as in its net alone (--timing net)")
@@ -414,19 +464,28 @@ def _reach_text(entry: Any, word: str) -> Iterator[str]:
 
 def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     yield "steady state (%s, residual %.1e):" % (steady["method"], steady["residual"])
-    if len(steady["components"]) > 1:
+    if steady["component_count"] != 1:
         for part in steady["components"]:
             kind = "a recurrent class of %s states, most of the time in" % format(
                 part["states"], ","
             )
             if part["states"] == 1:
                 kind = "the deadlock" if part["deadlock"] else "one state for good:"
+            elif part["alike"] != 1:
+                kind = "%s of equal parts, %s states together, such as" % (
+                    "some recurrent class"
+                    if part["alike"] is None
+                    else "one of %s deadlocks" % format(part["alike"], ","),
+                    format(part["states"], ","),
+                )
             yield "    with probability %s it ends in %s (%s)" % (
                 _number(part["probability"]),
                 kind,
                 _map(part["marking"]),
             )
-        others = steady["component_count"] - len(steady["components"])
+        others = (steady["component_count"] or 0) and (
+            steady["component_count"] - sum(part["alike"] for part in steady["components"])
+        )
         if others:
             yield "    with probability %s in one of %s others; of all %s, %s are deadlocks" % (
                 _number(steady["probability_of_other_components"]),

@@ -56,7 +56,7 @@ ROS = re.compile(
 )
 
 #: Libraries that the package does without: only the modules that use them fail to import.
-OPTIONAL = ["duckdb", "numba"]
+OPTIONAL = ["duckdb", "igraph", "numba"]
 
 #: What the package imports that is not Python's own nor a ROS package of that name -> its rosdep
 #: key, "" for what the package does without.
@@ -64,6 +64,7 @@ ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "cryptography": "python3-cryptography",
     "duckdb": "",
+    "igraph": "",
     "flask": "python3-flask",
     "imageio_ffmpeg": "",
     "jsonschema": "python3-jsonschema",

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, Dict, Mapping, Optional, Union
+from typing import Callable, Dict, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
@@ -46,12 +46,16 @@ class Measures:
     def mean_tokens(self) -> Dict[str, float]:
         """Mean number of tokens in each place."""
         found = self.graph.store.means(self.chain.states, self.distribution)
+        if self.graph.exchanged is not None:
+            found = self.graph.exchanged.over_places(found)
         return {place.name: mean for place, mean in zip(self.graph.net.places, found)}
 
     @property
     def token_distribution(self) -> Dict[str, Dict[int, float]]:
         """For each place: number of tokens -> probability."""
         found = self.graph.store.distributions(self.chain.states, self.distribution)
+        if self.graph.exchanged is not None:
+            found = self.graph.exchanged.over_distributions(found)
         return {place.name: counts for place, counts in zip(self.graph.net.places, found)}
 
     def probability(self, holds: Booleans) -> float:
@@ -80,10 +84,12 @@ class Measures:
     @property
     def throughput(self) -> Dict[str, float]:
         """How often (1/s) each transition fires, immediate ones included."""
-        totals = np.bincount(
+        totals: Sequence[float] = np.bincount(
             self.graph.transitions, weights=self.flows, minlength=len(self.graph.net.transitions)
-        )
-        return {t.name: float(v) for t, v in zip(self.graph.net.transitions, totals)}
+        ).tolist()
+        if self.graph.exchanged is not None:
+            totals = self.graph.exchanged.over_transitions(totals)
+        return {t.name: v for t, v in zip(self.graph.net.transitions, totals)}
 
     @property
     def mean_waiting_time(self) -> Dict[str, float]:

@@ -45,6 +45,15 @@ class Allowance(NamedTuple):
         """Whether any of it is left when ``used`` bytes are in use."""
         return used <= self.memory and time.monotonic() < self.until
 
+    def shortage(self, states: int, limit: int, seconds: float) -> Tuple[str, str]:
+        """What ran out, if an exploration that began with ``seconds`` ended early: the option to
+        raise, and its value (empty: the limit on states)."""
+        if states > limit:
+            return "--limit", ""
+        if time.monotonic() >= self.until:
+            return "--limit-time", "%g s" % seconds
+        return "--limit-memory", "%.3g GB" % (self.memory / 1e9)
+
 
 ENDLESS = Allowance()
 """An allowance without limits."""

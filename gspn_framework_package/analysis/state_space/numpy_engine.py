@@ -8,7 +8,7 @@ continues probing if another key won it.
 
 from __future__ import annotations
 
-from typing import List, Optional, Tuple
+from typing import Callable, List, Optional, Tuple
 
 import numpy as np
 
@@ -42,12 +42,15 @@ def explore(
     watch: Watch,
     rounds: Optional[int] = None,
     room: Allowance = ENDLESS,
+    representative: Optional[Callable[[Words], Words]] = None,
 ) -> RawGraph:
     """The reachability graph of ``packed``.
 
     :param limit: the exploration ends when more than this many states are known.
     :param rounds: it also ends after this many rounds.
     :param room: it also ends when this is used up.
+    :param representative: returns for packed markings those that stand for them, which are visited
+        in their place; None: each stands for itself.
     :raises FieldOverflowError: the fields are too narrow.
     """
     transitions = len(packed.order)
@@ -76,6 +79,8 @@ def explore(
         )
         if np.any(overflow):
             raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+        if representative is not None:
+            successors = representative(successors)
         targets.extend(table.insert(successors, states))
         labels.extend(fired)
         counts = np.bincount(sources, minlength=len(block))

@@ -14,7 +14,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Selection
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
-from gspn_framework_package.analysis.state_space.space import StateSpace
+from gspn_framework_package.analysis.state_space.space import Exchanged, StateSpace
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking, Net
 
@@ -33,6 +33,7 @@ class RatedGraph(NamedTuple):
     :ivar store: the markings of the states.
     :ivar parts: the parts of places that states tell apart, by name; of a plan as it runs.
     :ivar part_counts: int array, one row per state: how many robots are in each of these parts.
+    :ivar exchanged: what its states were taken together by; None: each is itself alone.
     """
 
     net: Net
@@ -44,6 +45,7 @@ class RatedGraph(NamedTuple):
     store: Union[PackedStore, SparseStore]
     parts: Tuple[str, ...] = ()
     part_counts: Optional[Indices] = None
+    exchanged: Optional[Exchanged] = None
 
     def __len__(self) -> int:
         return len(self.vanishing)
@@ -103,7 +105,14 @@ def rate(space: StateSpace) -> RatedGraph:
             values[arcs] = transition.rate * degree
     _normalise(space, vanishing, sources, values)
     return RatedGraph(
-        space.net, vanishing, sources, space.targets, space.transitions, values, space.store
+        space.net,
+        vanishing,
+        sources,
+        space.targets,
+        space.transitions,
+        values,
+        space.store,
+        exchanged=space.exchanged,
     )
 
 

@@ -17,7 +17,7 @@ import importlib.util
 import math
 import sys
 import time
-from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -53,6 +53,23 @@ narrow."""
 
 _INVARIANT_EFFORT = 100_000
 """Most steps of the search for invariants that is done to get narrow fields."""
+
+
+class Exchanged(Protocol):
+    """Equal parts of a net that were exchanged, so that one state stands for several. What holds of
+    a place or transition, taken over the states that stand for all, becomes right for each by the
+    mean over all that it can be exchanged with."""
+
+    def over_places(self, values: Sequence[float]) -> List[float]:
+        """For each place the mean of ``values`` over all that it can be exchanged with."""
+
+    def over_transitions(self, values: Sequence[float]) -> List[float]:
+        """For each transition the mean of ``values`` over all that it can be exchanged with."""
+
+    def over_distributions(
+        self, distributions: Sequence[Mapping[int, float]]
+    ) -> List[Dict[int, float]]:
+        """For each place the mean of these distributions of its count (count -> probability)."""
 
 
 class WitnessStep(NamedTuple):
@@ -124,6 +141,16 @@ class StateSpace:
         return int(
             self.store.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes
         )
+
+    def count(self, states: Union[Indices, Booleans, slice]) -> int:
+        """How many states of the whole these ``states`` (numbers, slice or mask) stand for: one
+        each, unless equal parts were exchanged."""
+        return len(np.arange(len(self))[states])
+
+    @property
+    def whole_arcs(self) -> int:
+        """The number of firings between the states that these states stand for."""
+        return self.arcs
 
     def require_complete(self, question: str) -> None:
         """:raises LimitError: a limit was reached, so that ``question`` is not decided."""
@@ -224,6 +251,9 @@ class StateSpace:
         """Numbers of the states in which no transition is enabled."""
         return np.flatnonzero(self.is_dead)
 
+    exchanged: Optional[Exchanged] = None
+    """What the states were taken together by; None: each is itself alone."""
+
     further_steps = 0
     """How many kinds of steps there are in which no transition fires; their numbers follow those of
     the transitions."""
@@ -322,11 +352,7 @@ def explore(
     def space(
         store: Union[PackedStore, SparseStore], graph: RawGraph, order: Indices, name: str
     ) -> StateSpace:
-        shortage = ("--limit", "")
-        if len(store) <= limit:
-            shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
-            if time.monotonic() >= room.until:
-                shortage = ("--limit-time", "%g s" % seconds)
+        shortage = room.shortage(len(store), limit, seconds)
         return StateSpace(net, store, graph, order, untimed=untimed, engine=name, shortage=shortage)
 
     if engine == "sparse" or (engine == "auto" and is_sparse(net)):

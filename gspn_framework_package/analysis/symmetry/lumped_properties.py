@@ -1,0 +1,101 @@
+"""Qualitative properties of a net with exchangeable parts, from one marking of each orbit."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Dict
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Indices
+from gspn_framework_package.analysis.graph import can_reach
+from gspn_framework_package.analysis.state_space.properties import Liveness, Properties
+from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace
+from gspn_framework_package.model.errors import LimitError
+
+
+class LumpedProperties(Properties):
+    """Properties of the whole, read off the space of the orbits.
+
+    A cycle of orbits unrolls to a cycle of markings, since a permutation repeated often enough
+    moves nothing. So bounds, L0, L1 and L3 (by orbits of transitions), deadlocks and reversibility
+    follow at once. But one final component of orbits may stand for several of markings that
+    exchange into each other, such as "robot 1 has the tool for good" and "robot 2 has". It stands
+    for one if one of its markings is its whole orbit. Otherwise home states, and whether
+    exchangeable transitions are live, are not decided.
+
+    :param space: a complete lumped space.
+    """
+
+    space: LumpedSpace
+
+    @cached_property
+    def bounds(self) -> Dict[str, int]:
+        """See :attr:`Properties.bounds`."""
+        names = [place.name for place in self.space.net.places]
+        most = np.zeros(len(names), dtype=np.int64)
+        of = self.space.symmetry.place_orbits
+        np.maximum.at(most, of, np.array(self.space.store.largest(), dtype=np.int64))
+        return dict(zip(names, most[of].tolist()))
+
+    @property
+    def reversible(self) -> bool:
+        """See :attr:`Properties.reversible`. The initial marking is its whole orbit."""
+        space = self.space
+        return bool(can_reach(len(space), space.sources, space.targets, space.starts).all())
+
+    @cached_property
+    def alone(self) -> Booleans:
+        """Boolean array over the components: the final ones that stand for one component of
+        markings."""
+        found = self.components
+        alone = np.zeros(found.number, dtype=bool)
+        alone[found.of[np.flatnonzero(self.space.sizes == 1)]] = True
+        return alone & found.bottom
+
+    @property
+    def home_states(self) -> Indices:
+        """See :attr:`Properties.home_states`.
+
+        :raises LimitError: not decided; see the class.
+        """
+        states = super().home_states
+        if not len(states) or self.alone.any():
+            return states
+        if len(states) == 1 and len(self.space.deadlocks):
+            return states[:0]  # several deadlocks that exchange into each other
+        raise _several()
+
+    @cached_property
+    def liveness(self) -> Dict[str, Liveness]:
+        """See :attr:`Properties.liveness`.
+
+        :raises LimitError: not decided; see the class.
+        """
+        space, found = self.space, self.components
+        of = space.symmetry.transition_orbits
+        size = np.bincount(of)
+        level = np.zeros(len(size), dtype=np.int64)
+        level[of[np.unique(space.transitions)]] = Liveness.L1
+        inside = found.of[space.sources] == found.of[space.targets]
+        level[of[np.unique(space.transitions[inside])]] = Liveness.L3
+        bottom = np.flatnonzero(found.bottom)
+        number = np.full(found.number, -1, dtype=np.int64)
+        number[bottom] = np.arange(len(bottom))
+        last = number[found.of[space.sources]]
+        pairs = np.unique(of[space.transitions[last >= 0]] * len(bottom) + last[last >= 0])
+        orbit, component = pairs // max(len(bottom), 1), pairs % max(len(bottom), 1)
+        everywhere = np.bincount(orbit, minlength=len(size)) == len(bottom)
+        sure = np.bincount(orbit, self.alone[bottom][component], minlength=len(size)) == len(bottom)
+        if (everywhere & ~sure & (size > 1)).any():
+            raise _several()
+        level[everywhere] = Liveness.L4
+        names = [t.name for t in space.net.transitions]
+        return {name: Liveness(v) for name, v in zip(names, level[of].tolist())}
+
+
+def _several() -> LimitError:
+    return LimitError(
+        "not decided: a final component of orbits may stand for several of markings",
+        hint="analyse the whole (without --lump)",
+    )

@@ -1,0 +1,118 @@
+"""The symmetry of a net: which of its parts can be exchanged, and the least marking of each orbit.
+
+Let G be a group of automorphisms of a net, with its rates, weights, priorities and initial marking
+(:mod:`~gspn_framework_package.analysis.symmetry.automorphisms`). What a marking m enables, and at
+which rates, g(m) enables under other names. So the orbits of markings under G are a lumping of the
+Markov chain: the rate from m to an orbit is the same for all m of an orbit (strong lumpability: J.
+G. Kemeny and J. L. Snell, *Finite Markov Chains*, Van Nostrand, 1960, section 6.3; for symmetries
+of nets, G. Chiola, C. Dutheillet, G. Franceschinis and S. Haddad, *Stochastic well-formed colored
+nets and symmetric modeling applications*, IEEE Transactions on Computers 42(11), 1993).
+
+It suffices, then, to visit one marking of each orbit. Since g(m0) = m0 for the initial marking m0,
+
+- with m every g(m) is reachable, so the number of reachable markings is the sum of the sizes of the
+  visited orbits;
+- the distribution over markings is the same under every g at all times: it is so at the start, and
+  the rates are the same under g. So it is in the steady state too (the limit of the means over
+  time), with one recurrent class or several. Hence the mean count of a place p is that of g(p), and
+  so the mean, over the orbit of p, of what the lumped chain gives: the sum over that orbit is the
+  same in all markings of an orbit. The same holds for the distribution of the count, and for the
+  throughput of a transition.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Collection, Dict, Hashable, List, Mapping, Optional, Sequence
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Indices
+from gspn_framework_package.analysis.symmetry.automorphisms import automorphisms, orbits
+from gspn_framework_package.analysis.symmetry.factors import factors_of, ones
+from gspn_framework_package.model.net import Net
+
+_ROWS = 1 << 15
+"""Most markings that are reduced at once."""
+
+
+class Symmetry:
+    """Exchangeable parts of a net.
+
+    :param net: the net.
+    :param fixed: names of places that are not exchanged.
+    :param told_apart: see :func:`~.automorphisms.automorphisms`.
+    :ivar factors: the factors of the group that is used.
+    :ivar generators: its generators: int arrays over places and transitions.
+    :ivar unused: the number of generators of the whole group that it does without, since the form
+        of the group is unknown.
+    :ivar place_orbits: int array: the number of the orbit of each place.
+    :ivar transition_orbits: int array: the number of the orbit of each transition.
+    :raises UsageError: igraph is not installed.
+    """
+
+    def __init__(
+        self,
+        net: Net,
+        fixed: Collection[str] = (),
+        told_apart: Optional[Sequence[Hashable]] = None,
+    ) -> None:
+        found = automorphisms(net, fixed, told_apart)
+        places = len(net.places)
+        self.net = net
+        self.factors, used = factors_of([generator[:places] for generator in found])
+        self.generators = [found[n] for n in used]
+        self.unused = len(found) - len(used)
+        of = orbits(self.generators, places + len(net.transitions))
+        self.place_orbits: Indices = np.unique(of[:places], return_inverse=True)[1]
+        self.transition_orbits: Indices = np.unique(of[places:], return_inverse=True)[1]
+
+    @property
+    def order(self) -> int:
+        """The number of permutations of the group that is used."""
+        return math.prod(factor.order for factor in self.factors)
+
+    @property
+    def text(self) -> List[str]:
+        """What can be exchanged, in words: one sentence part for each factor."""
+        return [factor.text for factor in self.factors]
+
+    def reduce(self, markings: Indices) -> Indices:
+        """Replace markings (int array, one row per marking) by the least of their orbits, in place.
+
+        :return: the size of each orbit.
+        """
+        sizes = ones(len(markings), self.order)
+        for begin in range(0, len(markings), _ROWS):
+            part = slice(begin, begin + _ROWS)
+            counts = np.ascontiguousarray(markings[part].T)
+            for factor in self.factors:
+                sizes[part] = sizes[part] * factor.reduce(counts)
+            markings[part] = counts.T
+        return sizes
+
+    def over_places(self, values: Sequence[float]) -> List[float]:
+        """See :class:`~gspn_framework_package.analysis.state_space.rated_graph.Exchanged`."""
+        return _over(self.place_orbits, values)
+
+    def over_transitions(self, values: Sequence[float]) -> List[float]:
+        """See :class:`~gspn_framework_package.analysis.state_space.rated_graph.Exchanged`."""
+        return _over(self.transition_orbits, values)
+
+    def over_distributions(
+        self, distributions: Sequence[Mapping[int, float]]
+    ) -> List[Dict[int, float]]:
+        """See :class:`~gspn_framework_package.analysis.state_space.rated_graph.Exchanged`."""
+        sizes = np.bincount(self.place_orbits).tolist()
+        totals: List[Dict[int, float]] = [{} for _ in sizes]
+        for orbit, counts in zip(self.place_orbits.tolist(), distributions):
+            for n, value in counts.items():
+                totals[orbit][n] = totals[orbit].get(n, 0.0) + value / sizes[orbit]
+        return [dict(sorted(totals[orbit].items())) for orbit in self.place_orbits.tolist()]
+
+
+def _over(orbit: Indices, values: Sequence[float]) -> List[float]:
+    """For each node the mean of ``values`` over its orbit."""
+    if not len(orbit):
+        return []
+    return (np.bincount(orbit, weights=values) / np.bincount(orbit))[orbit].tolist()
