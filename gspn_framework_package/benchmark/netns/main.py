@@ -29,7 +29,7 @@ PROBE_DELAY = 0.05
 def why_not(scenarios: Sequence[str] = (), transport: str = "ros") -> str:
     """Why these scenarios cannot run on this machine; "" if they can."""
     delay = PROBE_DELAY if NEED_DELAY & set(scenarios) else 0.0
-    return (why_no_ros() if transport == "ros" else why_no_zenoh()) or why_impossible(delay)
+    return (why_no_zenoh() if transport == "zenoh" else why_no_ros()) or why_impossible(delay)
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -49,8 +49,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         "--transport",
         choices=list(TEAMS),
         default="ros",
-        help="what carries the messages: ros, with a master in the middle (default), or zenoh, "
-        "with a router, mutual TLS and robots without ROS",
+        help="what carries the messages: ros, with a master in the middle (default); masters: ros, "
+        "with a master on each robot; or zenoh, with a router, mutual TLS and robots without ROS",
     )
     parser.add_argument("--mode", action="append", choices=MODES, help="only this synchronisation")
     parser.add_argument(

@@ -58,7 +58,7 @@ class Network:
         self.gateways = gateways if gateways is not None else Gateways({})
         self.cuts: Cuts = frozenset()
         self._prefix = "%s%d-%d-" % (PREFIX, os.getpid(), next(_numbers))
-        self._hub = self._prefix + "hub"
+        self._hub = self._prefix + "_bridge"
         self._addresses = {name: SUBNET + str(number) for number, name in enumerate(nodes, 1)}
         self._addresses.update(self.gateways.addresses())
         self._relay: Optional[relay.Relay] = None

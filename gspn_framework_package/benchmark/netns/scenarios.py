@@ -16,7 +16,7 @@ Numbers = Dict[str, Any]
 HOLD = 4.0
 """Seconds for which the network stays cut, by default."""
 
-DELAYS = {"ros": {"delayed": 0.05}, "zenoh": {"100_ms": 0.1, "300_ms": 0.3}}
+DELAYS = {"ros": {"delayed": 0.05}, "masters": {}, "zenoh": {"100_ms": 0.1, "300_ms": 0.3}}
 """One-way delays in seconds between any two nodes (scenario ``delay``), for each transport."""
 
 LOSSES = (0.1, 0.3)
@@ -356,6 +356,7 @@ TAKE_HOLD = frozenset(SCENARIOS) - {"eviction", "delay", "loss", "flapping"}
 NEED_DELAY = frozenset({"delay"})
 OF_TRANSPORT = {
     "ros": [name for name in SCENARIOS if name not in ("loss", "flapping", "nat", "router_killed")],
+    "masters": ["minority", "eviction", "mute", "deaf", "scattered"],
     "zenoh": [name for name in SCENARIOS if name != "master_side"],
 }
 """The scenarios of each transport. A router in the middle is no master: without it nobody hears

@@ -94,7 +94,11 @@ class NamespaceTeam:
 
     def end(self) -> None:
         """End the other programs, then the robots, then what is in the middle."""
-        self.programs.end(self.robots, [MASTER])
+        self.programs.end(self.robots, self.middle())
+
+    def middle(self) -> List[str]:
+        """The programs that the robots meet at."""
+        return [MASTER]
 
     def start_middle(self) -> None:
         """Start what the robots meet at, and wait until it is there."""
@@ -142,6 +146,36 @@ class MasterTeam(NamespaceTeam):
         return ros_environment(own, master, MASTER_PORT, self._folder)
 
 
+class OwnMastersTeam(MasterTeam):
+    """Robots with ROS, each with a master of its own; programs like those of ``fkie_multimaster``
+    synchronise the masters."""
+
+    def start_middle(self) -> None:
+        """See :class:`NamespaceTeam`: here, every robot's master."""
+        for robot in self.robots:
+            name = robot + "_master"
+            words = ["rosmaster", "--core", "-p", str(MASTER_PORT)]
+            self.programs.start(name, words, robot, self.environment(robot))
+        for robot in self.robots:
+            self.programs.await_port(robot + "_master", MASTER_PORT, robot)
+            others = [self._master(other) for other in self.robots if other != robot]
+            module = "gspn_framework_package.benchmark.netns.master_sync"
+            words = [sys.executable, "-m", module, self._master(robot), *others]
+            self.programs.start(robot + "_sync", words, robot)
+
+    def middle(self) -> List[str]:
+        """See :class:`NamespaceTeam`."""
+        return [robot + kind for kind in ("_sync", "_master") for robot in self.robots]
+
+    def environment(self, node: str) -> Dict[str, str]:
+        """See :class:`NamespaceTeam`."""
+        own = self._network.address(node)
+        return ros_environment(own, own, MASTER_PORT, self._folder)
+
+    def _master(self, robot: str) -> str:
+        return self.environment(robot)["ROS_MASTER_URI"]
+
+
 class RouterTeam(NamespaceTeam):
     """Robots without ROS and one router, with keys: mutual TLS."""
 
@@ -184,5 +218,5 @@ def node_words(robot: str, parameters: Dict[str, Any]) -> List[str]:
     return [sys.executable, "-c", NODE, "__ns:=/" + robot, "__name:=executor", *words]
 
 
-TEAMS = {"ros": MasterTeam, "zenoh": RouterTeam}
+TEAMS = {"ros": MasterTeam, "masters": OwnMastersTeam, "zenoh": RouterTeam}
 """The kind of team for each transport."""
