@@ -43,10 +43,10 @@ def orders_in(logs: Iterable[LogTail], since: float) -> List[str]:
 
 
 def slowed(speed: float, before: float) -> str:
-    """Why a speed (firings/s) is too low after what it was before; "" if it is not."""
+    """Why a speed (slots/s) is too low after what it was before; "" if it is not."""
     if speed >= HALF * before:
         return ""
-    return "%.1f firings/s instead of %.1f" % (speed, before)
+    return "%.1f slots/s instead of %.1f" % (speed, before)
 
 
 def attack_row(

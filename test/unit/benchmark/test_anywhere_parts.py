@@ -72,7 +72,7 @@ def test_entries_of_strangers_and_orders_are_found(log):
 
 def test_half_the_speed_is_enough():
     assert slowed(5.0, 10.0) == ""
-    assert slowed(4.9, 10.0) == "4.9 firings/s instead of 10.0"
+    assert slowed(4.9, 10.0) == "4.9 slots/s instead of 10.0"
 
 
 def test_an_attack_fails_only_if_the_attacker_got_nothing_and_the_team_went_on():
