@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.team.keys import KeyFolder, read_keys
+from gspn_framework_package.team.tcp_patience import limit_silence, ports_of
 from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
 
 if TYPE_CHECKING:
@@ -42,11 +43,13 @@ class Router:
     def _open(self) -> zenoh.Session:
         keys = self._keys()
         self.members = len(keys.members) if keys else None
-        return open_session(
+        session = open_session(
             TeamAccess(
                 self._connect, self._listen, keys, router=True, limited=self._is_limited(keys)
             )
         )
+        limit_silence(ports_of(self._listen), ports_of(self._connect))
+        return session
 
     def _is_limited(self, keys: Optional[KeyFolder]) -> bool:
         """Whether a connection carries what one robot sends, which has a limit; a connection to
@@ -82,6 +85,8 @@ class Router:
 
         :returns: what was done, for people; "" if nothing.
         """
+        if self._connect:  # there may be a new connection
+            limit_silence(connects=ports_of(self._connect))
         stamp = self._stamp()
         if stamp == self._seen:
             return ""

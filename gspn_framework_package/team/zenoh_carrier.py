@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Tuple
@@ -20,6 +21,7 @@ from gspn_framework_package.team.carrier import (
 )
 from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
 from gspn_framework_package.team.lanes import Lanes
+from gspn_framework_package.team.tcp_patience import limit_silence, ports_of
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
@@ -44,6 +46,9 @@ disturbed; to more it goes once, to everybody."""
 HEARD = 1000.0
 """Messages a second that are taken from a robot in a channel: what its lanes let it send, and some
 more."""
+
+_LOOK = 1.0
+"""Seconds between two looks for new connections."""
 
 _MOST_KEYS = 10_000
 
@@ -87,6 +92,9 @@ class ZenohCarrier:
         self._publishers: Dict[Tuple[str, ...], zenoh.Publisher] = {}
         self._zenoh = zenoh_library()
         self._session = open_session(access)
+        self._ports = ports_of(access.connect)
+        self._limited_at = -math.inf
+        limit_silence(ports_of(access.listen))
         # on the thread that receives: another thread between would cost more than it does
         take = self._zenoh.handlers.Callback(self._on_message, indirect=False)
         self._declared: List[Any] = [
@@ -101,6 +109,10 @@ class ZenohCarrier:
 
     def send(self, sends: List[Send]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
+        now = time.monotonic()
+        if self._ports and now >= self._limited_at + _LOOK:  # there may be a new connection
+            self._limited_at = now
+            limit_silence(connects=self._ports)
         alone = MOST_ALONE if self._partial else 1
         packs: Dict[Tuple[str, ...], List[bytes]] = {}
         while sends:

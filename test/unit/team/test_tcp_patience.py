@@ -1,0 +1,61 @@
+"""Connections over which nothing is acknowledged are given up by the operating system."""
+
+import contextlib
+import os
+import socket
+
+import pytest
+
+from gspn_framework_package.team.tcp_patience import GIVES_UP, limit_silence, ports_of
+
+pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/net/tcp"), reason="no /proc")
+
+
+def patience(end):
+    return end.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) / 1000.0
+
+
+@pytest.fixture
+def server():
+    with contextlib.closing(socket.socket()) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        yield listening
+
+
+def test_what_a_listening_socket_accepts_inherits_the_limit(server):
+    port = server.getsockname()[1]
+    assert limit_silence(listens=[port]) == 1
+    with socket.create_connection(("127.0.0.1", port)) as here:
+        there, _ = server.accept()
+        with there:
+            assert patience(there) == GIVES_UP
+            assert patience(here) == 0.0
+
+
+def test_connections_to_a_port_are_limited_and_no_others(server):
+    port = server.getsockname()[1]
+    with socket.create_connection(("127.0.0.1", port)) as here, socket.socket() as other:
+        assert limit_silence(connects=[port]) == 1
+        assert patience(here) == GIVES_UP
+        assert patience(server) == patience(other) == 0.0
+        here.sendall(b"it still works")
+        there, _ = server.accept()
+        with there:
+            assert there.recv(14) == b"it still works"
+
+
+def test_a_connection_that_is_being_made_is_limited():
+    with socket.socket() as trying:
+        trying.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            trying.connect(("192.0.2.1", 9))  # nobody answers from there
+        with contextlib.suppress(OSError):
+            trying.getpeername()
+            pytest.skip("it is answered, or refused, here")
+        if limit_silence(connects=[9]):
+            assert patience(trying) == GIVES_UP
+
+
+def test_ports_are_found_in_endpoints():
+    assert ports_of(["tls/hub:7447", "tcp/[::1]:7448", "tcp/host"]) == {7447, 7448}
