@@ -39,12 +39,12 @@ THREE = (
 """Three machines behind two gateways, for the four robots of ``plans/patrol``."""
 
 
-class Layout(NamedTuple):
+class Sites(NamedTuple):
     """The network of some machines.
 
-    >>> Layout.of(THREE).nodes
+    >>> Sites.of(THREE).nodes
     ['hub', 'outside', 'nat_a', 'nat_b']
-    >>> Layout.of(THREE).gateways.behind["nat_a"]
+    >>> Sites.of(THREE).gateways.behind["nat_a"]
     ['machine_1', 'machine_2']
     """
 
@@ -56,7 +56,7 @@ class Layout(NamedTuple):
     """Robot -> one of :data:`ROBOT_KINDS`."""
 
     @classmethod
-    def of(cls, machines: Sequence[Machine]) -> Layout:
+    def of(cls, machines: Sequence[Machine]) -> Sites:
         """The layout. :raises ValueError: a name or a kind of robot is wrong."""
         behind: Dict[str, List[str]] = {}
         place_of: Dict[str, str] = {}

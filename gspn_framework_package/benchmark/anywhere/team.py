@@ -17,8 +17,8 @@ from gspn_framework_package.benchmark.anywhere.machines import (
     HUB,
     OUTSIDE,
     THREE,
-    Layout,
     Machine,
+    Sites,
 )
 from gspn_framework_package.benchmark.log_tail import LogTail
 from gspn_framework_package.benchmark.netns.logs import AgreedHistory, check_history
@@ -56,7 +56,7 @@ class AnywhereTeam:
 
     def __init__(self, folder: str, machines: Sequence[Machine] = THREE) -> None:
         self.folder, self.machines = folder, machines
-        self.layout = Layout.of(machines)
+        self.layout = Sites.of(machines)
         self.robots = sorted(self.layout.place_of)
         self.network = Network(self.layout.nodes, gateways=self.layout.gateways)
         paths = {name: os.path.join(folder, RUN, name + ".jsonl") for name in self.robots}

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from gspn_framework_package.benchmark.anywhere.attacks import ATTACKS
-from gspn_framework_package.benchmark.anywhere.machines import THREE, Layout, Machine
+from gspn_framework_package.benchmark.anywhere.machines import THREE, Machine, Sites
 from gspn_framework_package.benchmark.anywhere.report import (
     attack_row,
     orders_in,
@@ -19,7 +19,7 @@ from gspn_framework_package.benchmark.netns.master_sync import Offer, offers_of
 
 
 def test_the_layout_follows_from_the_machines():
-    layout = Layout.of(THREE)
+    layout = Sites.of(THREE)
     assert set(layout.kind_of.values()) == {"ros", "agent"}
     assert sorted(layout.gateways.behind) == ["nat_a", "nat_b"]
     assert layout.alone_behind("nat_b") == ["robot_4"]
@@ -37,7 +37,7 @@ def test_the_layout_follows_from_the_machines():
 )
 def test_a_wrong_layout_is_refused(machines, why):
     with pytest.raises(ValueError, match=why):
-        Layout.of(machines)
+        Sites.of(machines)
 
 
 def test_hosts_get_addresses_and_a_way_out_by_their_gateway():
