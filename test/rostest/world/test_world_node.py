@@ -16,9 +16,10 @@ from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from nav_msgs.msg import OccupancyGrid, Odometry
-from sensor_msgs.msg import LaserScan, Temperature
+from sensor_msgs.msg import CompressedImage, LaserScan, Temperature
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
 
 DEADLINE = 150.0
 """Seconds of wall time; far more than any test here needs."""
@@ -150,7 +151,20 @@ class TestWorld(unittest.TestCase):
         # no more commands: it stops by itself
         odometry.wait(lambda m: m.twist.twist.angular.z == 0.0)
 
-    def test_6_two_robots_patrol_a_lap_by_the_rules(self):
+    def test_6_the_team_is_shown_in_the_map_and_its_net_as_a_picture(self):
+        drawn = Latest("/gspn_markers", MarkerArray).wait(
+            lambda found: {"goals", "robots"} <= {marker.ns for marker in found.markers}
+        )
+        frames = {m.header.frame_id for m in drawn.markers if m.ns == "robots"}
+        self.assertEqual(frames, {"robot_1/base_footprint", "robot_2/base_footprint"})
+        places = [m for m in drawn.markers if m.ns == "places"]
+        self.assertEqual([m.header.frame_id for m in places], ["map"] * 4)
+        self.assertEqual({m.action for m in drawn.markers}, {Marker.ADD})
+        image = Latest("/gspn_net/compressed", CompressedImage).wait()
+        self.assertEqual(image.format, "png")
+        self.assertEqual(bytes(image.data[:8]), b"\x89PNG\r\n\x1a\n")
+
+    def test_7_two_robots_patrol_a_lap_by_the_rules(self):
         # out of the way of the patrol, among the cylinders
         self.assertEqual(Drive(self.client, 0.55, 0.55).result()[0], GoalStatus.SUCCEEDED)
         before = rospy.get_time(), time.monotonic()

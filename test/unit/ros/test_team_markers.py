@@ -1,0 +1,103 @@
+"""A team as markers for rviz: where places are, what is drawn, and what is taken away."""
+
+import json
+from pathlib import Path
+
+import yaml
+from visualization_msgs.msg import Marker
+
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.plan_json import plan_from_json
+from gspn_framework_package.msg import RobotActivity
+from gspn_framework_package.ros.team_markers import TeamMarkers, spots_of_goals, spots_of_room
+
+ROOT = Path(__file__).parents[3]
+ROOM = {"locations": {"L1": {"area": [[0.0, 1.0], [2.0, 3.0]]}, "L2": {"area": [[4, 4], [6, 6]]}}}
+
+
+def goal(**pose):
+    return {"target_pose": {"header": {"frame_id": "map"}, "pose": pose}}
+
+
+def plan_with(goals):
+    """A plan of two places in a ring, each an action server with a goal."""
+    names = sorted(goals)
+    server = {"server": "move_base", "type": "move_base_msgs/MoveBaseAction"}
+    net = {
+        "places": [{"name": n, "tokens": int(n == names[0])} for n in names],
+        "transitions": [{"name": "from " + n} for n in names],
+        "arcs": [{"from": n, "to": "from " + n} for n in names]
+        + [{"from": "from " + n, "to": names[i - 1]} for i, n in enumerate(names)],
+    }
+    actions = {n: {**server, "goal": goals[n]} if goals[n] else None for n in names}
+    return plan_from_json({"net": net, "actions": actions, "robots": {"r1": names[0]}})
+
+
+def robot(place, state=RobotActivity.DOING, name="robot_1"):
+    return RobotActivity(robot=name, place=place, state=state, state_name="Doing")
+
+
+def drawn(markers, kind):
+    return {m.id: m for m in markers.markers if m.ns == kind and m.action == Marker.ADD}
+
+
+def test_places_are_where_their_goals_send_robots():
+    there = goal(position={"x": 1, "y": 2.5}, orientation={"w": 1})
+    plan = plan_with({"a": there, "b": goal(position={"x": "${x}"}, orientation={"w": 1})})
+    (spot,) = spots_of_goals(plan).values()
+    assert (spot.frame, spot.places) == ("map", ("a",))
+    assert (spot.pose.position.x, spot.pose.position.y, spot.pose.orientation.w) == (1, 2.5, 1)
+
+
+def test_places_are_in_the_location_whose_name_they_have():
+    places = ["p1:Check_L1", "Wait_L1", "L12", "Go L2", "elsewhere"]
+    spots = spots_of_room(ROOM, "map", places)
+    assert sorted(spots) == ["Go L2", "Wait_L1", "p1:Check_L1"]
+    assert spots["Wait_L1"].places == ("p1:Check_L1", "Wait_L1")
+    assert spots["Wait_L1"].pose.position.y == 2.0
+    plan = read_plan(str(ROOT / "plans/patrol/room.json"))
+    assert len(spots_of_room(ROOM, "map", plan.net.place_index)) == 8
+
+
+def test_a_robot_is_drawn_in_its_own_frame_with_its_name_and_its_goal():
+    spots = spots_of_room(ROOM, "map", ["Go L2", "Wait_L1"])
+    markers = TeamMarkers("{namespace}/base_{robot}")
+    shown = markers.draw(spots, {"/fleet/one": robot("Go L2")}, {"Go L2": 1})
+    (body,) = drawn(shown, "robots").values()
+    (text,) = drawn(shown, "robot_names").values()
+    (arrow,) = drawn(shown, "goals").values()
+    assert body.header.frame_id == text.header.frame_id == "fleet/one/base_robot_1"
+    assert body.frame_locked and text.text == "robot_1\nDoing Go L2"
+    assert arrow.header.frame_id == "map" and arrow.pose.position.x == 5.0
+    busy = {m.text for m in drawn(shown, "place_names").values()}
+    assert busy == {"Go L2: 1", "Wait_L1: 0"}
+    colours = {m.color.g for m in drawn(shown, "places").values()}
+    assert len(colours) == 2  # one has a robot
+    keys = [(m.ns, m.id) for m in shown.markers]
+    assert len(set(keys)) == len(keys)
+
+
+def test_what_has_gone_is_removed_once():
+    spots = spots_of_room(ROOM, "map", ["Go L2"])
+    markers = TeamMarkers("{robot}")
+    both = {"/a": robot("Go L2"), "/b": robot("elsewhere", RobotActivity.WAITING, "robot_2")}
+    first = markers.draw(spots, both, {})
+    assert len(drawn(first, "robots")) == 2 and len(drawn(first, "goals")) == 1
+    left = {"/a": robot("Go L2", RobotActivity.LOST), "/b": both["/b"]}
+    second = markers.draw(spots, left, {})
+    gone = [(m.ns, m.action) for m in second.markers if m.action == Marker.DELETE]
+    assert sorted(gone) == [(kind, Marker.DELETE) for kind in ("goals", "robot_names", "robots")]
+    assert not [m for m in markers.draw(spots, left, {}).markers if m.action == Marker.DELETE]
+
+
+def test_the_rviz_file_shows_the_topics_of_the_node():
+    config = yaml.safe_load((ROOT / "launch/team.rviz").read_text(encoding="utf-8"))
+    displays = {d["Class"]: d for d in config["Visualization Manager"]["Displays"]}
+    source = (ROOT / "gspn_framework_package/ros/team_view.py").read_text(encoding="utf-8")
+    assert displays["rviz/MarkerArray"]["Marker Topic"] == "/gspn_markers"
+    assert displays["rviz/Image"]["Image Topic"] == "/gspn_net"
+    assert displays["rviz/Image"]["Transport Hint"] == "compressed"
+    assert '"gspn_markers"' in source and '"gspn_net/compressed"' in source
+    assert config["Visualization Manager"]["Global Options"]["Fixed Frame"] == "map"
+    assert all(d["Class"].startswith("rviz/") and d["Name"] for d in displays.values())
+    assert json.dumps(config)  # plain values only
