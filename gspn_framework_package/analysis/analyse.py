@@ -49,7 +49,7 @@ from gspn_framework_package.analysis.symmetry.lumped_properties import LumpedPro
 from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace, explore_lumped
 from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.condition import either, parse_condition
+from gspn_framework_package.model.condition import Condition, either, parse_condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -87,6 +87,11 @@ class Boundedness(NamedTuple):
     reason: str = ""
 
 
+def at_least(marking: Mapping[str, int]) -> str:
+    """The condition that these places (place -> count) hold at least these tokens."""
+    return " and ".join("'%s' >= %d" % item for item in marking.items()) or "true"
+
+
 class Analysis:
     """The analysis of a net, or of a plan under its policy.
 
@@ -99,8 +104,8 @@ class Analysis:
         coverability tree shows which places grow without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
     :param lump: visit one marking for all that equal parts of a net can exchange into; see
-        :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The names of the places to keep
-        apart: those of the conditions that will be asked about. None: visit all markings.
+        :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The conditions that
+        will be asked about, which no exchange may change. None: visit all markings.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
 
@@ -139,7 +144,7 @@ class Analysis:
         self.limits = limits._replace(states=self.limit, structure=self._steps)
         self._by_structure = structure
         self._engine = engine
-        self._lump = None if lump is None else frozenset(lump)
+        self._lump = None if lump is None else tuple(lump)
         self._progress, self._cancel = progress, cancel
         self._counters: Tuple[str, ...] = ()  # the places left out of the state space
         self._known_tree: Optional[CoverabilityTree] = None
@@ -276,10 +281,17 @@ class Analysis:
         """What can be exchanged in the net, or in the part of it without some counters. What puts
         different numbers of tokens into these is told apart."""
         assert self._lump is not None
-        kept = {place.name for place in net.places}
-        gone = {p for p, place in enumerate(self.net.places) if place.name not in kept}
+        kept = list(net.place_index)
+        gone = {p for p, place in enumerate(self.net.places) if place.name not in net.place_index}
         counted = [tuple(arc for arc in row if arc[0] in gone) for row in self.net.outputs]
-        return Symmetry(net, self._lump, counted if gone else None)
+        asked = [self._parsed(condition) for condition in self._lump]
+        # a condition on a counter that is left out is searched for in the net with it
+        here = [
+            parse_condition(condition.text, kept, ["deadlock"])
+            for condition in asked
+            if net.place_index.keys() >= set(condition.places)
+        ]
+        return Symmetry(net, here, counted if gone else None)
 
     def _visit_plan(self, plan: Plan, limit: int) -> PlanSpace:
         return explore_plan(
@@ -443,7 +455,7 @@ class Analysis:
         :param marking: place -> count.
         """
         wanted = self.net.marking(marking)
-        condition = " and ".join("'%s' >= %d" % item for item in marking.items()) or "true"
+        condition = at_least(marking)
         if self.plan is not None or (self.space.complete and not self.left_out):
             return self.reach(condition)
         try:
@@ -459,8 +471,10 @@ class Analysis:
         """Whether the condition refers to omitted places."""
         if not self.left_out:
             return False
-        parsed = parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
-        return bool(set(parsed.places) & set(self.left_out))
+        return bool(set(self._parsed(condition).places) & set(self.left_out))
+
+    def _parsed(self, condition: str) -> Condition:
+        return parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
 
     # -- time --------------------------------------------------------------------------------------
 

@@ -13,7 +13,6 @@ from typing import (
     Any,
     Callable,
     Dict,
-    FrozenSet,
     Iterator,
     List,
     Mapping,
@@ -24,14 +23,12 @@ from typing import (
 
 import numpy as np
 
-from gspn_framework_package.analysis.analyse import Analysis, Reachability
+from gspn_framework_package.analysis.analyse import Analysis, Reachability, at_least
 from gspn_framework_package.analysis.chain.markov_chain import Component
 from gspn_framework_package.analysis.plan.subnets import TITLES, SubnetFlow, subnet_flows
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
-from gspn_framework_package.model.net import Net
 
 INFINITE = "infinite"
 
@@ -85,16 +82,13 @@ def _lumped(space: LumpedSpace) -> Dict[str, Any]:
     }
 
 
-def asked_places(net: Net, questions: Questions) -> FrozenSet[str]:
-    """The places that the conditions and markings of ``questions`` name.
-
-    :raises ExpressionError: a condition cannot be parsed, or names an unknown place.
-    """
-    names = [place.name for place in net.places]
-    found = {name for marking in questions.cover for name in marking}
-    for condition in (*questions.reach, *questions.mean_time_to):
-        found.update(parse_condition(condition, names, ["deadlock"]).places)
-    return frozenset(found)
+def asked_conditions(questions: Questions) -> Tuple[str, ...]:
+    """All conditions that ``questions`` ask about."""
+    return (
+        *questions.reach,
+        *(at_least(marking) for marking in questions.cover),
+        *questions.mean_time_to,
+    )
 
 
 def _home_states(analysis: Analysis) -> Dict[str, Any]:

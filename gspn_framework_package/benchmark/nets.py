@@ -61,6 +61,21 @@ def philosophers(n: int) -> Net:
     return net.build()
 
 
+def machines(n: int) -> Net:
+    """``n`` equal machines, each with places of its own, that share two tools: each asks for one
+    (1/s), takes it as soon as one is free, and works with it (2/s)."""
+    net = NetBuilder("machines_%d" % n).place("tools", tokens=2)
+    for i in range(1, n + 1):
+        net.place("idle%d" % i, tokens=1).place("waits%d" % i).place("works%d" % i)
+    for i in range(1, n + 1):
+        net.exponential("ask%d" % i, rate=1.0, inputs="idle%d" % i, outputs="waits%d" % i)
+        net.immediate("take%d" % i, inputs=["waits%d" % i, "tools"], outputs="works%d" % i)
+        net.exponential(
+            "end%d" % i, rate=2.0, inputs="works%d" % i, outputs=["idle%d" % i, "tools"]
+        )
+    return net.build()
+
+
 def flexible_manufacturing(n: int) -> Net:
     """The flexible manufacturing system of Ciardo and Trivedi (1993) with ``n`` parts of each of
     three kinds: 54, 810, 6520, 35910, 152712 ... tangible markings, and vanishing ones between

@@ -17,7 +17,7 @@ from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.report import (
     Part,
     Questions,
-    asked_places,
+    asked_conditions,
     keys_of,
     report,
     rows,
@@ -35,7 +35,6 @@ from gspn_framework_package.cli.limits import (
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.net import Net
 
 _PARTS = 1_000
 """Number of parts of the JSON text (a bracket, a name, a list) that are written together."""
@@ -162,10 +161,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.lump:
         if args.engine != "auto":
             raise UsageError("--lump explores with an engine of its own", hint="leave out --engine")
-        if isinstance(subject, Net):
-            lump = asked_places(subject, questions)
-        else:
-            lump = frozenset()
+        lump = asked_conditions(questions)
 
     def analyse(progress: Progress, cancel: Cancel) -> Tuple[Dict[str, Any], List[str]]:
         analysis = Analysis(

@@ -9,24 +9,26 @@ group, with the algorithm BLISS (T. Junttila and P. Kaski, ALENEX 2007).
 
 from __future__ import annotations
 
-from typing import Any, Collection, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Hashable, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices
 from gspn_framework_package.analysis.graph import components
+from gspn_framework_package.analysis.symmetry.asked import Terms, in_any_order
+from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 
 
 def automorphisms(
     net: Net,
-    fixed: Collection[str] = (),
+    asked: Sequence[Condition] = (),
     told_apart: Optional[Sequence[Hashable]] = None,
 ) -> List[Indices]:
     """Generators of the group of the automorphisms of a net.
 
-    :param fixed: names of places that stay where they are.
+    :param asked: conditions that have to stay what they are.
     :param told_apart: a value for each transition; those with different values are not exchanged.
     :return: each generator as an int array over the nodes (the places, then the transitions): the
         node that each becomes. Only those that move a place.
@@ -34,10 +36,7 @@ def automorphisms(
     """
     places = len(net.places)
     nodes = places + len(net.transitions)
-    colours: List[Hashable] = [
-        ("place", p if place.name in fixed else -1, place.tokens, place.capacity)
-        for p, place in enumerate(net.places)
-    ]
+    colours: List[Hashable] = [("place", place.tokens, place.capacity) for place in net.places]
     for t, transition in enumerate(net.transitions):
         behaviour: Tuple[Hashable, ...] = (
             ("timed", transition.rate, transition.servers)
@@ -51,11 +50,42 @@ def automorphisms(
             for p, weight in row:
                 edges += [(p, len(colours)), (places + t, len(colours))]
                 colours.append((kind, weight))
+    _add_conditions(asked, edges, colours)
     number: Dict[Hashable, int] = {}
     graph = _igraph().Graph(n=len(colours), edges=edges)
     found = graph.automorphism_group(color=[number.setdefault(c, len(number)) for c in colours])
     moves = [np.array(generator[:nodes], dtype=np.int64) for generator in found]
     return [g for g in moves if (g[:places] != np.arange(places)).any()]
+
+
+def _add_conditions(
+    asked: Sequence[Condition], edges: List[Tuple[int, int]], colours: List[Hashable]
+) -> None:
+    """Add conditions to the graph of a net: a vertex for each of their terms (a place has one
+    already), and one for each part that a term takes.
+
+    A term is told apart by its height, so no automorphism takes a term for a part of it.
+    """
+    terms = Terms()
+    roots = [terms.of(condition) for condition in asked]
+    needed = set(roots)
+    for number in range(len(terms.terms) - 1, -1, -1):
+        if number in needed:  # not so: the inner part of a sum of three
+            needed.update(terms.terms[number][1])
+    vertices: Dict[int, int] = {}
+    heights: Dict[int, int] = {}
+    for number in sorted(needed):
+        operation, parts = terms.terms[number]
+        heights[number] = 1 + max((heights[part] for part in parts), default=0)
+        if isinstance(operation, tuple) and operation[0] == "place":
+            vertices[number] = operation[1]
+            continue
+        vertices[number] = len(colours)
+        questions = tuple(i for i, root in enumerate(roots) if root == number)
+        colours.append(("term", operation, heights[number], questions))
+        for position, part in enumerate(parts):
+            edges += [(vertices[number], len(colours)), (vertices[part], len(colours))]
+            colours.append(("part", -1 if in_any_order(operation) else position))
 
 
 def _igraph() -> Any:

@@ -75,16 +75,14 @@ class LumpedSpace(StateSpace):
     def holds(self, condition: Union[str, Condition]) -> Booleans:
         """See :meth:`StateSpace.holds`.
 
-        :raises RefusedError: it names places that are exchanged.
+        :raises RefusedError: an exchange changes it.
         """
         if isinstance(condition, str):
             condition = self.condition(condition)
-        size = np.bincount(self.symmetry.place_orbits)[self.symmetry.place_orbits]
-        moved = [name for name in condition.places if size[self.net.place_index[name]] > 1]
-        if moved:
+        if not self.symmetry.keeps(condition):
             raise RefusedError(
-                "equal parts are exchanged, and with them %s" % ", ".join(moved),
-                hint="keep these places fixed, or analyse the whole (without --lump)",
+                "equal parts were exchanged, which this condition tells apart: %s" % condition.text,
+                hint="say in advance what will be asked, or analyse the whole (without --lump)",
             )
         return super().holds(condition)
 

@@ -23,13 +23,15 @@ It suffices, then, to visit one marking of each orbit. Since g(m0) = m0 for the 
 from __future__ import annotations
 
 import math
-from typing import Collection, Dict, Hashable, List, Mapping, Optional, Sequence
+from typing import Dict, Hashable, List, Mapping, Optional, Sequence
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices
+from gspn_framework_package.analysis.symmetry.asked import is_kept
 from gspn_framework_package.analysis.symmetry.automorphisms import automorphisms, orbits
 from gspn_framework_package.analysis.symmetry.factors import factors_of, ones
+from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.net import Net
 
 _ROWS = 1 << 15
@@ -40,7 +42,7 @@ class Symmetry:
     """Exchangeable parts of a net.
 
     :param net: the net.
-    :param fixed: names of places that are not exchanged.
+    :param asked: conditions that no exchange may change.
     :param told_apart: see :func:`~.automorphisms.automorphisms`.
     :ivar factors: the factors of the group that is used.
     :ivar generators: its generators: int arrays over places and transitions.
@@ -54,10 +56,10 @@ class Symmetry:
     def __init__(
         self,
         net: Net,
-        fixed: Collection[str] = (),
+        asked: Sequence[Condition] = (),
         told_apart: Optional[Sequence[Hashable]] = None,
     ) -> None:
-        found = automorphisms(net, fixed, told_apart)
+        found = automorphisms(net, asked, told_apart)
         places = len(net.places)
         self.net = net
         self.factors, used = factors_of([generator[:places] for generator in found])
@@ -71,6 +73,10 @@ class Symmetry:
     def order(self) -> int:
         """The number of permutations of the group that is used."""
         return math.prod(factor.order for factor in self.factors)
+
+    def keeps(self, condition: Condition) -> bool:
+        """Whether a condition on the markings of the net is the same after every exchange."""
+        return is_kept(condition, [generator.tolist() for generator in self.generators])
 
     @property
     def text(self) -> List[str]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
-from gspn_framework_package.analysis.report import Questions, asked_places, report
+from gspn_framework_package.analysis.report import Questions, asked_conditions, report
 from gspn_framework_package.analysis.state_space.space import explore
 from gspn_framework_package.analysis.symmetry import factors
 from gspn_framework_package.analysis.symmetry.automorphisms import automorphisms
@@ -113,7 +113,7 @@ def check_witness(net, names, marking):
 
 def both_reports(net, questions):
     whole = report(Analysis(net, structure=False), questions)
-    found = report(Analysis(net, structure=False, lump=asked_places(net, questions)), questions)
+    found = report(Analysis(net, structure=False, lump=asked_conditions(questions)), questions)
     return found, whole
 
 
@@ -291,13 +291,34 @@ def test_groups_of_unknown_form_are_used_in_part(monkeypatch):
     check_measures_of(net)
 
 
-def test_a_condition_on_a_place_that_is_exchanged_is_refused():
+def test_a_condition_that_an_exchange_changes_is_refused():
     analysis = Analysis(robots(3), lump=())
     with pytest.raises(RefusedError, match="busy0_1"):
         analysis.reach("busy0_1 == 1")
     assert analysis.reach("tools == 0").reachable
-    kept = Analysis(robots(3), lump=["busy0_1"])
-    assert kept.reach("busy0_1 == 1").number == Analysis(robots(3)).reach("busy0_1 == 1").number
+
+
+@pytest.mark.parametrize(
+    ("condition", "order"),
+    [
+        ("busy0_1 == 1", 6),
+        ("busy0_0 + 1 == 1 + busy0_2", 4),
+        ("busy0_0 - busy0_1 < 1", 2),
+        ("busy0_0 + busy0_1 + busy0_2 + busy0_3 >= 2", 24),
+        ("busy0_0 * 2 + busy0_1 >= 2", 2),
+        ("busy0_0 + busy0_1 + 0.5 >= 2", 4),
+        ("busy0_3 == 1 or busy0_2 >= 1 or (busy0_1 == 1 or busy0_0 == 1)", 6),
+        ("max(busy0_3, wait0_1) < min(idle0_1, idle0_3) or not deadlock", 2),
+        ("not (busy0_0 + wait0_0 >= 1) and busy0_1 + busy0_2 == 1", 2),
+    ],
+)
+def test_a_condition_leaves_what_it_does_not_tell_apart(condition, order):
+    net = robots(4)
+    analysis = Analysis(net, lump=[condition])
+    assert analysis.space.symmetry.order == order
+    assert analysis.space.symmetry.keeps(analysis.space.condition(condition))
+    found, whole = analysis.reach(condition), Analysis(net).reach(condition)
+    assert (found.reachable, found.number) == (whole.reachable, whole.number)
 
 
 def test_final_markings_that_exchange_into_each_other_are_several():

@@ -1,0 +1,85 @@
+"""Conditions as terms that do not depend on the order in which equal parts are named.
+
+``busy1 + busy2 >= 1`` and ``busy2 + busy1 >= 1`` are the same term. A permutation of the places
+that maps a condition to the same term does not change where it holds, so equal parts may be
+exchanged although the condition names them.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, Hashable, List, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.condition import Condition
+
+_ANY_ORDER = ("+", "*", "==", "!=", "and", "or", "min", "max")
+_FLAT = ("and", "or", "min", "max")
+"""The operations that may be nested in any way. Sums may be too, if they are sums of counts and of
+whole numbers, which floats hold exactly."""
+
+Term = Tuple[Hashable, Tuple[int, ...]]
+"""An operation, and the numbers of the terms that it takes; sorted, if their order is free."""
+
+
+class Terms:
+    """Numbers the terms of conditions, from 0: equal terms have one number.
+
+    :ivar terms: the terms; each takes only terms with lower numbers.
+    """
+
+    def __init__(self) -> None:
+        self.terms: List[Term] = []
+        self._numbers: Dict[Term, int] = {}
+        self._whole: List[bool] = []
+
+    def of(self, condition: Condition, to: Optional[Sequence[int]] = None) -> int:
+        """The number of the term of a condition.
+
+        :param to: place number -> the number of the place to put in its stead.
+        """
+        stack: List[int] = []
+        for step, argument in condition.program:
+            if step == "place":
+                place = int(argument) if to is None else int(to[int(argument)])
+                stack.append(self._number(("place", place), (), True))
+            elif step == "value":
+                whole = not isinstance(argument, bool) and argument == int(argument)
+                stack.append(self._number(("value", repr(argument)), (), whole))
+            elif step == "label":
+                stack.append(self._number(("label", argument), (), False))
+            else:
+                parts = stack[-argument:]
+                del stack[-argument:]
+                stack.append(self._taking(step, parts))
+        return stack[0]
+
+    def _taking(self, operation: str, parts: List[int]) -> int:
+        whole = operation == "+" and all(self._whole[part] for part in parts)
+        if whole or operation in _FLAT:
+            parts = [
+                inner
+                for part in parts
+                for inner in (self.terms[part][1] if self.terms[part][0] == operation else [part])
+            ]
+        if operation in _ANY_ORDER:
+            parts.sort()
+        return self._number(operation, tuple(parts), whole)
+
+    def _number(self, operation: Hashable, parts: Tuple[int, ...], whole: bool) -> int:
+        term = operation, parts
+        if term not in self._numbers:
+            self._numbers[term] = len(self.terms)
+            self.terms.append(term)
+            self._whole.append(whole)
+        return self._numbers[term]
+
+
+def in_any_order(operation: Hashable) -> bool:
+    """Whether the parts of a term may change places."""
+    return operation in _ANY_ORDER
+
+
+def is_kept(condition: Condition, generators: Sequence[Sequence[int]]) -> bool:
+    """Whether these permutations of the places leave a condition as it is."""
+    terms = Terms()
+    term = terms.of(condition)
+    return all(terms.of(condition, generator) == term for generator in generators)
