@@ -1,5 +1,6 @@
 # shellcheck shell=bash
-# Set-up shared by run_demo and run_tests, which source this file: system packages, a venv, the build.
+# Set-up shared by run_demo and run_tests, which source this file: system packages, a venv, the build. Images run it
+# (Dockerfile).
 # Everything it creates is in .workspace/ and build/, both ignored by git. Every step is skipped if
 # nothing has changed.
 #
@@ -212,3 +213,7 @@ end_session() {
         [ -n "$ids" ] || return 0
     done
 }
+
+# --- by itself: bash scripts/prepare.sh
+
+[ "${BASH_SOURCE[0]}" != "$0" ] || prepare

@@ -1,10 +1,13 @@
 """What installs the package agrees with itself: package.xml, setup.py, the lists in scripts/."""
 
 import ast
+import json
 import re
 import runpy
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+
+import yaml
 
 import gspn_framework_package
 
@@ -156,3 +159,41 @@ def test_the_extras_want_the_versions_that_the_tests_run_with(monkeypatch):
 def test_a_source_distribution_holds_what_setup_py_reads(monkeypatch):
     files = [file for _, names in setup_py(monkeypatch)["data_files"] for file in names]
     assert files == ["package.xml"]
+
+
+# --- images and workflows: nothing here runs them
+
+
+WORKFLOW = ROOT / ".github/workflows/tests.yml"
+IMAGES = [WORKFLOW, ROOT / "Dockerfile", ROOT / ".devcontainer/devcontainer.json"]
+
+
+def test_images_install_what_prepare_installs_and_name_no_package():
+    for path in IMAGES:
+        text = re.sub(r"#.*", "", path.read_text("utf-8"))
+        assert re.search(r"scripts/prepare\.sh|\./run_tests|\.\./Dockerfile", text), path
+        assert not re.search(r"\b(apt|apt-get|pip3?|rosdep) +(install|update)", text), path
+        named = apt_packages(0) | apt_packages(1)
+        assert set(re.findall(r"[\w.+-]+", text)) & named == set(), path
+
+
+def test_the_workflow_tests_both_systems_and_builds_with_rosdep():
+    jobs = yaml.safe_load(WORKFLOW.read_text("utf-8"))["jobs"]
+    images = jobs["run_tests"]["strategy"]["matrix"]["image"]
+    assert [step.get("run") for step in jobs["run_tests"]["steps"]][-1] == "./run_tests"
+    assert {image.split(":")[0] for image in images} == {"debian", "ros"}
+    assert jobs["industrial_ci"]["strategy"]["matrix"]["env"][0]["ROS_DISTRO"] == "noetic"
+    dockerfile = (ROOT / "Dockerfile").read_text("utf-8")
+    assert all(image in dockerfile for image in images)
+
+
+def test_the_devcontainer_is_the_image():
+    given = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text("utf-8"))
+    assert (ROOT / ".devcontainer" / given["build"]["dockerfile"]).resolve() == ROOT / "Dockerfile"
+
+
+def test_the_citation_names_this_version():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["version"] == gspn_framework_package.__version__
+    assert citation["license"] == MANIFEST.findtext("license")
+    assert citation["title"] == MANIFEST.findtext("name")
