@@ -8,6 +8,9 @@ A group falls into *factors* that move different places. Each is one of
   gives the least marking.
 - a :class:`Listed` group: up to ``MOST_LISTED`` permutations, such as the turns and reflections of
   a ring. The least of all images is the least marking.
+- a :class:`Turned` group: such a list for parts that have factors of their own, such as a ring of
+  cells with equal machines in each. The least of all images after these factors did their part is
+  the least marking.
 
 Of other groups the part that has these forms is used. That is exact too: any group of automorphisms
 is.
@@ -186,7 +189,55 @@ class Listed:
         return weights.reshape(len(self.places), -1), fields
 
 
-Factor = Union[Exchange, Listed]
+class Turned:
+    """Few permutations of parts with factors of their own.
+
+    :param inner: the factors within the parts: a group N that the others keep (q N = N q).
+    :param turns: the others.
+    :ivar order: the number of permutations.
+    """
+
+    def __init__(self, inner: Sequence[Factor], turns: Listed) -> None:
+        self.inner = list(inner)
+        self.turns = turns
+        both = sum(_in_product(self.inner, turns.places, image) for image in turns.images)
+        self.order: int = math.prod(f.order for f in self.inner) * turns.order // both
+
+    @property
+    def text(self) -> str:
+        """What it exchanges, in words."""
+        return "%s, and within them %s" % (self.turns.text, self.inner[0].text)
+
+    def moved(self, to: Indices) -> Turned:
+        """See :meth:`Exchange.moved`."""
+        return Turned([factor.moved(to) for factor in self.inner], self.turns.moved(to))
+
+    def reduce(self, counts: Indices) -> Indices:
+        """See :meth:`Exchange.reduce`."""
+        sizes = ones(counts.shape[1], self.order)
+        for factor in self.inner:
+            sizes = sizes * factor.reduce(counts)
+        places = self.turns.places
+        first = counts[places]
+        least = first.copy()
+        same = np.zeros(counts.shape[1], dtype=np.int64)
+        everywhere = np.arange(counts.shape[1])
+        for image in self.turns.images:
+            turned = counts.copy()
+            turned[image] = first
+            for factor in self.inner:
+                factor.reduce(turned)
+            found = turned[places]
+            same += (found == first).all(axis=0)
+            differs = (found != least).argmax(axis=0)
+            less = found[differs, everywhere] < least[differs, everywhere]
+            least[:, less] = found[:, less]
+        counts[places] = least
+        # as many orbits of the inner factors as there are turns, for each that keeps the first one
+        return sizes * (self.turns.order // same)
+
+
+Factor = Union[Exchange, Listed, Turned]
 
 
 class Factors(NamedTuple):
@@ -241,10 +292,11 @@ def _recognise(generators: Sequence[Indices]) -> Optional[List[Factor]]:
     blocks = _exchanged(generators)
     if blocks is not None:
         return [Exchange(blocks)]
+    nested = _nested(generators)
+    if nested is not None:
+        return [nested]
     listed = _listed(generators)
-    if listed is not None:
-        return [listed]
-    return _nested(generators)
+    return None if listed is None else [listed]
 
 
 def _part(generators: Sequence[Indices], numbers: List[int]) -> Tuple[List[Factor], List[int]]:
@@ -324,17 +376,51 @@ def _listed(generators: Sequence[Indices]) -> Optional[Listed]:
     return Listed(places, places[np.array(found)])
 
 
-def _nested(generators: Sequence[Indices]) -> Optional[List[Factor]]:
-    """All permutations of blocks that have factors of their own: the generators that move few
-    places are those within a block, the others swap blocks."""
+def _nested(generators: Sequence[Indices]) -> Optional[Factor]:
+    """Permutations of blocks that have factors of their own: the generators that move few places
+    are those within a block, the others exchange blocks."""
     order = sorted(generators, key=lambda g: len(_support(g)))
     sizes = [len(_support(g)) for g in order]
     for split in range(1, len(order)):
         if sizes[split] > sizes[split - 1]:
-            found = _wreath(order[:split], order[split:])
+            found = _wreath(order[:split], order[split:]) or _turned(order[:split], order[split:])
             if found is not None:
-                return [found]
+                return found
     return None
+
+
+def _turned(inner: Sequence[Indices], outer: Sequence[Indices]) -> Optional[Turned]:
+    turns = _listed(outer)
+    if turns is None:
+        return None
+    first = factors_of(inner)
+    if len(first.generators) < len(inner):
+        return None
+    everywhere = np.arange(len(inner[0]))
+    for turn in outer:
+        back = np.argsort(turn)
+        if not all(_in_product(first.factors, everywhere, turn[g[back]]) for g in inner):
+            return None
+    return Turned(first.factors, turns)
+
+
+def _in_product(factors: Sequence[Factor], places: Indices, image: Indices) -> bool:
+    """Whether the permutation that takes ``places`` to ``image`` and moves no others belongs to the
+    product of the groups; False also if that is not seen."""
+    moved = dict(zip(places.tolist(), image.tolist()))
+    rest = {p for p, q in moved.items() if p != q}
+    for factor in factors:
+        if isinstance(factor, Exchange) and not factor.inner:
+            blocks = {tuple(block) for block in factor.blocks.tolist()}
+            if any(tuple(moved.get(p, p) for p in block) not in blocks for block in blocks):
+                return False
+            rest -= {p for block in blocks for p in block}
+        elif isinstance(factor, Listed):
+            own = factor.places.tolist()
+            if [moved.get(p, p) for p in own] not in factor.images.tolist():
+                return False
+            rest -= set(own)
+    return not rest
 
 
 def _wreath(inner: Sequence[Indices], outer: Sequence[Indices]) -> Optional[Exchange]:

@@ -16,7 +16,7 @@ from gspn_framework_package.analysis.report import Questions, asked_conditions, 
 from gspn_framework_package.analysis.state_space.space import explore
 from gspn_framework_package.analysis.symmetry import factors
 from gspn_framework_package.analysis.symmetry.automorphisms import automorphisms
-from gspn_framework_package.analysis.symmetry.factors import Exchange, Listed
+from gspn_framework_package.analysis.symmetry.factors import Exchange, Listed, Turned
 from gspn_framework_package.analysis.symmetry.lumped_space import explore_lumped
 from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
 from gspn_framework_package.benchmark.nets import philosophers
@@ -272,6 +272,50 @@ def test_groups_of_equal_robots_are_exchanged_too():
     assert factor.order == 6**3 * 6 and len(factor.inner) == 3 and not symmetry.unused
     assert "within them" in factor.text
     check_measures_of(robots(2, groups=2))
+
+
+def cells(number, inside):
+    """A ring of cells, each with equal machines, that pass parts on."""
+    net = NetBuilder("cells")
+    for c in range(number):
+        net.place("buffer%d" % c, tokens=1)
+        for i in range(inside):
+            net.place("free%d_%d" % (c, i), tokens=1).place("works%d_%d" % (c, i))
+    for c in range(number):
+        for i in range(inside):
+            name = "%d_%d" % (c, i)
+            net.exponential(
+                "begin" + name, inputs=["buffer%d" % c, "free" + name], outputs="works" + name
+            )
+            net.exponential(
+                "end" + name,
+                rate=2.0,
+                inputs="works" + name,
+                outputs=["buffer%d" % ((c + 1) % number), "free" + name],
+            )
+    return net.build()
+
+
+@pytest.mark.parametrize(("number", "inside", "order"), [(3, 2, 24), (4, 3, 5184)])
+def test_a_ring_turns_whose_cells_have_equal_machines(number, inside, order):
+    net = cells(number, inside)
+    symmetry = Symmetry(net)
+    (factor,) = symmetry.factors
+    assert isinstance(factor, Turned) and not symmetry.unused
+    assert symmetry.order == order and "within them" in factor.text
+    whole = explore(net)
+    least = whole.markings()
+    sizes = symmetry.reduce(least)
+    found, counts = np.unique(least, axis=0, return_counts=True)
+    assert dict(zip(map(tuple, least.tolist()), sizes.tolist())) == dict(
+        zip(map(tuple, found.tolist()), counts.tolist())
+    )
+    space = lumped(net)
+    assert len(space) == len(found) and space.count(slice(None)) == len(whole)
+
+
+def test_a_ring_of_cells_with_equal_machines_has_the_measures_of_the_whole():
+    check_measures_of(cells(3, 2))
 
 
 def test_a_ring_turns():
