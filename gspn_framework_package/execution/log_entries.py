@@ -1,5 +1,8 @@
 """Entries of the event log: the external events that determine a whole run.
 
+What an operator can order has ``by``: who gave the order, which robots write from version 3 of the
+protocol on.
+
 An entry is a value; ``to_json`` and ``from_json`` convert it to a JSON object and back. The field
 ``visit`` grows by one with each move of a robot, so a stale or repeated ``Done`` is recognised and
 has no effect.
@@ -24,6 +27,22 @@ ID_LIMIT = 200
 
 WHY_LIMIT = 2_000
 """Longest reason of a robot that cannot follow a plan, in characters."""
+
+
+GIVER_LIMIT = 200
+"""Longest name of somebody who gives an order, in characters."""
+
+
+class Giver(NamedTuple):
+    """Who gave an order. ``proof``: what shows that it was that person (``certificate``, ``team
+    key``); "" if nothing does."""
+
+    name: str = ""
+    proof: str = ""
+
+
+NOBODY = Giver()
+"""No operator, or nobody knows which."""
 
 
 class Start(NamedTuple):
@@ -75,12 +94,14 @@ class Retry(NamedTuple):
     """The operator orders a robot to try its failed action again."""
 
     robot: str
+    by: Giver = NOBODY
 
 
 class Fire(NamedTuple):
     """The environment (or the operator on its behalf) fires a transition that moves no robot."""
 
     transition: str
+    by: Giver = NOBODY
 
 
 class Interrupt(NamedTuple):
@@ -101,6 +122,7 @@ class Submit(NamedTuple):
     transition: str
     id: str
     data: Mapping[str, Any] = NOTHING
+    by: Giver = NOBODY
 
 
 class Join(NamedTuple):
@@ -122,6 +144,7 @@ class Leave(NamedTuple):
     cannot leave."""
 
     robot: str
+    by: Giver = NOBODY
 
 
 class Evict(NamedTuple):
@@ -132,6 +155,7 @@ class Evict(NamedTuple):
     robot: str
     incarnation: int
     forced: bool = False
+    by: Giver = NOBODY
 
 
 class SetPlace(NamedTuple):
@@ -139,24 +163,28 @@ class SetPlace(NamedTuple):
 
     robot: str
     place: str
+    by: Giver = NOBODY
 
 
 class Pause(NamedTuple):
     """Until ``Resume``, the robot joins no firing; if ``robot`` is "" (the team), nothing fires."""
 
     robot: str = ""
+    by: Giver = NOBODY
 
 
 class Resume(NamedTuple):
     """The ``Pause`` of a robot, or of the team (""), ends."""
 
     robot: str = ""
+    by: Giver = NOBODY
 
 
 class Stop(NamedTuple):
     """The operator ends the run."""
 
     reason: str = "stopped by the operator"
+    by: Giver = NOBODY
 
 
 class StagePlan(NamedTuple):
@@ -172,6 +200,7 @@ class StagePlan(NamedTuple):
     digest: str
     mapping: Mapping[str, str] = NOTHING
     folder: str = ""
+    by: Giver = NOBODY
 
 
 class Staged(NamedTuple):
@@ -189,6 +218,7 @@ class Adopt(NamedTuple):
     every member can follow it, and the state of the team fits it."""
 
     stage: int
+    by: Giver = NOBODY
 
 
 class Unstage(NamedTuple):
@@ -196,17 +226,13 @@ class Unstage(NamedTuple):
 
     stage: int
     reason: str = "given up by the operator"
+    by: Giver = NOBODY
 
 
-Entry = Union[
-    Start,
-    Done,
-    Failed,
+Ordered = Union[
     Retry,
     Fire,
-    Interrupt,
     Submit,
-    Join,
     Leave,
     Evict,
     SetPlace,
@@ -214,10 +240,12 @@ Entry = Union[
     Resume,
     Stop,
     StagePlan,
-    Staged,
     Adopt,
     Unstage,
 ]
+"""What an operator can order."""
+
+Entry = Union[Ordered, Start, Done, Failed, Interrupt, Join, Staged]
 
 
 def _plain_types(kind: type) -> Dict[str, type]:
@@ -252,7 +280,7 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 _OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
 
-_BOUNDED = frozenset((*_OPEN, "digest", "why", "id"))
+_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by"))
 """Fields of which more than the type is checked."""
 
 
@@ -266,6 +294,8 @@ class _Form(NamedTuple):
     """The plain fields and their types."""
     open: Tuple[str, ...]
     """Fields that are written only if they are not empty."""
+    ordered: bool
+    """Whether an operator can give it: it has ``by``, which is written if it is known."""
     bounded: bool
     """Whether it has any of :data:`_BOUNDED`."""
 
@@ -276,6 +306,7 @@ def _form(kind: Type[Entry]) -> _Form:
         ("entry", *fields),
         tuple(_plain_types(kind).items()),
         tuple(key for key in _OPEN if "Mapping" in str(kind.__annotations__.get(key))),
+        "by" in fields,
         not _BOUNDED.isdisjoint(fields),
     )
 
@@ -284,8 +315,8 @@ _FORMS = {kind: _form(kind) for kind in _KINDS.values()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
-    """The entry as a JSON object: its kind under ``entry``, and its fields; ``data``, ``cause``
-    and ``mapping`` only if they are not empty."""
+    """The entry as a JSON object: its kind under ``entry``, and its fields; ``data``, ``cause``,
+    ``mapping`` and ``by`` only if they are not empty."""
     kind = type(entry)
     form = _FORMS[kind]
     fields: Dict[str, Any] = dict(zip(form.keys, (_NAMES[kind], *entry)))
@@ -296,6 +327,11 @@ def to_json(entry: Entry) -> Dict[str, Any]:
                 fields[key] = dict(value)
             else:
                 del fields[key]
+    if form.ordered:
+        if any(fields["by"]):
+            fields["by"] = list(fields["by"])
+        else:
+            del fields["by"]
     return fields
 
 
@@ -368,6 +404,13 @@ def _check_bounds(fields: Dict[str, Any]) -> None:
         mapping = fields["mapping"]
         if not isinstance(mapping, dict) or not all(isinstance(v, str) for v in mapping.values()):
             raise ValueError("its mapping does not map names to names")
+    if "by" in fields:
+        by = fields["by"]
+        if not isinstance(by, list) or [type(text) for text in by] != [str, str]:
+            raise ValueError("who gave it is not a name and a proof")
+        if max(map(len, by)) > GIVER_LIMIT or not any(by):
+            raise ValueError("who gave it has no name of at most %d characters" % GIVER_LIMIT)
+        fields["by"] = Giver(*by)
     if "digest" in fields and not isinstance(fields["plan"], dict):
         raise ValueError("its plan is not an object")
     if len(fields.get("why", "")) > WHY_LIMIT:

@@ -7,6 +7,7 @@ import itertools
 import json
 from typing import Any, Dict, List, Mapping, Sequence
 
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.team_state import RobotState, Task, TeamState
 from gspn_framework_package.model.net import Net
 
@@ -43,6 +44,21 @@ def order_text(given: Mapping[str, Any]) -> str:
     who, proof = given["operator"] or "somebody", given["proof"]
     order = " ".join(filter(None, (given["command"], given["robot"], given["argument"])))
     return "%s (%s) orders: %s" % (shown(who), proof or "not proved", shown(order))
+
+
+def decided_order_text(entry: log_entries.Entry, asked: str) -> str:
+    """Who gave an order that is in the agreed log, as a short text; "" if it does not say.
+
+    :param asked: the robot that was asked.
+    """
+    by = getattr(entry, "by", log_entries.NOBODY)
+    if by == log_entries.NOBODY:
+        return ""
+    fields = log_entries.to_json(entry)
+    argument = next((fields[n] for n in ("place", "transition", "id") if n in fields), "")
+    given = {"command": fields["entry"], "robot": fields.get("robot", ""), "argument": argument}
+    text = order_text({**given, "operator": by.name, "proof": by.proof})
+    return "%s, asking %s" % (text, shown(asked))
 
 
 def cause_text(cause: Mapping[str, Any]) -> str:

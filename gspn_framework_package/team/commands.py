@@ -9,6 +9,7 @@ from typing import Any, Callable, Optional
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.plan_change import digest_of
 from gspn_framework_package.model.errors import DataError, ExecutionError, GspnError, LogError
+from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.gate import json_object
 from gspn_framework_package.team.worker import Answer, Worker
@@ -60,20 +61,18 @@ class Commands:
                 self._worker.enqueue(self._worker.note_order, request, operator)
             return ask(self._worker, lambda: self._breakpoints(request.argument))
         robot = request.robot or self._worker.robot
-        entry = None
-        if request.command != "force_evict":
-            try:
-                entry = order_entry(request.command, request.robot, robot, request.argument)
-            except DataError as error:
-                return OperatorAnswer(False, "not a task: %s" % error)
-            except LogError as error:
-                return OperatorAnswer(False, str(error))
-            if entry is None:
-                return OperatorAnswer(
-                    False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
-                )
+        try:
+            entry = order_entry(request.command, request.robot, robot, request.argument)
+        except DataError as error:
+            return OperatorAnswer(False, "not a task: %s" % error)
+        except LogError as error:
+            return OperatorAnswer(False, str(error))
+        if entry is None:
+            return OperatorAnswer(
+                False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
+            )
         self._worker.enqueue(self._worker.note_order, request, operator)
-        return self.order(entry, robot if entry is None else "")
+        return self.order(entry._replace(by=giver_of(operator)))
 
     def other_run(self, run: str) -> str:
         """Why a request for ``run`` is refused here; "" if it is meant for this robot's run."""
@@ -85,14 +84,10 @@ class Commands:
             run,
         )
 
-    def order(self, entry: Optional[log_entries.Entry], force_evict: str = "") -> OperatorAnswer:
-        """Give an order to the replica, and wait until it is in the log.
-
-        :param entry: the order; None for an eviction by force.
-        :param force_evict: the robot to evict by force, if ``entry`` is None.
-        """
+    def order(self, entry: log_entries.Ordered) -> OperatorAnswer:
+        """Give an order to the replica, and wait until it is in the log."""
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._worker.enqueue(self._worker.order, entry, force_evict, results.put)
+        self._worker.enqueue(self._worker.order, entry, results.put)
         try:
             result = results.get(timeout=ORDER_TIME)
         except queue.Empty:
@@ -119,13 +114,21 @@ def ask(worker: Worker, question: Callable[[], Answer]) -> Answer:
         raise ExecutionError("the node is busy; no answer in time") from None
 
 
+def giver_of(operator: Operator) -> log_entries.Giver:
+    """Who gives an order, as the log has it."""
+    name = shorten(operator.name, log_entries.GIVER_LIMIT)
+    return log_entries.Giver(name, shorten(operator.proof, log_entries.GIVER_LIMIT))
+
+
 _COMMANDS = (
     "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, "
     "stage, adopt, unstage, breakpoints, plan, status"
 )
 
 
-def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log_entries.Entry]:
+def order_entry(
+    command: str, given: str, robot: str, argument: str
+) -> Optional[log_entries.Ordered]:
     """The log entry of an operator's command; None if the command is unknown.
 
     :param command: the name of the command.
@@ -142,8 +145,8 @@ def order_entry(command: str, given: str, robot: str, argument: str) -> Optional
         return log_entries.Pause(given)
     if command == "resume":
         return log_entries.Resume(given)
-    if command == "evict":
-        return log_entries.Evict(robot, -1)
+    if command in ("evict", "force_evict"):
+        return log_entries.Evict(robot, -1, command == "force_evict")
     if command == "leave":
         return log_entries.Leave(robot)
     if command == "set_place":

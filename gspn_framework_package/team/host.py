@@ -32,7 +32,7 @@ from gspn_framework_package.team.carrier import (
     Operator,
     OperatorRequest,
 )
-from gspn_framework_package.team.commands import Commands
+from gspn_framework_package.team.commands import Commands, giver_of
 from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
 from gspn_framework_package.team.narrator import Narrator
@@ -548,20 +548,17 @@ class ReplicaHost(Worker):
             request.command,
             request.robot,
             shorten(request.argument, TEXT_LIMIT),
-            operator.name,
-            operator.proof,
+            *giver_of(operator),
         )
         self._report.note_order(given)
         self._step(given)
 
-    def order(
-        self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
-    ) -> None:
+    def order(self, entry: log_entries.Ordered, answer: Callable[[Any], None]) -> None:
         """See :class:`Worker`."""
         number = "order %d" % next(self._numbers)
         self._answers[number] = answer
-        if entry is None:
-            self._step(interface.ForceEvict(number, force_evict))
+        if isinstance(entry, log_entries.Evict) and entry.forced:
+            self._step(interface.ForceEvict(number, entry.robot, entry.by))
         elif isinstance(entry, log_entries.Adopt):
             self._order_adopt(number, entry)
         else:

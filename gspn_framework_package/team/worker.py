@@ -84,13 +84,9 @@ class Worker:
         """Keep in the log who gave an order; call it on the worker thread, before the order."""
         raise NotImplementedError
 
-    def order(
-        self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
-    ) -> None:
+    def order(self, entry: log_entries.Ordered, answer: Callable[[Any], None]) -> None:
         """Give an operator's order to the replica; call it on the worker thread.
 
-        :param entry: the order; None for an eviction by force.
-        :param force_evict: the robot to evict by force, if ``entry`` is None.
         :param answer: receives the ``OrderResult``.
         """
         raise NotImplementedError

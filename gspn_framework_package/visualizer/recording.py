@@ -15,8 +15,9 @@ import time
 import zlib
 from bisect import bisect_right
 from collections import OrderedDict
-from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import (
     ORDER_GIVEN,
     LogClock,
@@ -25,7 +26,7 @@ from gspn_framework_package.execution.event_log import (
     Replayer,
 )
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.execution.told_data import order_text
+from gspn_framework_package.execution.told_data import decided_order_text, order_text
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
@@ -64,6 +65,7 @@ class _Reader:
     def __init__(self, file: LogFile, plans: Dict[int, Plan], mark: Optional[Mark] = None) -> None:
         self._file = file
         self._game = TokenGame(file.plan, agents=bool(file.header.get("agents")))
+        self._robot = str(file.header.get("robot", ""))
         self._events = TeamEvents(self._game, plans)
         self.board = self._events.board(running=False, run=str(file.header["run"]))
         self._clock = LogClock(0.0)
@@ -122,11 +124,13 @@ class _Reader:
             step = self._replayer.take(record)
             if step is not None:
                 t = self._clock.read(record)
-                return self._events.step(step.entries, step.firings, step.state, t, step.adopted)
+                orders = self._orders_elsewhere(step.entries, record, round(t, 4))
+                return orders + self._events.step(
+                    step.entries, step.firings, step.state, t, step.adopted
+                )
             if record["kind"] == ORDER_GIVEN:
                 t = round(self._clock.read(record), 4)
-                note = {"k": "note", "level": "info", "robot": record["robot"]}
-                return [{**note, "text": order_text(record), "t": t}]
+                return [_order_note(record["robot"], order_text(record), t)]
             if record["kind"] == "ended":
                 t = round(self._clock.read(record), 4)
                 ended = str(record.get("reason", ""))
@@ -140,6 +144,22 @@ class _Reader:
             raise error.located(line=self.line) from None
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise LogError("the record is damaged (%r)" % error, line=self.line) from None
+
+    def _orders_elsewhere(
+        self, entries: Sequence[log_entries.Entry], record: Record, t: float
+    ) -> List[Event]:
+        """Notes of the orders in a slot that another robot was given; the log has its own already,
+        from when they were given."""
+        notes = []
+        for entry, origin in zip(entries, record.get("origins", ())):
+            text = decided_order_text(entry, str(origin[0]))
+            if text and origin[0] != self._robot:
+                notes.append(_order_note(getattr(entry, "robot", ""), text, t))
+        return notes
+
+
+def _order_note(robot: str, text: str, t: float) -> Event:
+    return {"k": "note", "level": "info", "robot": robot, "text": text, "t": t}
 
 
 class Recording(KeptEvents):

@@ -42,7 +42,7 @@ from gspn_framework_package.execution.firing import (
     Firing,
     StartAction,
 )
-from gspn_framework_package.execution.log_entries import NOTHING, Entry, Submit
+from gspn_framework_package.execution.log_entries import NOBODY, NOTHING, Entry, Giver, Submit
 from gspn_framework_package.model.plan import Plan
 
 Message = Dict[str, Any]
@@ -156,6 +156,7 @@ class ForceEvict(NamedTuple):
 
     order_id: str
     robot: str
+    by: Giver = NOBODY
 
 
 Input = Union[

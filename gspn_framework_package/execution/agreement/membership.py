@@ -563,12 +563,12 @@ class Membership:
 
     # -- robots that are off -----------------------------------------------------------------------
 
-    def evict_by_force(self, robot: str, incarnation: int, order_id: str) -> None:
+    def evict_by_force(self, order: log_entries.Evict, order_id: str) -> None:
         """An operator asserts that a robot is off: propose its eviction."""
-        self._assert_off(robot, incarnation)
+        self._assert_off(order.robot, order.incarnation)
         self.consider_active()
         self.proposer.abandon()
-        self.proposals.propose(log_entries.Evict(robot, incarnation, True), order_id)
+        self.proposals.propose(order, order_id)
         warning = self._what_is_given_up()
         if warning:
             self.outbox.fault(warning)

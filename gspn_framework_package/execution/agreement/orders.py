@@ -83,7 +83,8 @@ class Orders:
         if why or robot is None:
             self.outbox.order_result(order.order_id, False, why)
         else:
-            self.membership.evict_by_force(order.robot, robot.incarnation, order.order_id)
+            entry = log_entries.Evict(order.robot, robot.incarnation, True, order.by)
+            self.membership.evict_by_force(entry, order.order_id)
 
     def _robot(self, name: str) -> Optional[RobotState]:
         return self.state.ledger.state.robots.get(name)

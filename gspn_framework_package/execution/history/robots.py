@@ -6,7 +6,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.execution.event_log import EventLog, Record
+from gspn_framework_package.execution.event_log import ORDER_GIVEN, EventLog, Record
 from gspn_framework_package.execution.history.cargo import digest
 from gspn_framework_package.execution.history.logged_team import Situation
 from gspn_framework_package.execution.history.merge import Merged
@@ -142,6 +142,8 @@ class RobotCheck:
         self._void: Set[Origin] = set()
         self._offered: Set[Tuple[str, str]] = set()
         """(transition, id) of the tasks that reached the robot."""
+        self._givers: Set[Tuple[str, str]] = set()
+        """Who has given this robot an order: name and proof."""
 
     def check(self) -> None:
         """Check the log. :raises BrokenRuleError: a rule is broken."""
@@ -172,17 +174,28 @@ class RobotCheck:
                 if origin in known:
                     raise BrokenRuleError(4, "%s came up twice" % _name(origin))
                 known[origin] = record
+                self._ordered(origin, record["entry"])
                 if kind == "invoked":
                     self.invoked[origin] = float(record.get("mono", 0.0))
                 else:
                     self._local_transition(origin, record)
             elif kind == "goal":
                 self._goal(record)
+            elif kind == ORDER_GIVEN:
+                self._givers.add((str(record["operator"]), str(record["proof"])))
             elif kind == "offered":
                 entry = record["entry"]
                 self._offered.add((entry["transition"], entry["id"]))
         for origin, record in known.items():
             self._proposal(origin, record)
+
+    def _ordered(self, origin: Origin, entry: Record) -> None:
+        """Check that whoever a proposal names as its giver had given this robot an order."""
+        by = entry.get("by")
+        if by is not None and tuple(by) not in self._givers:
+            raise BrokenRuleError(
+                4, "%s names '%s', who had given %s no order" % (_name(origin), by[0], self.robot)
+            )
 
     @property
     def _plan(self) -> Plan:

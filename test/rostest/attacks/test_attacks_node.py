@@ -18,6 +18,7 @@ from robots import Robot, RobotTestCase, chain
 from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.entrance import said
 from gspn_framework_package.srv import Command, GetPlace, SetPlace
@@ -116,7 +117,7 @@ class AttacksTest(RobotTestCase):
         self.assertEqual(sorted(orders), sorted(kept))
 
     def messages_are_refused(self):
-        body = json.dumps({"from": "robot_2", "version": 2, "kind": "pull"})
+        body = json.dumps({"from": "robot_2", "version": VERSION, "kind": "pull"})
         recorded = wait_for(
             lambda: [news for news in list(self.heard) if news.sender == "robot_2"], 30, "traffic"
         )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.messages import MessageError, parse
+from gspn_framework_package.execution.agreement.messages import VERSION, MessageError, parse
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.event_log import EventLog
@@ -78,7 +78,7 @@ def forged(world: World, sender: str, kind: str, **fields: Any) -> Any:
     """A message in the name of a robot, with its true envelope."""
     replica = world.nodes[sender].replica
     envelope = {
-        "version": 2,
+        "version": VERSION,
         "from": sender,
         "team": "sim|%s" % world.plan.hash()[:12],
         "log": replica.log_id,
@@ -221,7 +221,7 @@ def test_who_speaks_another_version_is_named() -> None:
     world = running(False, 2)
     give(world, {**forged(world, "r1", "hello", **HELLO), "version": 1})
     assert any(
-        "r1" in f and "version 1 of the protocol, this is 2" in f for f in world.nodes["r2"].faults
+        "r1" in f and "version 1 of the protocol, this is 3" in f for f in world.nodes["r2"].faults
     )
 
 

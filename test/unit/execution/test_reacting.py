@@ -365,6 +365,28 @@ def test_entries_without_data_are_written_as_before():
         assert log_entries.from_json(log_entries.to_json(entry)) == entry
 
 
+def test_an_order_says_who_gave_it_if_that_is_known():
+    given = log_entries.Pause("a", log_entries.Giver("ann", "certificate"))
+    written = {"entry": "pause", "robot": "a", "by": ["ann", "certificate"]}
+    assert log_entries.to_json(given) == written
+    assert log_entries.from_json(written) == given
+    old = {"entry": "pause", "robot": "a"}
+    assert log_entries.to_json(log_entries.Pause("a")) == old
+    assert log_entries.from_json(old).by == log_entries.NOBODY
+
+
+@pytest.mark.parametrize(
+    "by", ["ann", ["ann"], ["ann", 1], ["ann", "", ""], ["", ""], ["a" * 201, ""], {"a": ""}]
+)
+def test_who_gave_an_order_has_a_form_and_a_bound(by: Any):
+    with pytest.raises(LogError, match="who gave it"):
+        log_entries.from_json({"entry": "pause", "robot": "a", "by": by})
+    with pytest.raises(LogError, match="unexpected keyword"):
+        log_entries.from_json(
+            {"entry": "staged", "robot": "a", "incarnation": 0, "stage": 1, "by": ["ann", ""]}
+        )
+
+
 # -- the plan ----------------------------------------------------------------------------------
 
 

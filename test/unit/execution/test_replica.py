@@ -137,7 +137,9 @@ def test_the_operator_can_start_without_a_robot_that_never_came() -> None:
     for name in ("r1", "r2"):
         world.nodes[name].start()
     world.run(0.5)
-    world.nodes["r1"].give(interface.ForceEvict("f", "r3"))
+    ann = log_entries.Giver("ann", "certificate")
+    world.nodes["r1"].give(interface.OrderGiven("force_evict", "r3", "", *ann))
+    world.nodes["r1"].give(interface.ForceEvict("f", "r3", ann))
     world.run(1.5)
     assert world.nodes["r1"].results["f"].ok
     assert world.status("r1")["members"] == ["r1", "r2"]

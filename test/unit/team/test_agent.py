@@ -214,7 +214,13 @@ def test_a_robot_answers_an_operator(write, team):
     assert [host.exit_code for host in team.hosts.values()] == [1, 1]
 
 
-def test_who_gave_an_order_is_in_the_log_and_shown(write, team):
+def notes_in(path):
+    told = Recording(LogFile(path))
+    (board, _) = list(told.read())[-1]
+    return [event["text"] for event in told.events(0, board.n) if event["k"] == "note"]
+
+
+def test_who_gave_an_order_is_in_every_log_and_shown(write, team):
     team.start(write(), "robot_1", "robot_2")
     team.wait_for_all()
     assert team.ask("robot_1", "pause").success
@@ -241,10 +247,22 @@ def test_who_gave_an_order_is_in_the_log_and_shown(write, team):
         ("stop", "", "", "ann"),
     ]
     assert not any(record["kind"] == "order" for record in logs[1].records)
-    told = Recording(LogFile(team.log("robot_1")))
-    (board, _) = list(told.read())[-1]
-    notes = [event["text"] for event in told.events(0, board.n) if event["k"] == "note"]
-    assert "ann (not proved) orders: retry robot_2" in notes
+    for log in logs:
+        slots = [record for record in log.records if record["kind"] == "slot"]
+        entries = [entry for record in slots for entry in record["entries"]]
+        ordered = [(entry["entry"], entry["by"]) for entry in entries if "by" in entry]
+        assert ordered == [("pause", ["ann", ""]), ("stop", ["ann", ""])]
+    orders = ["pause", 'breakpoints ["Look"]', "retry robot_2", "stop"]
+    told = ["ann (not proved) orders: " + order for order in orders]
+    assert notes_in(team.log("robot_1")) == told
+    assert notes_in(team.log("robot_2")) == [
+        "ann (not proved) orders: pause, asking robot_1",
+        "ann (not proved) orders: stop, asking robot_1",
+    ]
+    logs[0].records = [record for record in logs[0].records if record["kind"] != "order"]
+    violation = verify(logs).violation
+    assert violation.rule == 4
+    assert "names 'ann', who had given robot_1 no order" in violation.text
 
 
 def test_a_robot_that_is_started_again_goes_on(write, team):
