@@ -16,6 +16,9 @@ from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.net import Net
 
+OUTSIDE_LIMIT = 10_000
+"""So many tasks wait for one transition; one more has no effect."""
+
 POLICY = -1
 """The request of a robot that lets the policy decide."""
 
@@ -224,6 +227,12 @@ class TeamState:
     def is_known(self, t: int, task: str) -> bool:
         """Whether a task with this id has come by transition ``t``."""
         return task in self.known.get(t, ())
+
+    def is_full(self, t: int) -> bool:
+        """Whether no more tasks can wait for transition ``t``."""
+        return len(self.submitted) >= OUTSIDE_LIMIT and OUTSIDE_LIMIT <= sum(
+            other == t for other, _ in self.submitted
+        )
 
     # -- snapshots ---------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from gspn_framework_package.execution.firing import Command, Firing
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import (
+    OUTSIDE_LIMIT,
     POLICY,
     RobotState,
     StagedPlan,
@@ -253,6 +254,10 @@ class _Reducer(Turn):
             return
         assert t is not None
         if self.state.is_known(t, entry.id):
+            return
+        if self.state.is_full(t):
+            text = "%d tasks wait for '%s' already: '%s' is not taken"
+            self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
             return
         self.state.submitted.append((t, Task(entry.id, entry.data)))
         known = self.state.known.setdefault(t, {})

@@ -21,6 +21,7 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.breakpoints import Halts
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
+from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT
 from gspn_framework_package.model.errors import LogError
 
 OFFERED_LIMIT = 10_000
@@ -136,6 +137,8 @@ class Reactions:
             return "no tasks come in by '%s'" % task.transition
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
+        if order_id and self._is_full(task.transition):
+            return "%d tasks wait for '%s' already" % (OUTSIDE_LIMIT, task.transition)
         try:
             kept = log_entries.checked(task)
         except LogError as error:
@@ -176,7 +179,7 @@ class Reactions:
         proposed = self._proposed()
         soon = state.leaving or self.electorate.is_first_running()
         for key, (task, since) in state.offered.items():
-            if key not in proposed and (
+            if (key not in proposed and not self._is_full(key[0])) and (
                 soon or key in self._orders or state.now >= since + self._patience()
             ):
                 self.proposals.propose(task)
@@ -187,6 +190,12 @@ class Reactions:
         ledger = self.state.ledger
         t = ledger.entrance(transition)
         return t is not None and ledger.state.is_known(t, task)
+
+    def _is_full(self, transition: str) -> bool:
+        """Whether no more tasks can wait outside: until there is room, we keep ours."""
+        ledger = self.state.ledger
+        t = ledger.entrance(transition)
+        return t is not None and ledger.state.is_full(t)
 
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
         """Tell operators that the team has their task."""

@@ -17,6 +17,9 @@ from gspn_framework_package.model.plan import Plan
 REMEMBERED = 10_000
 """Of each transition, so many ids of tasks count as known."""
 
+MOST_OUTSIDE = 10_000
+"""So many tasks wait for one transition; one more does not count."""
+
 TaskMoves = List[Tuple[str, str, str]]
 """(id, from where, to where), as a firing records them."""
 
@@ -101,6 +104,8 @@ class Cargo:
         """A task comes; one that came before does not count."""
         key = entry.transition, entry.id
         if entry.transition not in self.entrances or key in self._known_set:
+            return
+        if sum(t == entry.transition for t, _ in self.outside) >= MOST_OUTSIDE:
             return
         ids = self._known.setdefault(entry.transition, [])
         ids.append(entry.id)

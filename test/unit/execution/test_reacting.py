@@ -7,7 +7,7 @@ from typing import Any, List
 import pytest
 from game_driver import Run, make_plan
 
-from gspn_framework_package.execution import log_entries, token_game
+from gspn_framework_package.execution import log_entries, team_state, token_game
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
 from gspn_framework_package.execution.history import cargo
@@ -210,6 +210,24 @@ def test_a_task_that_waits_is_never_forgotten(monkeypatch):
     order = run.game.net.transition_number("order")
     assert list(run.state.known[order]) == ["o8", "o9"]  # nothing waits: no more than it says
     assert run.state.submitted == []
+
+
+def test_so_many_tasks_wait_and_no_more(monkeypatch):
+    monkeypatch.setattr(team_state, "OUTSIDE_LIMIT", 2)
+    monkeypatch.setattr(cargo, "MOST_OUTSIDE", 2)
+    run = shop()
+    for number in range(1, 8):  # one is carried, three are in the queue
+        run.feed(submit(number))
+    assert [task.id for _, task in run.state.submitted] == ["o5", "o6"]
+    order = run.game.net.transition_number("order")
+    assert not run.state.is_known(order, "o7")
+    checker = cargo.Cargo(run.game.plan, {}, {})
+    for number in (1, 2, 3):
+        checker.comes(submit(number))
+    assert [task.id for _, task in checker.outside] == ["o1", "o2"]
+    run.done("a", "delivered")
+    run.feed(submit(7))  # there is room again
+    assert [task.id for _, task in run.state.submitted] == ["o6", "o7"]
 
 
 def test_a_robot_puts_its_task_back():

@@ -7,7 +7,7 @@ from typing import Any, List
 
 import pytest
 
-from gspn_framework_package.execution import log_entries, token_game
+from gspn_framework_package.execution import log_entries, team_state, token_game
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.agreement_simulation.world import SimulatedNode, World
@@ -94,6 +94,22 @@ def test_tasks_that_the_team_forgot_it_had_are_not_offered_again(monkeypatch: An
     assert len(world.entries("submit")) == 6
     world.submit("r1", 6)
     assert len(world.entries("submit")) == 7
+
+
+def test_a_robot_keeps_a_task_until_another_can_wait(monkeypatch: Any) -> None:
+    monkeypatch.setattr(team_state, "OUTSIDE_LIMIT", 2)
+    world = team()
+    world.give("r1", interface.Order("pause", log_entries.Pause()))
+    for number in range(1, 5):
+        world.submit("r1", number)
+    assert len(world.entries("submit")) == 2
+    world.give("r1", interface.Order("full", log_entries.Submit("order", "one more")))
+    result = world.nodes["r1"].results["full"]
+    assert not result.ok
+    assert result.text.endswith("tasks wait for 'order' already")
+    world.give("r1", interface.Order("resume", log_entries.Resume()))
+    assert [e["id"] for e in world.entries("submit")] == ["t1", "t2", "t3", "t4"]
+    world.check()
 
 
 def test_a_task_that_only_a_dead_robot_has_comes_in_when_it_is_back() -> None:
