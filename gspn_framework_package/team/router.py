@@ -13,6 +13,9 @@ from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
 if TYPE_CHECKING:
     import zenoh
 
+REPLACED = "the allow-list was replaced"
+"""How a router begins to say that it follows another one."""
+
 
 class Router:
     """A router in this process, until it is closed.
@@ -101,7 +104,7 @@ class Router:
         except GspnError as error:
             self._seen = (-1, -1)  # once more the next time
             return "the router is down: %s" % error
-        return "the allow-list was replaced: %s may take part" % self.members
+        return "%s: %s may take part" % (REPLACED, self.members)
 
     def close(self) -> None:
         """Close all connections."""

@@ -36,6 +36,7 @@ from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team import keys
 from gspn_framework_package.team.keys import NewMember
+from gspn_framework_package.team.router import REPLACED
 
 SCREEN = "screen"
 """Who watches."""
@@ -109,7 +110,7 @@ class AnywhereTeam:
     def revoke(self) -> None:
         """Revoke the stolen keys; the router's folder is the one where that is done."""
         keys.revoke(self._path("keys"), STOLEN)
-        self.wait(lambda: "was replaced" in self.programs.output(HUB), "the router to notice")
+        self.wait(lambda: REPLACED in self.programs.output(HUB), "the router to notice")
 
     def _path(self, *names: str) -> str:
         return os.path.join(self.folder, *names)
