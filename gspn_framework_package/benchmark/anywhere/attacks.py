@@ -28,7 +28,7 @@ FLOOD = 10_000
 """Messages a second."""
 
 FLOOD_TIME = 8.0
-"""Seconds of a flood; the speed of the team is measured meanwhile."""
+"""Seconds of a flood; the speed of the team is measured for so long with every attack, at least."""
 
 LARGE = 10_000_000
 """Bytes of a large message."""

@@ -12,7 +12,7 @@ import tempfile
 import time
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
-from gspn_framework_package.benchmark.anywhere.attacks import ATTACKS
+from gspn_framework_package.benchmark.anywhere.attacks import ATTACKS, FLOOD_TIME
 from gspn_framework_package.benchmark.anywhere.report import (
     Row,
     attack_row,
@@ -165,10 +165,12 @@ class Demonstration:
         begin = time.monotonic()
         try:
             found = team.attack(name)
-            end = time.monotonic()
-            team.read()
-            wrong = [slowed(team.speed(begin, end), self._speed)]
+            ended = time.monotonic()
             took = team.goes_on()
+            # robots move once a second: a shorter time would count chance
+            enough = max(ended, begin + FLOOD_TIME)
+            team.wait(lambda: bool(team.read()) and time.monotonic() >= enough, "the time")
+            wrong = [slowed(team.speed(begin, enough), self._speed)]
             logs = list(team.read().values())
             strangers = strangers_in(logs, team.robots)
             wrong.append("the logs hold entries of %s" % ", ".join(strangers) if strangers else "")
