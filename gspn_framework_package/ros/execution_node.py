@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Callable, Dict, List, Optional
 
 from gspn_framework_package.model.plan import Plan, Synchronisation, Transport
@@ -41,28 +42,33 @@ class ExecutionNode:
             RosVoice(robot, namespace, options.run),
             lambda plan, listener: EventSources(plan, robot, namespace, witness, listener),
         )
-        self._actions = RobotActions(
-            plan,
-            robot,
-            namespace,
-            options,
-            host.enqueue,
-            host.attempt_ended,
-            host.attempt_progress,
-            host.warn,
-        )
-        entrance = Entrance(
-            options.transport != Transport.ZENOH.value,
-            Seal(read_team_key(options.team_key_file), options.run, robot)
-            if options.team_key_file
-            else None,
-        )
-        services = NodeServices(host, namespace, entrance)
-        host.connect(
-            _carrier(host, plan, namespace, options, services.uri, entrance),
-            self._actions,
-            [services.close],
-        )
+        with contextlib.ExitStack() as undo:
+            undo.callback(host.discard)
+            self._actions = RobotActions(
+                plan,
+                robot,
+                namespace,
+                options,
+                host.enqueue,
+                host.attempt_ended,
+                host.attempt_progress,
+                host.warn,
+            )
+            undo.callback(self._actions.close)
+            entrance = Entrance(
+                options.transport != Transport.ZENOH.value,
+                Seal(read_team_key(options.team_key_file), options.run, robot)
+                if options.team_key_file
+                else None,
+            )
+            services = NodeServices(host, namespace, entrance)
+            undo.callback(services.close)
+            host.connect(
+                _carrier(host, plan, namespace, options, services.uri, entrance),
+                self._actions,
+                [services.close],
+            )
+            undo.pop_all()
 
     @property
     def jobs(self) -> Dict[str, Job]:

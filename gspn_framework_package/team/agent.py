@@ -3,6 +3,7 @@ functions."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
@@ -39,16 +40,20 @@ def make_agent(
         voice,
         lambda plan, listener: FunctionSources(plan, robot, witness, listener, topics=False),
     )
-    actions = FunctionActions(
-        plan,
-        robot,
-        allow_commands,
-        host.enqueue,
-        host.attempt_ended,
-        host.attempt_progress,
-        host.warn,
-    )
-    host.connect(carrier(host), actions)
+    with contextlib.ExitStack() as undo:
+        undo.callback(host.discard)
+        actions = FunctionActions(
+            plan,
+            robot,
+            allow_commands,
+            host.enqueue,
+            host.attempt_ended,
+            host.attempt_progress,
+            host.warn,
+        )
+        undo.callback(actions.close)
+        host.connect(carrier(host), actions)
+        undo.pop_all()
     return host
 
 

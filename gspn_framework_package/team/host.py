@@ -76,7 +76,8 @@ class ReplicaHost(Worker):
     One thread, the *worker*, owns all state: callbacks of the carrier and of the robot's parts only
     put calls into its queue, and the worker executes them one by one.
 
-    Make it, :meth:`connect` it to its parts, then :meth:`start` it.
+    Make it, :meth:`connect` it to its parts, then :meth:`start` it; if that fails, :meth:`discard`
+    it.
 
     :param plan: the checked plan, with the team that begins the run.
     :param robot: name of the robot.
@@ -156,6 +157,11 @@ class ReplicaHost(Worker):
         self._carrier, self._actions, self._others = carrier, actions, others
         self._report = SelfReport(self.robot, self.run, self._replica, actions, carrier.refusals)
         self._events.subscribe()
+
+    def discard(self) -> None:
+        """Let go of the log and of the sources; of a host that could not be connected."""
+        self._events.close()
+        self._close_log()
 
     @property
     def heartbeat(self) -> float:
@@ -311,6 +317,9 @@ class ReplicaHost(Worker):
         self._carrier.close()
         for close in self._others:
             close()
+        self._close_log()
+
+    def _close_log(self) -> None:
         self._log.writer.close()
         self._log.lock.close()
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Tuple
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.compact_json import compact
+from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team.carrier import (
     Handlers,
     NotTaken,
@@ -50,6 +51,9 @@ more."""
 _LOOK = 1.0
 """Seconds between two looks for new connections."""
 
+NAMESAKE = 1.0
+"""Seconds to wait at most for another process of the same name to answer, at the start."""
+
 _MOST_KEYS = 10_000
 
 
@@ -69,7 +73,8 @@ class ZenohCarrier:
     :param access: how to reach the team.
     :param handlers: what to do with what comes.
     :param partial: whether the plan's synchronisation is partial.
-    :raises GspnError: there is no session with the team.
+    :raises GspnError: there is no session with the team, or another process is this robot in the
+        run.
 
     :ivar sent: how many messages the robot has sent; one to several robots counts once.
     """
@@ -95,14 +100,38 @@ class ZenohCarrier:
         self._ports = ports_of(access.connect)
         self._limited_at = -math.inf
         limit_silence(ports_of(access.listen))
+        try:
+            self._refuse_namesake()
+            self._declared: List[Any] = self._declare()
+        except BaseException:
+            self.close()
+            raise
+
+    def _refuse_namesake(self) -> None:
+        """Do not take the place of a process that is this robot already: the team would let this
+        one in as its spare.
+
+        :raises ExecutionError: one answers.
+        """
+        key = key_of(self.run, self.robot, "activity")
+        replies = self._session.get(key, timeout=NAMESAKE)
+        if any(reply.ok is not None for reply in replies):
+            raise ExecutionError(
+                "another process is robot '%s' in run '%s', and answers" % (self.robot, self.run),
+                hint="end that one first, or give another run",
+            )
+
+    def _declare(self) -> List[Any]:
+        """Listen to the team, and to those who ask."""
+        run, robot, session = self.run, self.robot, self._session
         # on the thread that receives: another thread between would cost more than it does
         take = self._zenoh.handlers.Callback(self._on_message, indirect=False)
-        self._declared: List[Any] = [
-            self._session.declare_subscriber(key_of(run, "*", "all", "*"), take),
-            self._session.declare_subscriber(key_of(run, "*", "to", robot, "*"), take),
-            self._session.declare_queryable(key_of(run, robot, "orders", "*"), self._on_order),
-            self._session.declare_queryable(key_of(run, robot, "status"), self._on_status),
-            self._session.declare_queryable(key_of(run, robot, "activity"), self._on_asked),
+        return [
+            session.declare_subscriber(key_of(run, "*", "all", "*"), take),
+            session.declare_subscriber(key_of(run, "*", "to", robot, "*"), take),
+            session.declare_queryable(key_of(run, robot, "orders", "*"), self._on_order),
+            session.declare_queryable(key_of(run, robot, "status"), self._on_status),
+            session.declare_queryable(key_of(run, robot, "activity"), self._on_asked),
         ]
 
     # -- out, on the host's worker thread ----------------------------------------------------------

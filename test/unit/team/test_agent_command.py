@@ -11,6 +11,7 @@ from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.team import host as host_module
+from gspn_framework_package.team import log_file
 
 
 @pytest.fixture
@@ -134,6 +135,17 @@ def test_an_operator_with_keys_asks_orders_submits_and_deploys(secured, tmp_path
         code, said = gspn("stop", by=by, run=run)
         assert code == 1 and says in said.err
     assert gspn("stop")[0] == 0
+
+
+def test_a_name_that_runs_already_is_refused_and_its_log_is_let_go(secured, tmp_path, capsys):
+    log = str(tmp_path / "elsewhere" / "robot_1.jsonl")
+    way = ["--connect", secured.hub.endpoint, "--keys", str(tmp_path / "keys" / "robot_1")]
+    agent = ["agent", str(secured.folder), "--robot", "robot_1", "--run", "monday", "--log", log]
+    assert main([*agent, *way]) == 1
+    said = capsys.readouterr().err
+    assert said.count("another process is robot 'robot_1' in run 'monday'") == 1
+    assert "Traceback" not in said
+    log_file.lock_log(log).close()
 
 
 @pytest.mark.parametrize(
