@@ -233,7 +233,7 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
     :raises CancelledError: the work was cancelled.
     """
     questions = questions or Questions()
-    work = _Report(analysis)
+    work = ReportWork(analysis)
     work.basics()
     if questions.structure:
         work.structure()
@@ -256,7 +256,9 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
     return work.data
 
 
-class _Report:
+class ReportWork:
+    """Collects the answers of a report: ``data``, and why some are ``undecided``."""
+
     def __init__(self, analysis: Analysis) -> None:
         self.analysis = analysis
         self.data: Dict[str, Any] = {}
@@ -298,6 +300,7 @@ class _Report:
                 self.data["titles"].setdefault(part.value, {})[measure.key] = measure.title
 
     def basics(self) -> None:
+        """Describe what is analysed, and the limits."""
         net, plan = self.analysis.net, self.analysis.plan
         self.data["name"] = plan.name if plan else net.name
         self.data["kind"] = "plan" if plan else "net"
@@ -317,6 +320,7 @@ class _Report:
         self.data["titles"] = {}
 
     def structure(self) -> None:
+        """Answer what the structure shows."""
         self.measures(Part.STRUCTURE)
         self.data[UNGUARDED] = None
         if self.data["siphons_hold_marked_traps"] is False:
@@ -324,6 +328,7 @@ class _Report:
             self.data[UNGUARDED] = list(found.places) if found else None
 
     def behaviour(self) -> None:
+        """Answer what the state space shows."""
         analysis = self.analysis
         space = analysis.space
         whole = space.complete
@@ -400,6 +405,8 @@ class _Report:
                 self.undecided.pop("live", None)
 
     def reach(self, condition: str) -> None:
+        """Answer whether a condition can come to hold."""
+
         def compute() -> Dict[str, Any]:
             found = self.analysis.reach(condition)
             if found.reachable is None:
@@ -411,6 +418,7 @@ class _Report:
         self.data.setdefault("reach", []).append(self._try("reach.%s" % condition, compute))
 
     def cover(self, marking: Mapping[str, int]) -> None:
+        """Answer whether a marking with at least these tokens can be reached."""
         text = ",".join("%s=%d" % item for item in marking.items())
 
         def compute() -> Dict[str, Any]:
@@ -426,6 +434,8 @@ class _Report:
         self.data.setdefault("cover", []).append(self._try("cover.%s" % text, compute))
 
     def steady_state(self, rewards: Mapping[str, float]) -> None:
+        """Answer what happens in the long run."""
+
         def compute() -> Dict[str, Any]:
             steady, measures, chain = (
                 self.analysis.steady,
@@ -516,6 +526,8 @@ class _Report:
         )
 
     def at(self, questions: Questions) -> None:
+        """Answer what is asked of single times."""
+
         def compute() -> List[Dict[str, Any]]:
             found = []
             for time, measures in self.analysis.at(questions.at):
@@ -528,6 +540,8 @@ class _Report:
         self.answer("transient", compute)
 
     def mean_time_to(self, condition: str, times: Tuple[float, ...]) -> None:
+        """Answer when a condition first holds."""
+
         def compute() -> Dict[str, Any]:
             found = self.analysis.first_passage(condition, times)
             return {
@@ -543,6 +557,7 @@ class _Report:
         )
 
     def finish(self) -> None:
+        """Add the reasons for what is not answered."""
         self.data["undecided"] = self.undecided
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.on_disk.answers import report_within
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.report import (
     Part,
@@ -32,9 +34,16 @@ from gspn_framework_package.cli.limits import (
     rare_collections,
     working,
 )
+from gspn_framework_package.cli.memory import (
+    LIBRARIES,
+    add_memory_arguments,
+    memory_of,
+    scratch_text,
+)
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan
 
 _PARTS = 1_000
 """Number of parts of the JSON text (a bracket, a name, a list) that are written together."""
@@ -111,6 +120,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effort = parser.add_argument_group("effort")
     add_limit_arguments(effort)
+    add_memory_arguments(effort)
     effort.add_argument(
         "--engine", choices=ENGINES, default="auto", help="the engine that explores (default: auto)"
     )
@@ -156,7 +166,12 @@ def _run(args: argparse.Namespace) -> int:
     )
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time is a number of seconds, at least 0")
-    limits = limits_of(args)
+    limits, memory = limits_of(args), memory_of(args)
+    if memory is not None and isinstance(subject, Plan):
+        raise UsageError("--memory takes a net", hint="--only-net analyses the net of a plan")
+    if memory is not None and args.lump:
+        raise UsageError("--memory and --lump exclude each other")
+
     lump = None
     if args.lump:
         if args.engine != "auto":
@@ -164,24 +179,45 @@ def _run(args: argparse.Namespace) -> int:
         lump = asked_conditions(questions)
 
     def analyse(progress: Progress, cancel: Cancel) -> Tuple[Dict[str, Any], List[str]]:
-        analysis = Analysis(
-            subject,
-            limits=limits,
-            timing=args.timing,
-            structure=questions.structure,
-            engine=args.engine,
-            lump=lump,
-            progress=progress,
-            cancel=cancel,
-        )
+        def make(limits: Limits) -> Analysis:
+            return Analysis(
+                subject,
+                limits=limits,
+                timing=args.timing,
+                structure=questions.structure,
+                engine=args.engine,
+                lump=lump,
+                progress=progress,
+                cancel=cancel,
+            )
+
+        if memory is None or isinstance(subject, Plan):
+            analysis = make(limits)
+            data = report(analysis, questions)
+        else:
+            analysis, data = report_within(
+                memory.size,
+                subject,
+                questions,
+                memory.scratch,
+                make,
+                limits,
+                seconds=args.limit_time or math.inf,
+                progress=progress,
+                cancel=cancel,
+            )
         left_out: List[str] = []
         if args.no_structure:
             left_out += keys_of(Part.STRUCTURE, analysis)
         if args.no_time:
             left_out += ["steady_state", *keys_of(Part.TIMING, analysis)]
-        return report(analysis, questions), left_out
+        return data, left_out
 
-    data, left_out = working(analyse, limits.memory)
+    data, left_out = (
+        working(analyse, limits.memory)
+        if memory is None
+        else working(analyse, memory.size + LIBRARIES, "--memory")
+    )
     data["notes"] = notes
     if args.csv:
         with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
@@ -381,6 +417,7 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield from _lumped_text(data["lumped"], states)
     if data["kind"] == "plan":
         yield from _timing_text(data["timing"])
+    yield from scratch_text(data)
     if data["left_out"]:
         yield "left out, because only written: %s" % ", ".join(data["left_out"])
     yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))

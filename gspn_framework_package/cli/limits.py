@@ -61,16 +61,14 @@ def add_limit_arguments(parser: Any) -> None:
     parser.add_argument(
         "--limit-time",
         type=float,
-        default=SECONDS,
         metavar="S",
-        help="longest time of each part, in seconds (default %(default)g)",
+        help="longest time of each part, in seconds (default %g)" % SECONDS,
     )
     parser.add_argument(
         "--limit-memory",
         type=float,
-        default=MEMORY / 1e9,
         metavar="GB",
-        help="maximum memory (default %(default).3g)",
+        help="maximum memory (default %.3g)" % (MEMORY / 1e9),
     )
 
 
@@ -86,8 +84,8 @@ def limits_of(args: argparse.Namespace) -> Limits:
         args.limit,
         args.limit_tree,
         args.limit_structure,
-        args.limit_time,
-        int(args.limit_memory * 1e9),
+        SECONDS if args.limit_time is None else args.limit_time,
+        MEMORY if args.limit_memory is None else int(args.limit_memory * 1e9),
     )
 
 
@@ -107,7 +105,9 @@ def rare_collections() -> Iterator[None]:
         gc.set_threshold(*before)
 
 
-def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result:
+def working(
+    work: Callable[[Progress, Cancel], Result], memory: float, option: str = "--limit-memory"
+) -> Result:
     """Do long work with a progress line; an interrupt ends it at once.
 
     The work runs on another thread, so that an interrupt is handled even while a library's compiled
@@ -115,6 +115,7 @@ def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result
 
     :param work: takes a progress callback and a cancel callback, which it polls now and then.
     :param memory: additional memory that this process may use, in bytes.
+    :param option: the option that raises it.
     :raises LimitError: the work needed more memory.
     """
     cancelled = threading.Event()
@@ -130,7 +131,7 @@ def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result
             return interruptible(lambda: work(progress, cancelled.is_set), cancel)
     except MemoryError:
         raise LimitError(
-            "it takes more than %.3g GB of memory" % (memory / 1e9), hint="raise --limit-memory"
+            "it takes more than %.3g GB of memory" % (memory / 1e9), hint="raise %s" % option
         ) from None
     except CancelledError:
         raise KeyboardInterrupt from None

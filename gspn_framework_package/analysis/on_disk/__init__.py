@@ -1,0 +1,1 @@
+"""State spaces beyond memory: the reachable markings in sorted files, found layer by layer."""

@@ -1,0 +1,288 @@
+"""Finds the reachable markings with files for those already found.
+
+The search goes layer by layer. The successors of a layer are collected, sorted, and compared with
+all markings found before, in one pass over these (delayed duplicate detection: R. E. Korf,
+*Linear-time disk-based implicit graph search*, Journal of the ACM 55, 2008). The markings found
+before are a few sorted sequences of geometrically growing sizes: each is merged a few times.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Indices, Words
+from gspn_framework_package.analysis.on_disk.keys import KeyCode, Keys, distinct
+from gspn_framework_package.analysis.on_disk.scratch import Scratch, ScratchFile
+from gspn_framework_package.analysis.on_disk.sorted_keys import (
+    Budget,
+    Pile,
+    SortedKeys,
+    Writer,
+    merged,
+)
+from gspn_framework_package.analysis.state_space.exploration import FieldOverflowError
+from gspn_framework_package.analysis.state_space.numpy_engine import enabled
+from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
+from gspn_framework_package.analysis.structure.invariants import invariant_bounds
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.net import Marking, Net
+
+LEAST_MEMORY = 1 << 14
+"""Least memory (bytes) of a search."""
+
+_INVARIANT_EFFORT = 100_000
+"""Most steps of the search for invariants that is done to get narrow fields."""
+
+_SPREAD = 2
+"""A found sequence is merged with those up to this many times its size."""
+
+
+class Counts(NamedTuple):
+    """What a search counted.
+
+    :ivar states: number of markings.
+    :ivar vanishing: how many of them enable an immediate transition.
+    :ivar arcs: number of firings between them.
+    :ivar dead: how many enable nothing.
+    :ivar bounds: place -> the most tokens in it.
+    :ivar firings: transition -> the number of markings in which it can fire.
+    """
+
+    states: int
+    vanishing: int
+    arcs: int
+    dead: int
+    bounds: Dict[str, int]
+    firings: Dict[str, int]
+
+
+class OnDiskSpace:
+    """The reachable markings of a net, most of them on disk; made by :func:`search`.
+
+    :ivar net: the net.
+    :ivar packed: the net, compiled to arithmetic on packed markings.
+    :ivar code: translates packed markings to keys.
+    :ivar scratch: where the files are.
+    :ivar budget: how much memory to use.
+    :ivar counts: what was counted.
+    :ivar layers: the number of layers: one more than the longest shortest firing sequence.
+    """
+
+    def __init__(self, packed: PackedNet, scratch: Scratch, memory: float) -> None:
+        self.net = packed.net
+        self.packed = packed
+        self.code = KeyCode(packed)
+        self.scratch = scratch
+        self.budget = Budget.of(memory, self.code.dtype.itemsize)
+        self._queue: ScratchFile = scratch.file()  # all layers, one after the other
+        self._layers: List[SortedKeys] = []
+        self._found: List[SortedKeys] = []
+        self._timed = np.array([packed.net.transitions[t].timed for t in packed.order], dtype=bool)
+        self._states = self._vanishing = self._arcs = self._dead = 0
+        self._first_dead: Optional[Tuple[int, Keys]] = None  # its layer, and its key
+        self._bounds: Indices = np.zeros(len(packed.widths), dtype=np.int64)
+        self._firings: Indices = np.zeros(len(packed.order), dtype=np.int64)
+
+    def __len__(self) -> int:
+        return self._states
+
+    @property
+    def layers(self) -> int:
+        """The number of layers: one more than the length of the longest shortest way."""
+        return len(self._layers)
+
+    @property
+    def counts(self) -> Counts:
+        """What was counted."""
+        net = self.net
+        order = self.packed.order.tolist()
+        firings = dict(zip((net.transitions[t].name for t in order), self._firings.tolist()))
+        return Counts(
+            self._states,
+            self._vanishing,
+            self._arcs,
+            self._dead,
+            {place.name: int(most) for place, most in zip(net.places, self._bounds)},
+            {transition.name: firings[transition.name] for transition in net.transitions},
+        )
+
+    # -- the search --------------------------------------------------------------------------------
+
+    def explore(self, limit: float, watch: Watch) -> None:
+        """Find all markings.
+
+        :raises FieldOverflowError: the fields are too narrow.
+        :raises LimitError: there are more than ``limit``, or the disk is full.
+        """
+        layer = self._new_layer([self.code.encode(self.packed.initial[None, :])])
+        while len(layer):
+            pile = Pile(self.scratch, self.budget, self.code.dtype)
+            for keys in layer.parts(self._rows):
+                watch.step("states", self._states)
+                pile.add(self._expand(keys))
+            self._remember(layer, watch)
+            layer = self._new_layer(self._unknown(pile, watch))
+            if self._states > limit:
+                raise LimitError(
+                    "not decided within %d states" % self._states, hint="raise --limit"
+                )
+        self._layers.pop()  # which is empty
+
+    @property
+    def _rows(self) -> int:
+        """How many markings are expanded together."""
+        transitions = max(len(self.packed.order), 1)
+        each = transitions * (48 + 16 * self.packed.words) + 64
+        return max(self.budget.expanded // each, 1)
+
+    def _expand(self, keys: Keys) -> Keys:
+        """The successors of some markings; counts what there is to count."""
+        states = self.code.decode(keys)
+        sources, fired = enabled(self.packed, states)
+        self._count(keys, states, sources, fired)
+        return distinct(self.code.encode(self.fire(states, sources, fired)))
+
+    def fire(self, states: Words, sources: Indices, fired: Indices) -> Words:
+        """The markings after the firings ``fired`` (in engine order) in ``states[sources]``.
+
+        :raises FieldOverflowError: the fields are too narrow.
+        """
+        successors = states[sources]
+        successors += self.packed.change[fired]
+        if len(successors):
+            overflow = np.bitwise_or.reduce(successors, axis=0) & self.packed.guard
+            if overflow.any():
+                raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+        return successors
+
+    def _count(self, keys: Keys, states: Words, sources: Indices, fired: Indices) -> None:
+        self._arcs += len(sources)
+        self._firings = self._firings + np.bincount(fired, minlength=len(self._firings))
+        first = np.flatnonzero(_changes(sources))
+        self._vanishing += int((~self._timed[fired[first]]).sum())
+        dead = len(states) - len(first)
+        if dead and self._first_dead is None:
+            active = np.zeros(len(states), dtype=bool)
+            active[sources] = True
+            here = int(np.argmin(active))
+            self._first_dead = len(self._layers) - 1, keys[here : here + 1].copy()
+        self._dead += dead
+        for p, most in enumerate(self._bounds.tolist()):
+            self._bounds[p] = max(most, int(self.packed.column(states, p).max()))
+
+    def _new_layer(self, parts: Iterable[Keys]) -> SortedKeys:
+        writer = Writer(self.scratch, self.budget, self.code.dtype, self._queue)
+        for keys in parts:
+            self.scratch.require(keys.nbytes)
+            writer.append(keys)
+            self._states += len(keys)
+        layer = writer.finished()
+        self._layers.append(layer)
+        return layer
+
+    def _unknown(self, pile: Pile, watch: Watch) -> Iterator[Keys]:
+        """The keys in the pile that were not found before."""
+        for keys in pile.taken():
+            watch.step("states", self._states)
+            for run in self._found:
+                keys = keys[~run.search(keys)[1]]
+            yield keys
+
+    def _remember(self, layer: SortedKeys, watch: Watch) -> None:
+        """Put a layer among the markings found before."""
+        together = [layer]
+        size = len(layer)
+        while self._found and len(self._found[-1]) <= _SPREAD * size:
+            size += len(self._found[-1])
+            together.append(self._found.pop())
+        if len(together) > 1:
+            layer = merged(together, self.scratch, self.budget, watch, "states", self._states)
+        self._found.append(layer)
+
+    # -- ways --------------------------------------------------------------------------------------
+
+    def dead_marking(self) -> Optional[Tuple[List[str], Marking]]:
+        """A marking that enables nothing, with a shortest firing sequence to it; None: there is
+        none."""
+        if self._first_dead is None:
+            return None
+        layer, key = self._first_dead
+        marking = tuple(self.packed.unpack(self.code.decode(key))[0].tolist())
+        return self._way_to(layer, key), marking
+
+    def _way_to(self, layer: int, key: Keys) -> List[str]:
+        """A shortest firing sequence to a marking, backwards from layer to layer."""
+        way = []
+        for number in range(layer - 1, -1, -1):
+            state = self.code.decode(key)
+            before = state - self.packed.change  # one candidate for each transition
+            possible = np.flatnonzero(((before & self.packed.guard) == 0).all(axis=1))
+            for t in possible.tolist():
+                candidate = self.code.encode(before[t : t + 1])
+                if not self._layers[number].search(candidate)[1][0]:
+                    continue
+                if t in enabled(self.packed, before[t : t + 1])[1]:
+                    way.append(self.net.transitions[self.packed.order[t]].name)
+                    key = candidate
+                    break
+            else:
+                raise AssertionError("a marking comes from nowhere")
+        return way[::-1]
+
+
+def _changes(values: Indices) -> Booleans:
+    """Where a value differs from the one before it; the first does."""
+    first = np.ones(len(values), dtype=bool)
+    np.not_equal(values[1:], values[:-1], out=first[1:])
+    return first
+
+
+def search(
+    net: Net,
+    memory: float,
+    *,
+    scratch: Optional[Scratch] = None,
+    limit: float = math.inf,
+    seconds: float = math.inf,
+    bounds: Optional[Sequence[Optional[int]]] = None,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> OnDiskSpace:
+    """Find the reachable markings with little memory.
+
+    :param memory: bytes of memory to use, besides those of the libraries.
+    :param scratch: where to put files; None: in the default folder. It is closed if there is an
+        error; otherwise the caller closes it after use.
+    :param limit: most markings.
+    :param seconds: longest time (s).
+    :param bounds: as for :func:`~gspn_framework_package.analysis.state_space.space.explore`.
+    :raises LimitError: there are too many markings, it takes too long, or the disk is full.
+    :raises CancelledError: ``cancel`` returned true.
+    """
+    if memory < LEAST_MEMORY:
+        raise UsageError(
+            "%d bytes of memory are too few for a search" % memory,
+            hint="give at least %d" % LEAST_MEMORY,
+        )
+    watch = Watch(progress, cancel, seconds=seconds)
+    scratch = scratch or Scratch()
+    if bounds is None:
+        bounds = invariant_bounds(net, _INVARIANT_EFFORT, watch)
+    widths = starting_widths(net, bounds)
+    while True:
+        packed = PackedNet(net, widths)
+        space = OnDiskSpace(packed, scratch, memory)
+        try:
+            space.explore(limit, watch)
+        except FieldOverflowError as overflow:
+            scratch.close()
+            widths = packed.wider(overflow.bits)
+        except BaseException:
+            scratch.close()
+            raise
+        else:
+            return space

@@ -1,0 +1,83 @@
+"""The options of an analysis that goes on disk beyond a given memory."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from typing import Any, Dict, Iterator, Mapping, NamedTuple, Optional
+
+from gspn_framework_package.analysis.on_disk.scratch import Scratch
+from gspn_framework_package.analysis.on_disk.search import LEAST_MEMORY
+from gspn_framework_package.model.errors import UsageError
+
+LIBRARIES = 256 << 20
+"""Bytes that libraries may take on top of the given memory, as they are loaded."""
+
+_UNITS: Dict[str, float] = {"": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
+
+_SIZE = re.compile(r"\s*([0-9.]+(?:e[0-9]+)?)\s*([KMGT]?B?)\s*", re.IGNORECASE)
+
+
+class MemoryAndDisk(NamedTuple):
+    """What to use: ``size`` bytes of memory, and the folder for ``scratch`` files."""
+
+    size: float
+    scratch: Scratch
+
+
+def add_memory_arguments(parser: Any) -> None:
+    """Declare the options, on a parser or on a group of its arguments."""
+    parser.add_argument(
+        "--memory",
+        metavar="SIZE",
+        help="for a net: use so much memory (1GB); markings beyond that go on disk, without "
+        "a limit on their number and on time unless one is given",
+    )
+    parser.add_argument(
+        "--scratch",
+        metavar="DIR",
+        help="the folder for temporary files of --memory (default: TMPDIR, or /var/tmp)",
+    )
+
+
+def memory_of(args: argparse.Namespace) -> Optional[MemoryAndDisk]:
+    """What ``--memory`` and ``--scratch`` say; None: nothing. :raises UsageError: they make no
+    sense."""
+    if args.memory is None:
+        if args.scratch is not None:
+            raise UsageError("--scratch goes with --memory", hint="give --memory 1GB")
+        return None
+    if args.limit_memory is not None:
+        raise UsageError("--memory and --limit-memory exclude each other")
+    return MemoryAndDisk(_bytes(args.memory), Scratch(args.scratch))
+
+
+def _bytes(text: str) -> float:
+    """The number of bytes that a size such as ``1.5GB`` means."""
+    match = _SIZE.fullmatch(text)
+    try:
+        size = float(match.group(1)) * _UNITS[_unit(match.group(2))] if match else math.nan
+    except ValueError:
+        size = math.nan
+    if not LEAST_MEMORY <= size < math.inf:
+        raise UsageError(
+            "--memory %s: a size was expected, of at least %d KB"
+            % (text, -(-LEAST_MEMORY // 1000)),
+            hint="for example 1GB or 500MB",
+        )
+    return size
+
+
+def _unit(text: str) -> str:
+    unit = text.upper()
+    return unit if unit in _UNITS else unit + "B"
+
+
+def scratch_text(data: Mapping[str, Any]) -> Iterator[str]:
+    """A line on the disk space that a report took, if it took some."""
+    if "scratch_bytes" in data:
+        yield "on disk: at most %.1f MB in %s, removed again" % (
+            data["scratch_bytes"] / 1e6,
+            data["scratch"],
+        )
