@@ -75,11 +75,16 @@ def _lumped(space: LumpedSpace) -> Dict[str, Any]:
     whole = space.count(slice(None)) if space.complete else None
     return {
         "visited": len(space),
-        "factor": None if whole is None else whole / len(space),
+        "factor": None if whole is None else _ratio(whole, len(space)),
         "permutations": symmetry.order,
         "parts": symmetry.text,
         "unused_generators": symmetry.unused,
     }
+
+
+def _ratio(whole: int, visited: int) -> float:
+    """The ratio of two counts, the first of which may be too large for a float."""
+    return whole / visited if whole < 2**1000 else whole // visited
 
 
 def asked_conditions(questions: Questions) -> Tuple[str, ...]:
@@ -472,8 +477,10 @@ class ReportWork:
         probable marking."""
         chain, space = self.analysis.chain, self.analysis.space
         each = component.distribution
-        if isinstance(space, LumpedSpace):
-            each = each / space.sizes[chain.states[component.states]].astype(np.float64)
+        if isinstance(space, LumpedSpace):  # of each single marking; sizes may exceed any float
+            sizes = space.sizes[chain.states[component.states]].tolist()
+            with np.errstate(divide="ignore"):
+                each = np.log(each) - np.array([math.log(size) for size in sizes])
         likeliest = int(component.states[int(each.argmax())])
         part: Dict[str, Any] = {
             "states": space.count(chain.states[component.states]),

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import sys
+from decimal import Decimal
 from itertools import islice
 from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
@@ -450,15 +451,15 @@ def _lumped_text(lumped: Mapping[str, Any], states: Optional[Mapping[str, int]])
     if not lumped["parts"]:
         yield "exchanged: nothing, since no parts are equal"
     elif states:
-        yield "exchanged: visited %s of %s markings: %.3g times fewer" % (
+        yield "exchanged: visited %s of %s markings: %s times fewer" % (
             visited,
             format(states["total"], ","),
-            lumped["factor"],
+            format(Decimal(lumped["factor"]), ".3g"),
         )
     else:
         yield "exchanged: visited %s markings, each for up to %s" % (
             visited,
-            _number(lumped["permutations"]),
+            format(Decimal(lumped["permutations"]), ".4g"),
         )
     for part in lumped["parts"][:SHOWN]:
         yield "    %s" % part

@@ -345,8 +345,10 @@ def _in_order(blocks: List[List[int]], generators: Sequence[Indices]) -> Optiona
             return None
         swaps.append((first, second, generator))
     ordered: Dict[int, Indices] = {0: np.array(blocks[0], dtype=np.int64)}
-    for _ in blocks:
-        for first, second, generator in swaps:
+    known = 0
+    while known < len(ordered) < len(blocks):
+        known = len(ordered)
+        for first, second, generator in [*swaps, *reversed(swaps)]:
             for a, b in ((first, second), (second, first)):
                 if a in ordered and b not in ordered:
                     ordered[b] = generator[ordered[a]]

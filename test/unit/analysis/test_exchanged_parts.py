@@ -1,6 +1,7 @@
 """Equal parts that are exchanged change nothing but the number of visited markings."""
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from gspn_framework_package.analysis.symmetry.automorphisms import automorphisms
 from gspn_framework_package.analysis.symmetry.factors import Exchange, Listed, Turned
 from gspn_framework_package.analysis.symmetry.lumped_space import explore_lumped
 from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
-from gspn_framework_package.benchmark.nets import philosophers
+from gspn_framework_package.benchmark.nets import machines, philosophers
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.model.builder import NetBuilder
@@ -402,6 +403,15 @@ def test_limits_end_it():
     assert not space.complete and space.shortage == ("--limit", "")
     analysis = Analysis(philosophers(12), limits=Limits(states=100), lump=())
     assert report(analysis, Questions(structure=False))["lumped"]["factor"] is None
+
+
+def test_more_permutations_than_a_float_can_count_are_told(tmp_path, capsys):
+    file = tmp_path / "machines.pnml"
+    write_net(machines(175), file)
+    assert main(["analyse", str(file), "--lump", "--no-structure", "--limit", "5"]) == 0
+    assert "each for up to 1.124e+318" in capsys.readouterr().out
+    assert main(["analyse", str(file), "--lump", "--no-structure", "--limit=5", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["lumped"]["permutations"] == math.factorial(175)
 
 
 def test_the_command_says_the_factor(tmp_path, capsys):
