@@ -69,6 +69,16 @@ class Entrance:
         time.sleep(BRAKE)
         return None
 
+    def pass_by(self, text: str, connection: Connection) -> None:
+        """A message of another run, or to another robot, came on a topic that all read. Nobody
+        looks at it; a connection that brings more of them than a robot sends is braked.
+
+        Call it on the thread that reads the connection.
+        """
+        who = _named("others", connection)
+        if not self._gate.admits(who, len(text), time.monotonic(), "others"):
+            time.sleep(BRAKE)
+
     def _open(self, text: str, purpose: str, claimed: str) -> Message:
         """:raises NotSealedError: it is refused."""
         if not self._is_open:

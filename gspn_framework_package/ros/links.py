@@ -184,10 +184,11 @@ class Link(RosFacts):
         )
 
     def _on_message(self, news: Agreement) -> None:
-        if news.run != self.run or news.to not in ("", self.robot):
-            return
         if news._connection_header.get("callerid") == self._node:
             return  # our own, or from a robot in this process, which has passed it on directly
+        if news.run != self.run or news.to not in ("", self.robot):
+            self._entrance.pass_by(news.body, news._connection_header)
+            return
         message = self._entrance.read(
             news.body,
             news._connection_header,

@@ -484,3 +484,13 @@ def test_links(document):
         path = target.split("#")[0]
         if path and "://" not in target:
             assert (document.parent / path).exists(), target
+
+
+def test_the_test_of_each_attack_exists():
+    table = (ROOT / "docs/security.md").read_text().split("| attack |")[1].split("\n\n")[0]
+    attacks = [re.findall(r"`(test_\w+)\.(test_\w+)`", row) for row in table.split("\n")[2:]]
+    assert len(attacks) >= 10
+    assert all(attacks), "an attack has no test"
+    files = {path.stem: path.read_text() for path in ROOT.glob("test/**/test_*.py")}
+    named = {found for row in attacks for found in row}
+    assert {(f, t) for f, t in named if "def %s(" % t not in files.get(f, "")} == set()

@@ -39,6 +39,7 @@ class AttacksTest(RobotTestCase):
             "net": net,
             "actions": {"A": "actions.work", "B": "actions.work"},
             "robots": dict.fromkeys(ROBOTS, "A"),
+            "synchronisation": "partial",  # so that messages come in calls as well
         }
         self.running = self.team(plan, ROBOTS, actions=ACTIONS)
         self.key = self.new_key("team.key")

@@ -11,8 +11,9 @@ import rospy
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros import facts, links, messages
+from gspn_framework_package.ros import entrance, facts, links, messages
 from gspn_framework_package.ros.entrance import Entrance
+from gspn_framework_package.team.gate import FASTEST
 from gspn_framework_package.team.seal import Seal, TeamKey
 
 OTHER = {"callerid": "/robot_2/executor"}
@@ -109,6 +110,24 @@ def test_a_forged_message_is_dropped_and_its_sender_not_believed(make):
         "robot_3 (node /thief)",
         "in the name of another robot",
     )
+
+
+def test_a_flood_of_another_run_is_braked(make, monkeypatch):
+    braked = []
+    monkeypatch.setattr(entrance.time, "sleep", braked.append)
+    monkeypatch.setattr(entrance.time, "monotonic", lambda: 7.0)
+    one, stranger = make("robot_1"), make("robot_2", run="another")
+    flood = came(said(stranger), {"callerid": "/flooder"})
+    for _ in range(int(FASTEST)):
+        one._on_message(flood)
+    assert not braked and not one.refusals()
+    one._on_message(flood)
+    one._on_message(came(said(make("robot_3"), to="robot_4"), {"callerid": "/flooder"}))
+    one._on_message(came(said(make("robot_2"))))
+    assert len(one.got) == 1
+    assert braked == [entrance.BRAKE] * 2
+    (kind,) = one.refusals()
+    assert kind == ("others (node /flooder)", "too many messages", 2)
 
 
 def test_an_answer_is_taken_from_the_robot_that_was_asked(make):
