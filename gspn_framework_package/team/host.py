@@ -371,7 +371,8 @@ class ReplicaHost(Worker):
 
     def _carry_out(self, effects: List[interface.Effect]) -> None:
         """Carry out the effects of a step. All records are written at once, before anything leaves
-        the process; then the messages go out together, because others wait for them."""
+        the process; then the messages and replies go out, because others wait for them, and only
+        then does this robot act."""
         records = [e for e in effects if isinstance(e, interface.Persist)]
         if records:
             durable = any(e.durable for e in records)
@@ -379,6 +380,9 @@ class ReplicaHost(Worker):
         sends = [e for e in effects if isinstance(e, interface.Send)]
         if sends:
             self._carrier.send(sends)
+        for effect in effects:
+            if isinstance(effect, interface.Reply):
+                self._reply(effect)
         for effect in effects:
             carry_out = self._effects.get(type(effect))
             if carry_out is not None:
@@ -481,7 +485,6 @@ class ReplicaHost(Worker):
         self._wake_at = effect.time
 
     _effects: Dict[type, Callable[[ReplicaHost, Any], None]] = {
-        interface.Reply: _reply,
         interface.OrderResult: _order_result,
         interface.Fired: _on_fired,
         interface.StatusChanged: _status_changed,
