@@ -4,6 +4,7 @@ import io
 import json
 import os
 import queue
+import re
 import shutil
 import signal
 import subprocess
@@ -154,6 +155,11 @@ def test_a_call_has_limits_and_can_be_cancelled(plans, monkeypatch):
     with pytest.raises(CancelledError):
         short.call("simulate", {"plan": "tokens", "time": 1e9}, lambda seconds: True)
     assert "[cut: the first 300 of" in short.call("list_plans", {}, lambda seconds: False)
+
+
+def test_every_tool_is_documented():
+    text = (ROOT / "docs" / "tools.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) == set(mcp_tools.TOOLS)
 
 
 # -- the protocol
