@@ -21,6 +21,7 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
 )
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.packing import Packing
+from gspn_framework_package.benchmark import on_disk
 from gspn_framework_package.benchmark.nets import FAMILIES
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
@@ -275,3 +276,11 @@ def test_a_net_without_bounds_never_goes_on_disk(tmp_path, capsys):
     assert code == 0
     assert data["bounded"] is False
     assert "scratch_bytes" not in data
+
+
+def test_the_benchmark_compares_with_memory(capsys):
+    assert on_disk.main(["--sizes", "2", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["nets"]
+    assert row["same"] is True
+    assert row["disk"]["states"] == 4600
+    assert row["disk"]["peak_mb"] > 0
