@@ -276,7 +276,7 @@ class ReportWork:
 
     def _try(self, key: str, compute: Callable[[], Any]) -> Any:
         try:
-            return _plain(compute())
+            return plain(compute())
         except CancelledError:
             raise
         except LimitError as error:
@@ -590,16 +590,16 @@ def _reachability(what: str, found: Reachability) -> Dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """``value`` converted to what JSON can represent."""
     if isinstance(value, float):
         if math.isinf(value):
             return INFINITE
         return None if math.isnan(value) else value
     if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
+        return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(inner) for inner in value]
+        return [plain(inner) for inner in value]
     return value
 
 

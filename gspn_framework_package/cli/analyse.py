@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
             if args.on == "mpi":
                 from gspn_framework_package.cli.analyse_mpi import run_on_mpi
 
-                return run_on_mpi(args)
+                return run_on_mpi(args, _time_text)
             return _run(args)
     except KeyboardInterrupt:
         leave()  # before Python destroys millions of objects, which takes seconds
@@ -494,6 +494,13 @@ def _reach_text(entry: Any, word: str) -> Iterator[str]:
             else ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
         )
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
+
+
+def _time_text(data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what several ranks found out about time."""
+    if data["steady_state"]:
+        yield from _steady_text(data["steady_state"])
+    yield from _undecided_text(data)
 
 
 def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:

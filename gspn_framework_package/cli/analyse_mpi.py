@@ -7,17 +7,20 @@ import json
 import sys
 import time
 import traceback
-from typing import Any, Dict, Iterator, List, Mapping, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Tuple
 
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
 from gspn_framework_package.analysis.distributed.mpi_ranks import MpiRanks
+from gspn_framework_package.analysis.report import plain
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.limits import limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import read_subject
-from gspn_framework_package.model.errors import GspnError, LimitError, UsageError
+from gspn_framework_package.model.errors import GspnError, LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+
+TimeText = Callable[[Mapping[str, Any]], Iterator[str]]
 
 _ANSWERED = frozenset(
     {
@@ -35,11 +38,14 @@ _EVERY = 5.0
 """Time (s) between two lines of progress."""
 
 
-def run_on_mpi(args: argparse.Namespace) -> int:
-    """Analyse a net together with the other ranks; rank 0 prints the answers."""
+def run_on_mpi(args: argparse.Namespace, time_text: TimeText) -> int:
+    """Analyse a net together with the other ranks; rank 0 prints the answers.
+
+    :param time_text: makes the lines on the steady state, and on what was not decided.
+    """
     ranks = MpiRanks()
     try:
-        return _run(args, ranks)
+        return _run(args, ranks, time_text)
     except GspnError as error:
         # all have the same error, and mpiexec ends all of them as soon as one has left
         if ranks.rank == 0:
@@ -54,7 +60,7 @@ def run_on_mpi(args: argparse.Namespace) -> int:
         ranks.abort(_FAILED)
 
 
-def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
+def _run(args: argparse.Namespace, ranks: MpiRanks, time_text: TimeText) -> int:
     for name, value in sorted(vars(args).items()):
         if name not in _ANSWERED and value != args.parser.get_default(name):
             raise UsageError(
@@ -71,7 +77,8 @@ def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
         told = None if ranks.rank else _Lines()
         try:
             return _answers(
-                DistributedAnalysis(net, ranks, limits=limits, progress=told, cancel=cancel)
+                DistributedAnalysis(net, ranks, limits=limits, progress=told, cancel=cancel),
+                timing=not args.no_time,
             )
         except MemoryError:
             print("gspn: error: %s" % ranks.too_little_memory(), file=sys.stderr, flush=True)
@@ -81,10 +88,12 @@ def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
     data["notes"] = notes
     if ranks.rank == 0:
         if args.json:
+            if args.no_time:
+                data["undecided"]["steady_state"] = "left out, as asked"
             print(json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False))
         else:
             print_notes(notes)
-            print("\n".join(_text(data)))
+            print("\n".join([*_text(data), *time_text(data)]))
     return 0
 
 
@@ -112,8 +121,15 @@ class _Lines:
             )
 
 
-def _answers(analysis: DistributedAnalysis) -> Dict[str, Any]:
+def _answers(analysis: DistributedAnalysis, *, timing: bool) -> Dict[str, Any]:
     net = analysis.net
+    steady = None
+    undecided = {}
+    if timing:
+        try:
+            steady = plain(analysis.steady_state())
+        except (LimitError, RefusedError) as error:  # all ranks have the same
+            undecided["steady_state"] = str(error)
     return {
         "name": net.name,
         "kind": "net",
@@ -126,8 +142,9 @@ def _answers(analysis: DistributedAnalysis) -> Dict[str, Any]:
         "bounded": True,
         "bounds": analysis.bounds(),
         "deadlocks": analysis.deadlocks(),
+        "steady_state": steady,
         "ranks": analysis.shares(),
-        "undecided": {},
+        "undecided": undecided,
     }
 
 

@@ -1,16 +1,26 @@
-"""What the ranks find out about a net: its states, the bounds of its places, its deadlocks."""
+"""What the ranks find out about a net: its states, the bounds of its places, its deadlocks, its
+steady state."""
 
 from __future__ import annotations
 
 import functools
 import resource
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.distributed.exploration import RankStates, explore
 from gspn_framework_package.analysis.distributed.ranks import Ranks
+from gspn_framework_package.analysis.distributed.rates import RankChain
+from gspn_framework_package.analysis.distributed.steady import (
+    measured,
+    steady_share,
+    token_distribution,
+)
 from gspn_framework_package.analysis.limits import Limits, states_of
+from gspn_framework_package.analysis.solution.linear import DIRECT_SIZE
+from gspn_framework_package.analysis.solution.measures import waiting_times
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.net import Net
@@ -83,6 +93,52 @@ class DistributedAnalysis:
         found = self.ranks.gather((len(dead), marking))
         markings = [told for _, told in found if told is not None]
         return {"count": sum(n for n, _ in found), "marking": markings[0] if markings else None}
+
+    def steady_state(self, direct: int = DIRECT_SIZE) -> Dict[str, Any]:
+        """The steady state, with the keys that it has in the report of an analysis by one process.
+
+        :param direct: up to this many states, every rank solves the whole chain.
+        :raises RefusedError: nothing resolves a choice, there is a timeless trap, or the chain may
+            end in one of several recurrent classes.
+        :raises LimitError: the linear system was not solved.
+        """
+        chain = RankChain(self.states, self._watch())
+        share = steady_share(chain, self._watch(), direct)
+        means, rates = measured(chain, share.values)
+        names = [place.name for place in self.net.places]
+        mean_tokens = dict(zip(names, means))
+        throughput = {t.name: value for t, value in zip(self.net.transitions, rates)}
+        return {
+            "mean_tokens": mean_tokens,
+            "throughput": throughput,
+            "token_distribution": {
+                name: {str(count): value for count, value in counts.items()}
+                for name, counts in zip(names, token_distribution(chain, share.values))
+            },
+            "mean_waiting_time": waiting_times(self.net, mean_tokens, throughput),
+            "residual": share.residual,
+            "method": share.method,
+            "components": [
+                {
+                    "states": share.recurrent,
+                    "probability": 1.0,
+                    "deadlock": share.deadlock,
+                    "marking": self._likeliest(chain, share.values),
+                }
+            ],
+            "component_count": 1,
+            "deadlock_count": int(share.deadlock),
+            "probability_of_other_components": 0.0,
+        }
+
+    def _likeliest(self, chain: RankChain, values: Floats) -> Dict[str, int]:
+        """The most probable marking."""
+        mine: Tuple[float, Dict[str, int]] = (-1.0, {})
+        if len(values):
+            best = int(values.argmax())
+            marking = self.states.store.rows(chain.tangible[best : best + 1])[0].tolist()
+            mine = (float(values[best]), self.net.named(tuple(marking), zeros=False))
+        return max(self.ranks.gather(mine), key=lambda told: told[0])[1]
 
     def shares(self) -> List[Dict[str, int]]:
         """What each rank holds: its number, its ``states``, the ``memory_bytes`` of its states, and

@@ -75,6 +75,11 @@ class RankStates:
         return self._states.array[: self._states.used]
 
     @property
+    def has_initial(self) -> bool:
+        """Whether the initial state belongs to this rank; it is number 0 then."""
+        return bool(len(self)) and bool((self.words[0] == self.packed.initial).all())
+
+    @property
     def store(self) -> PackedStore:
         """The markings."""
         return PackedStore(Packing(self.packed.net, self.packed.widths), self.words)
@@ -100,7 +105,7 @@ class RankStates:
         return owners, numbers
 
     def window(self, states: Indices) -> StateSpace:
-        """A state space of its own: tangible ``states`` of this rank, numbered first, the firings
+        """A state space of its own: some ``states`` of this rank, numbered first, the firings
         from them, and whatever immediate firings follow, up to the next tangible states, from which
         nothing fires."""
         packed, timed = self.packed, timed_in(self.packed)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, Callable, List, Optional, Sequence, TypeVar
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices
 from gspn_framework_package.analysis.state_space.exploration import FieldOverflowError
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import GspnError, LimitError
 
 Value = TypeVar("Value")
@@ -63,6 +65,22 @@ class Ranks:
             "rank %d of %d has too little memory" % (self.rank, self.size),
             hint="raise --limit-memory, or take more ranks",
         )
+
+
+class AgreedWatch(Watch):
+    """A watch that ends the work of all ranks if it ends that of one. All call it together.
+
+    :param ranks: the ranks.
+    :param watch: the watch of this rank.
+    """
+
+    def __init__(self, ranks: Ranks, watch: Watch) -> None:
+        super().__init__()
+        self._ranks, self._watch = ranks, watch
+
+    def step(self, what: str, count: int) -> None:
+        """See :meth:`Watch.step`."""
+        self._ranks.agreed(functools.partial(self._watch.step, what, count))
 
 
 def divided(owners: Indices, size: int, *columns: np.ndarray) -> List[List[np.ndarray]]:

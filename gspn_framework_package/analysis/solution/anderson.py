@@ -7,7 +7,7 @@ changes ``G(x) - x`` cancel out best (Anderson 1965). For a linear ``G`` this is
 
 from __future__ import annotations
 
-from typing import Optional, Tuple
+from typing import Callable, Optional, Tuple
 
 import numpy as np
 
@@ -32,7 +32,12 @@ class Anderson:
     True
     """
 
-    def __init__(self, size: int, depth: int = DEPTH) -> None:
+    def __init__(
+        self, size: int, depth: int = DEPTH, total: Optional[Callable[[Floats], Floats]] = None
+    ) -> None:
+        """:param total: adds up the scalar products (float array) of all processes, if each of them
+        has a part of the vectors."""
+        self._total = total or (lambda sums: sums)
         self._changes = np.zeros((depth, size))  # differences of successive G(x) - x
         self._moves = np.zeros((depth, size))  # differences of successive G(x)
         self._products = np.zeros((depth, depth))  # of the changes with each other
@@ -55,10 +60,13 @@ class Anderson:
         self._count += 1
         used = min(self._count, len(self._changes))
         changes = self._changes[:used]
-        self._products[row, :used] = self._products[:used, row] = changes @ changes[row]
+        self._products[row, :used] = self._products[:used, row] = self._total(
+            changes @ changes[row]
+        )
         length = np.sqrt(np.maximum(np.diagonal(self._products)[:used], 1e-300))
         gram = self._products[:used, :used] / np.outer(length, length)
-        shares = np.linalg.lstsq(gram, (changes @ change) / length, rcond=_DEPENDENT)[0] / length
+        aligned = self._total(changes @ change)
+        shares = np.linalg.lstsq(gram, aligned / length, rcond=_DEPENDENT)[0] / length
         result: Floats = image - shares @ self._moves[:used]
         return result
 

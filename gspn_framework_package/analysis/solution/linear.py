@@ -206,13 +206,53 @@ def _swept(
 ) -> LinearSolution:
     size = len(diagonal)
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
-    scale = float(np.abs(constant).max()) or 1.0
-    sweep = _sweeper(matrix, diagonal, constant, backward)
     if start is None:
         values = np.full(size, 1.0 / size) if rhs is None else np.zeros(size)
     else:
         values = np.array(start, dtype=np.float64)
-    accelerated = Anderson(size)
+    return iterate(
+        sweeper(matrix, diagonal, constant, backward),
+        lambda image: residual(matrix, diagonal, rhs, image),
+        values,
+        diagonal,
+        watch,
+        scale=None if rhs is None else float(np.abs(constant).max()) or 1.0,
+    )
+
+
+class Reduction(NamedTuple):
+    """How the numbers of all processes that solve one system, each with a part of the unknowns,
+    become one. By default there is one process.
+
+    :ivar total: adds up float arrays of a fixed length.
+    :ivar largest: the largest of a number of each.
+    """
+
+    total: Callable[[Floats], Floats] = lambda sums: sums
+    largest: Callable[[float], float] = lambda number: number
+
+
+def iterate(
+    sweep: Callable[[Floats], Floats],
+    residual_of: Callable[[Floats], float],
+    values: Floats,
+    diagonal: Floats,
+    watch: Watch,
+    *,
+    scale: Optional[float] = None,
+    reduction: Reduction = Reduction(),  # noqa: B008 (immutable)
+) -> LinearSolution:
+    """Repeat accelerated sweeps until the residual is small, or stays as it is.
+
+    :param sweep: one sweep; it may change its argument.
+    :param residual_of: the residual of some values, see :func:`residual`.
+    :param values: the initial guess.
+    :param diagonal: float array, all positive.
+    :param scale: the largest entry of the right-hand side; None if that is 0: then the solution
+        sums to 1.
+    :param reduction: of the processes that call this together.
+    """
+    accelerated = Anderson(len(diagonal), total=reduction.total)
     best, best_residual, best_at = values, float("inf"), 0
     unchecked = 0
     for stride in range(1, MAX_SWEEPS // _STRIDE + 1):
@@ -221,17 +261,17 @@ def _swept(
             image = sweep(image)
         unchecked += 1
         # The change made by the sweeps shows, at no cost, when to compute the residual.
-        largest = float((diagonal * image).max())
-        changed = float(np.abs(diagonal * (image - values)).max())
+        largest = reduction.largest(float((diagonal * image).max(initial=0.0)))
+        changed = reduction.largest(float(np.abs(diagonal * (image - values)).max(initial=0.0)))
         tolerance = TOLERANCE
-        if rhs is None:
+        if scale is None:
             changed /= largest or 1.0
         else:
             changed /= scale
             tolerance = max(TOLERANCE, _ROUNDING * largest / scale)
         if changed <= 2 * tolerance or unchecked >= _CHECKED:
             unchecked = 0
-            now = residual(matrix, diagonal, rhs, image)
+            now = residual_of(image)
             if now < 0.5 * best_residual:
                 best_at = stride
             if now < best_residual:
@@ -244,15 +284,17 @@ def _swept(
                 continue
             watch.step("sweeps (residual %.0e)" % now, stride * _STRIDE)
         values = accelerated.next(values, image)
-    if rhs is None:
-        best = best / best.sum()
+    if scale is None:
+        best = best / reduction.total(best.sum(keepdims=True))
     return LinearSolution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
 
 
-def _sweeper(
+def sweeper(
     matrix: Matrix, diagonal: Floats, constant: Floats, backward: bool
 ) -> Callable[[Floats], Floats]:
-    """One Gauss-Seidel sweep, as a function of the values; it may change them in place."""
+    """One Gauss-Seidel sweep, as a function of the values; it may change them in place.
+
+    It reads ``constant`` each time, which the caller may change."""
     if matrix.nnz < _WORTH_LOADING and "numba" not in sys.modules:
         return _scipy_sweeper(matrix, diagonal, constant, backward)
     try:

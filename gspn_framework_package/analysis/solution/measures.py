@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
 
 
 class Measures:
@@ -96,16 +97,7 @@ class Measures:
         """Mean time (s) that a token stays in each place, by Little's law: mean tokens divided by
         their arrival rate. It is infinite if tokens stay and none arrives, and not a number if
         there never are any."""
-        net, throughput = self.graph.net, self.throughput
-        arrivals = {place.name: 0.0 for place in net.places}
-        for t, transition in enumerate(net.transitions):
-            for p, weight in net.outputs[t]:
-                arrivals[net.places[p].name] += weight * throughput[transition.name]
-        means = self.mean_tokens
-        return {
-            name: means[name] / rate if rate > 0 else (math.inf if means[name] > 0 else math.nan)
-            for name, rate in arrivals.items()
-        }
+        return waiting_times(self.graph.net, self.mean_tokens, self.throughput)
 
     @property
     def sojourn_times(self) -> Floats:
@@ -143,6 +135,22 @@ class Measures:
                 _known(name, throughput, "transition", net.name)
                 total += value * throughput[name]
         return total
+
+
+def waiting_times(
+    net: Net, mean_tokens: Mapping[str, float], throughput: Mapping[str, float]
+) -> Dict[str, float]:
+    """See :attr:`Measures.mean_waiting_time`."""
+    arrivals = {place.name: 0.0 for place in net.places}
+    for t, transition in enumerate(net.transitions):
+        for p, weight in net.outputs[t]:
+            arrivals[net.places[p].name] += weight * throughput[transition.name]
+    return {
+        name: mean_tokens[name] / rate
+        if rate > 0
+        else (math.inf if mean_tokens[name] > 0 else math.nan)
+        for name, rate in arrivals.items()
+    }
 
 
 def _known(name: str, names: Mapping[str, float], kind: str, net: str) -> None:

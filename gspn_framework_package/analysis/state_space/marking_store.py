@@ -35,15 +35,19 @@ class PackedStore:
         """Bytes that it takes."""
         return int(self._words.nbytes)
 
+    def packed(self, states: Selection = None) -> Words:
+        """The words of all states, or of those selected by ``states``."""
+        return self._words if states is None else self._words[states]
+
     def rows(self, states: Selection = None) -> Indices:
         """Markings as an int64 array, one row per state: all, or those selected by ``states``
         (numbers, slice or mask)."""
-        return self.packing.unpack(self._words if states is None else self._words[states])
+        return self.packing.unpack(self.packed(states))
 
     def column(self, place: int, states: Selection = None) -> Indices:
         """The token counts of place number ``place`` as an int64 array, in all states or in
         ``states``."""
-        return self.packing.column(self._words if states is None else self._words[states], place)
+        return self.packing.column(self.packed(states), place)
 
     def find(self, counts: Sequence[int]) -> Indices:
         """The numbers of the states with this marking."""

@@ -244,7 +244,7 @@ def test_both_sweepers_and_lu_agree(monkeypatch):
     for size, sweeper in ((2_000, None), (10_000, None), (2_000, linear._scipy_sweeper)):
         monkeypatch.setattr(linear, "DIRECT_SIZE", size)
         if sweeper is not None:
-            monkeypatch.setattr(linear, "_sweeper", sweeper)
+            monkeypatch.setattr(linear, "sweeper", sweeper)
         steady = steady_state(chain)
         assert steady.residual < 1e-12
         numbers.append((steady.method, Measures(chain, steady.distribution).throughput["leave"]))

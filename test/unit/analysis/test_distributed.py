@@ -5,7 +5,10 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from pathlib import Path
 
+import psutil
 import pytest
 from generated_nets import bounded_nets
 from hypothesis import given, settings
@@ -18,9 +21,11 @@ from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError
 
+ROOT = Path(__file__).resolve().parents[3]
 TIMEOUT = 120
 
 
@@ -106,46 +111,165 @@ def test_a_net_of_thousands_of_places_is_refused():
         on_ranks(2, lambda ranks: DistributedAnalysis(net.build(), ranks))
 
 
+# -- the steady state ------------------------------------------------------------------------------
+
+
+def steady_together(net, size, direct):
+    found = on_ranks(size, lambda ranks: DistributedAnalysis(net, ranks).steady_state(direct))
+    assert all(answers == found[0] for answers in found)
+    return found[0]
+
+
+def assert_steady_as_alone(net, size, direct):
+    analysis = Analysis(net)
+    found = steady_together(net, size, direct)
+    measures = analysis.measures
+    assert found["throughput"] == pytest.approx(measures.throughput, abs=1e-9)
+    assert found["mean_tokens"] == pytest.approx(measures.mean_tokens, abs=1e-9)
+    waits = measures.mean_waiting_time
+    assert found["mean_waiting_time"] == pytest.approx(waits, rel=1e-7, nan_ok=True)
+    for place, counts in measures.token_distribution.items():
+        told = {int(n): value for n, value in found["token_distribution"][place].items()}
+        # one process leaves out what it finds to be 0, the ranks what each of them does
+        for n in {*counts, *told}:
+            assert told.get(n, 0.0) == pytest.approx(counts.get(n, 0.0), abs=1e-9)
+    component = max(analysis.steady.components, key=lambda part: part.probability)
+    assert found["components"][0]["states"] == len(component.states)
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(bounded_nets(), st.integers(1, 4), st.sampled_from([0, 2000]))
+def test_any_number_of_ranks_finds_the_steady_state_of_one_process(net, size, direct):
+    analysis = Analysis(net)
+    try:
+        several = len(analysis.steady.components) > 1
+    except RefusedError as refusal:
+        with pytest.raises(RefusedError) as told:
+            steady_together(net, size, direct)
+        # the first state with the fault is another one
+        assert told.value.message.split(" from ")[0] == refusal.message.split(" from ")[0]
+        return
+    if several:
+        with pytest.raises(RefusedError, match="several recurrent classes"):
+            steady_together(net, size, direct)
+        return
+    assert_steady_as_alone(net, size, direct)
+
+
+@pytest.mark.parametrize("size", [1, 4])
+def test_sweeps_of_all_ranks_solve_a_net_from_the_literature(size):
+    assert_steady_as_alone(kanban(2), size, 0)
+
+
+def patrol(robots):
+    plan = read_plan(str(ROOT / "plans" / "patrol")).for_robots(robots)
+    return plan.net
+
+
+def test_sweeps_of_all_ranks_solve_a_net_with_immediate_transitions():
+    net = patrol(3)
+    assert any(not transition.timed for transition in net.transitions)
+    assert_steady_as_alone(net, 3, 0)
+
+
+def test_states_that_are_left_for_good_take_no_time():
+    # from two transient states into a cycle of three
+    net = NetBuilder("leaving")
+    for i in range(5):
+        net.place("p%d" % i, tokens=not i)
+    for i, j in ((0, 1), (1, 2), (2, 3), (3, 4), (4, 2)):
+        net.exponential("t%d" % i, rate=i + 1.0, inputs="p%d" % i, outputs="p%d" % j)
+    for size in (1, 2, 3):
+        assert_steady_as_alone(net.build(), size, 0)
+
+
 # -- the command -----------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def net_file(tmp_path):
     path = tmp_path / "net.pnml"
-    write_net(kanban(2), path)
+    write_net(kanban(2), path)  # 4600 states: more than each rank would solve alone
     return str(path)
 
 
-def by_mpiexec(ranks, *words):
+def by_mpiexec_started(ranks, *words):
     pytest.importorskip("mpi4py")
     if not shutil.which("mpiexec"):
         pytest.skip("no mpiexec")
     environment = dict(os.environ, OMPI_ALLOW_RUN_AS_ROOT="1", OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1")
-    return subprocess.run(
+    return subprocess.Popen(
         ["mpiexec", "--oversubscribe", "-n", str(ranks)]
         + [sys.executable, "-m", "gspn_framework_package", "analyse", *words, "--on", "mpi"],
-        capture_output=True,
-        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        universal_newlines=True,
         env=environment,
-        timeout=TIMEOUT,
     )
 
 
-def test_mpiexec_counts_as_one_process_does(net_file, capsys):
-    done = by_mpiexec(2, net_file, "--json")
-    assert done.returncode == 0, done.stderr
-    data = json.loads(done.stdout)
+def by_mpiexec(ranks, *words):
+    with by_mpiexec_started(ranks, *words) as started:
+        try:
+            output, errors = started.communicate(timeout=TIMEOUT)
+        finally:
+            started.kill()
+    return started.returncode, output, errors
+
+
+def test_mpiexec_answers_as_one_process_does(net_file, capsys):
+    code, output, errors = by_mpiexec(2, net_file, "--json")
+    assert code == 0, errors
+    data = json.loads(output)
     assert main(["analyse", net_file, "--json"]) == 0
     alone = json.loads(capsys.readouterr().out)
     assert all(data[key] == alone[key] for key in ("states", "bounds", "bounded"))
+    steady, expected = data["steady_state"], alone["steady_state"]
+    assert steady["throughput"] == pytest.approx(expected["throughput"], abs=1e-9)
+    assert steady["mean_tokens"] == pytest.approx(expected["mean_tokens"], abs=1e-9)
+    assert steady.keys() == expected.keys()
     assert [share["rank"] for share in data["ranks"]] == [0, 1]
 
 
+def test_a_rank_that_is_killed_ends_all(tmp_path):
+    path = tmp_path / "large.pnml"
+    write_net(kanban(6), path)
+    with by_mpiexec_started(2, str(path)) as started:
+        mine = psutil.Process(started.pid)
+        deadline = time.monotonic() + TIMEOUT
+        ranks = []
+        while len(ranks) < 2:
+            assert time.monotonic() < deadline and started.poll() is None
+            ranks = [p for p in mine.children(recursive=True) if "analyse" in cmdline(p)]
+            time.sleep(0.05)
+        ranks[1].kill()
+        _, errors = started.communicate(timeout=TIMEOUT)
+    assert started.returncode != 0
+    assert "exited on signal 9" in errors and "Traceback" not in errors
+    while not all(ended(rank) for rank in ranks):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def ended(process):
+    try:
+        return process.status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+def cmdline(process):
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
 def test_an_error_is_said_once(tmp_path):
-    done = by_mpiexec(2, str(tmp_path / "none.pnml"))
-    assert done.returncode == 2
-    assert done.stderr.count("gspn: error") == 1 and "none.pnml" in done.stderr
-    assert "Traceback" not in done.stderr
+    code, _, errors = by_mpiexec(2, str(tmp_path / "none.pnml"))
+    assert code == 2
+    assert errors.count("gspn: error") == 1 and "none.pnml" in errors
+    assert "Traceback" not in errors
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import threading
 import numpy as np
 
 from gspn_framework_package.analysis.distributed import Ranks
+from gspn_framework_package.model.errors import GspnError
 
 
 class ThreadRanks(Ranks):
@@ -28,7 +29,7 @@ class ThreadRanks(Ranks):
 class _Shared:
     def __init__(self, size):
         self.slots = [None] * size
-        self.barrier = threading.Barrier(size, timeout=60)
+        self.barrier = threading.Barrier(size, timeout=15)
 
 
 def on_ranks(size, work):
@@ -41,6 +42,8 @@ def on_ranks(size, work):
             results[rank] = work(ThreadRanks(rank, shared))
         except BaseException as error:
             errors.append(error)
+            if not isinstance(error, GspnError):
+                shared.barrier.abort()  # the others would wait for it
 
     threads = [threading.Thread(target=run, args=(rank,), daemon=True) for rank in range(size)]
     for thread in threads:
