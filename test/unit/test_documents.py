@@ -477,6 +477,32 @@ def test_the_example_of_the_thesis_form_is_read(tmp_path):
     assert any("does not exist" in note for note in plan.notes)
 
 
+def test_the_gallery_shows_every_plan_as_it_is():
+    from gspn_framework_package.formats.plan_file import read_plan
+
+    text = _text("gallery.md")
+    plans = sorted(path.parent for path in (ROOT / "plans").glob("*/plan.json"))
+    assert sorted(re.findall(r"^## (\w+):", text, re.MULTILINE)) == [plan.name for plan in plans]
+    for plan in plans:
+        assert "](../plans/%s/net.svg)" % plan.name in text
+        picture = ElementTree.parse(str(plan / "net.svg"))
+        shown = {element.text for element in picture.iter("{http://www.w3.org/2000/svg}text")}
+        net = read_plan(str(plan)).net
+        names = {place.name for place in net.places} | {t.name for t in net.transitions}
+        if plan.name == "inspection":  # its picture has one level of the battery
+            assert len(shown & names) > 10
+        else:
+            assert names <= shown, "gspn draw {0} -o {0}/net.svg".format("plans/" + plan.name)
+
+
+def test_the_readme_and_the_site_list_every_document():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    assert pages <= set(re.findall(r"^([a-z_0-9]+)$", _text("index.md"), re.MULTILINE))
+    parts = {page for page in pages if page.startswith("benchmarks_")}  # benchmarks.md leads there
+    assert pages - parts <= set(re.findall(r"\]\(docs/(\w+)\.md", readme))
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
 def test_links(document):
     text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
