@@ -52,6 +52,9 @@ class MembershipLog(Protocol):
     def begin_anew(self) -> None:
         """Forget all slots."""
 
+    def keep_slots(self) -> None:
+        """Begin a new memory with all slots."""
+
 
 class Membership:
     """Sends hellos, receives them, and acts on them."""
@@ -107,13 +110,19 @@ class Membership:
         self.state.amnesic = False
         self.outbox.persist({"kind": "active"}, durable=True)
 
-    def forget(self, why: str) -> None:
+    def forget(self, why: str, keep: bool = False) -> None:
         """What we know does not count (any more): learn the log from the others, then join. Until
         then we have no vote. From here on our log counts as another one, because its earlier votes
-        are forgotten."""
+        are forgotten.
+
+        :param why: the reason, for people.
+        :param keep: whether to keep the slots: only our votes do not count any more. Maybe nobody
+            else knows a slot yet that we decided.
+        """
         state = self.state
         self._renew_log_id()
-        self.outbox.persist({"kind": "reset", "log": state.log_id, "why": why}, durable=True)
+        record = {"kind": "reset", "log": state.log_id, "why": why}
+        self.outbox.persist(dict(record, keep=True) if keep else record, durable=True)
         if state.active:
             self.outbox.fault("forgets its log, and learns it again: %s" % why)
         self.robot.stop_acting()
@@ -121,7 +130,10 @@ class Membership:
         state.amnesic = True
         state.astray.clear()
         state.off.clear()
-        self.log.begin_anew()
+        if keep:
+            self.log.keep_slots()
+        else:
+            self.log.begin_anew()
         self.proposals.drop_all("%s forgot its log: %s" % (self.config.name, why))
         self.proposer.begin_anew()
         self.robot.follow()
@@ -169,7 +181,7 @@ class Membership:
                 "the machine was restarted, and the end of the log may not have reached the disk"
             )
         elif self.state.active and not self.electorate.is_our_name():
-            self.forget("another log was let in as %s" % self.config.name)
+            self.forget("another log was let in as %s" % self.config.name, keep=True)
         self.new_life()
 
     # -- hello -------------------------------------------------------------------------------------
@@ -362,8 +374,7 @@ class Membership:
             or self.electorate.has_namesake()
         ):
             return
-        others = [m for m in self.electorate.others() if m not in state.off]
-        if any(state.peers.get(m).welcomes != state.log_id for m in others):
+        if any(state.peers.get(m).welcomes != state.log_id for m in self._witnesses_of_start()):
             return
         if any(
             peer.length > state.ledger.length and peer.heard is not None
@@ -376,6 +387,17 @@ class Membership:
         if team and team[0] == self.config.name and fresh and not self.config.partial:
             self.proposer.lead_from_the_start(set(team) - set(state.off))
         self.robot.act({})
+
+    def _witnesses_of_start(self) -> List[str]:
+        """The robots that must not know another log of ours when we begin: the other members. Where
+        the team, as the log says, has shrunk to our robot, perhaps by votes of another process of
+        its name, it is the whole first team."""
+        state, plan = self.state, self.config.plan
+        others = self.electorate.others()
+        if not others and state.ledger.length > 1:
+            first = [*(r.name for r in plan.robots), *plan.witness]
+            others = [m for m in first if m != self.config.name]
+        return [m for m in others if m not in state.off]
 
     # -- logs that differ --------------------------------------------------------------------------
 
@@ -432,7 +454,7 @@ class Membership:
                     # somebody was let in under our name: from here on its votes count, and ours do
                     # not
                     state.superseded_at, state.rival_since = state.now, None
-                    self.forget("another log was let in as %s" % me)
+                    self.forget("another log was let in as %s" % me, keep=True)
                     return
             elif isinstance(entry, log_entries.Evict) and state.ledger.is_cast_out(entry.robot):
                 self.proposals.drop_others(entry.robot)

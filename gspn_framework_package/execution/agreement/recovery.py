@@ -51,14 +51,14 @@ class Recovery:
 
         :raises LogError: the records contradict each other or the plan.
         """
-        begin = max(
-            (i for i, r in enumerate(records) if r["kind"] in ("snapshot", "reset")), default=0
-        )
+        begin = max((i for i, r in enumerate(records) if _replaces_slots(r)), default=0)
         for number, record in enumerate(records):
             try:
                 self._recall(record, number >= begin)
             except (KeyError, TypeError, ValueError, AttributeError) as error:
                 raise _damaged(record, number, error) from None
+        if any(r["kind"] == "reset" for r in records[begin + 1 :]):
+            self.replication.keep_slots()  # we stopped after that reset, before we could
         self._recall_votes(records)
         self.proposals.recall_is_over()
         self.replication.recall_is_over(records)
@@ -75,7 +75,7 @@ class Recovery:
             self.proposals.recall(record)
         if kind in OF_REACTIONS:
             self.reactions.recall(record)
-        if kind == "reset":
+        if kind == "reset" and not record.get("keep"):
             self.replication.begin_anew()
         elif counts and kind in OF_REPLICATION:
             self.replication.recall(record)
@@ -91,6 +91,11 @@ class Recovery:
                     )
                 except (KeyError, TypeError, ValueError, LogError) as error:
                     raise _damaged(record, number, error) from None
+
+
+def _replaces_slots(record: Record) -> bool:
+    """Whether the slots before a record do not count for what follows it."""
+    return record["kind"] == "snapshot" or (record["kind"] == "reset" and not record.get("keep"))
 
 
 def _damaged(record: Record, number: int, error: Exception) -> LogError:

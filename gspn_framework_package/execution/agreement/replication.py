@@ -130,6 +130,10 @@ class Replication:
         self.state.ledger = Ledger(self.config.game)
         self.state.recent.clear(0)
 
+    def keep_slots(self) -> None:
+        """Begin a new memory with all slots."""
+        self.outbox.persist(self.state.ledger.snapshot(), durable=True)
+
     # -- catching up, and helping others to catch up -----------------------------------------------
 
     def is_open(self, message: Envelope) -> bool:

@@ -58,6 +58,7 @@ KINDS = {
     "leave": "robots leave while messages are lost: the others know it, and go on",
     "rivals": "robots pass the leader over at once, messages are lost and late: many attempts at "
     "a slot",
+    "double": "the first robot begins out of reach, while another process of its name begins",
     "late": "a robot is evicted by force before it ever started",
     "assertion": "evictions by force, each ordered from a robot that stops right after it noted it",
     "archive": "logs are lost, and snapshots taken every few slots; long runs",
@@ -98,6 +99,7 @@ MOST_FAULTS = {
     "sleep": 0,
     "leave": 0,
     "late": 3,
+    "double": 2,
 }
 """The maximum number of injected faults by kind of schedule; seven for all other kinds."""
 
@@ -269,7 +271,8 @@ class _Run:
         self._later(0.01, 0.4, lambda: self._restart(node))
 
     def _restart(self, node: SimulatedNode) -> None:
-        if node.replica is None and node.name not in self.left:
+        there = self.world.nodes.get(node.key) is node  # a spare may have been switched off
+        if there and node.replica is None and node.name not in self.left:
             node.start()
 
     def _crash_without_log(self) -> None:
@@ -469,6 +472,17 @@ class _Run:
         world.away = away
         return spare
 
+    def _double(self) -> None:
+        """Two processes of the first robot begin, one of them out of reach for a while."""
+        first = self.world.nodes[self.world.plan.robots[0].name]
+        spare = self._send_away(first)
+        self.lost_logs = True
+        self._count("double")
+        self._later(0.0, 0.1, lambda: self._restart(spare))
+        self._later(0.25, 0.5, self.world.come_back)
+        if self.random.random() < 0.5:
+            self._later(0.25, 0.5, self._leave)
+
     def _stand_in(self) -> None:
         """A robot goes out of reach, and a spare hears all but the greetings, which tell it that
         it has to join. Meanwhile the operator pauses the team. Then the spare is switched off, and
@@ -491,6 +505,11 @@ class _Run:
             world.deaf.clear()
             records = spare.disk.records() if spare.disk is not None else []
             if not any(r["kind"] == "active" for r in records):  # it was not let in
+                known = [n.replica.known_log(first.name) for n in world.alive() if n.replica]
+                asked = any(r["kind"] == "invoked" for r in records)
+                # a log is lost that counts for somebody who heard of it first, or that may yet be
+                # let in, because it asked to be
+                self.lost_logs = self.lost_logs or asked or spare.log_id in known
                 world.remove(spare)
                 first.superseded = False
             world.come_back()
@@ -574,6 +593,8 @@ class _Run:
             self._start_late()
         for node in list(world.nodes.values()):
             world.at(0.1 * self.random.random() ** 2, node.start)
+        if self.kind == "double" and len(world.nodes) > 1:
+            self._double()
         if world.plan.submissions:
             world.at(0.05, lambda: world.publish_tasks(0.05))
         most = MOST_FAULTS.get(self.kind, 7)

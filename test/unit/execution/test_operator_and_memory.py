@@ -485,6 +485,45 @@ def test_of_two_processes_of_the_only_robot_that_begin_apart_one_halts() -> None
     assert not world.nodes["r1"].halted
 
 
+def two_of_the_first(partial: bool) -> Any:
+    """A team of two, known to the second robot with a spare of the first, which began out of
+    reach."""
+    world = Team(make_plan(TOUR, 2, partial, 0.0, 0.0, False), 1)
+    world.mishaps = False
+    spare = world.add_spare(world.nodes["r1"])
+    world.blocked |= {(a, b) for a in world.nodes for b in world.nodes if a != b and "r1" in (a, b)}
+    for node in world.nodes.values():
+        node.start()
+    world.run(1.0)
+    assert spare.replica.active
+    return world, spare
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_the_slot_that_lets_another_log_in_is_not_forgotten(partial: bool) -> None:
+    """The spare decides alone that the other process is let in, and knows it alone."""
+    world, spare = two_of_the_first(partial)
+    world.blocked.clear()
+    world.run(world.now + 3)
+    assert world.replica("r2").ledger.logs["r1"] == world.replica("r1").log_id
+    assert world.replica("r1").may_vote()
+    world.verify()
+
+
+def test_a_robot_begins_only_if_no_robot_that_is_gone_knew_another_log_of_it() -> None:
+    world, spare = two_of_the_first(False)
+    world.blocked = {("r1", spare.key), (spare.key, "r1")}
+    world.deaf = {"r1"}  # it learns the slots before anybody can tell it of the spare
+    spare.give(interface.Order("evict", log_entries.Evict("r2", -1)))
+    while world.replica("r2").members() != ["r1"]:
+        world.run(world.now + 0.0005)
+        assert world.now < 3.0
+    spare.crash()  # before it lets the other one in again
+    world.run(world.now + 2)
+    assert world.replica("r1").members() == ["r1"]
+    assert not world.replica("r1").active
+
+
 def test_an_eviction_gets_into_a_full_batch() -> None:
     """With partial synchronisation, a slot that does not hold it waits for the robot that is
     off."""

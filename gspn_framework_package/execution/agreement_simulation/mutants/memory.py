@@ -155,6 +155,23 @@ def _evicts_nobody() -> ContextManager[Any]:
     return mock.patch.object(Electorate, "not_cast_out", lambda self, voters, items: set())
 
 
+def _drops_its_slots() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def forget(self: Membership, why: str, keep: bool = False) -> None:
+            original(self, why)
+
+        return forget
+
+    return wrap(Membership, "forget", make)
+
+
+def _asks_only_members() -> ContextManager[Any]:
+    def asked(self: Membership) -> List[str]:
+        return [m for m in self.electorate.others() if m not in self.state.off]
+
+    return mock.patch.object(Membership, "_witnesses_of_start", asked)
+
+
 def _forgets_who_was_cast_out() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def resume(self: Recovery, records: Any) -> None:
@@ -428,6 +445,22 @@ MUTANTS: List[Mutant] = [
         _evicts_nobody,
         robots=2,
         kinds=("assertion",),
+    ),
+    Mutant(
+        "drops its slots",
+        "memory",
+        "a robot whose place another log takes forgets the slots, also one that only it knows",
+        _drops_its_slots,
+        robots=2,
+        kinds=("stand-in",),
+    ),
+    Mutant(
+        "shrunken start",
+        "membership",
+        "who begins without a log does not ask for the word of robots that are gone",
+        _asks_only_members,
+        robots=2,
+        kinds=("double",),
     ),
     Mutant(
         "forgets cast out",
