@@ -58,6 +58,7 @@ ROSDEP = {
     "std_msgs": ("std_msgs", "ros-noetic-std-msgs"),
     "std_srvs": ("ros_comm_msgs", "ros-noetic-std-srvs"),
     "tf2_msgs": ("geometry2", "ros-noetic-tf2-msgs"),
+    "visualization_msgs": ("common_msgs", "ros-noetic-visualization-msgs"),
 }
 
 #: What ros-noetic-ros-core brings, or what comes with it: scripts/apt-packages.txt names ros-core.
