@@ -385,21 +385,28 @@ class PlaceServer(ActionServer):
         """Publish the status again if there are subscribers or goals to report."""
         with self.lock:
             if self.started and (self.status_list or self.status_pub.impl.has_connections()):
-                self.publish_status()
+                self._forget_ended()
+                super().publish_status()
 
     def publish_status(self) -> None:
-        """Publish the status of all goals, but only the last :data:`KEPT_ENDED` ended ones."""
+        """Publish the status of all goals, but only the last :data:`KEPT_ENDED` ended ones. Where
+        nobody listens, a goal of this process, which hears of it directly, can wait for
+        :meth:`tell_status`: the library takes longer for a status than a replica for a firing."""
         with self.lock:
-            surplus = len(self.status_list) - KEPT_ENDED
-            if surplus > 0:
-                kept = []
-                for tracker in self.status_list:
-                    if surplus > 0 and tracker.status.status in _ENDED:
-                        surplus -= 1
-                    else:
-                        kept.append(tracker)
-                self.status_list = kept
-            super().publish_status()
+            self._forget_ended()
+            if self._caller or self.status_pub.impl.has_connections():
+                super().publish_status()
+
+    def _forget_ended(self) -> None:
+        surplus = len(self.status_list) - KEPT_ENDED
+        if surplus > 0:
+            kept = []
+            for tracker in self.status_list:
+                if surplus > 0 and tracker.status.status in _ENDED:
+                    surplus -= 1
+                else:
+                    kept.append(tracker)
+            self.status_list = kept
 
 
 _ENDED = (
