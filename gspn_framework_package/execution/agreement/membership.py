@@ -286,7 +286,7 @@ class Membership:
                 self._note_off(robot, incarnation)
         seen = hello.greets.get(self.config.name)
         if seen is not None:
-            self._hear_of_ourselves(sender, seen)
+            self._hear_of_ourselves(message, seen)
         if self._ours_is_given_up(sender):
             self._forget_given_up(sender)
         self.consider_active()
@@ -344,10 +344,12 @@ class Membership:
     def _forget_given_up(self, sender: str) -> None:
         self.forget("it was given up in an eviction by force, as %s knows" % sender)
 
-    def _hear_of_ourselves(self, sender: str, seen: Seen) -> None:
-        """What another remembers of us."""
-        state = self.state
-        state.peers.get(sender).welcomes = seen.log
+    def _hear_of_ourselves(self, message: Envelope, seen: Seen) -> None:
+        """What another remembers of us. One that lost its log may have forgotten whom it knew, and
+        is no witness of our start."""
+        state, sender = self.state, message.sender
+        if message.log == self.electorate.known_log(sender):
+            state.peers.get(sender).welcomes = seen.log
         if state.amnesic or (state.joining and not state.active):
             return
         if seen.log != state.log_id:

@@ -524,6 +524,23 @@ def test_a_robot_begins_only_if_no_robot_that_is_gone_knew_another_log_of_it() -
     assert not world.replica("r1").active
 
 
+def test_a_robot_that_lost_its_log_is_no_witness_of_a_start() -> None:
+    world, spare = two_of_the_first(False)
+    world.blocked = {("r1", spare.key), (spare.key, "r1")}
+    world.deaf = {"r1"}  # it learns slots before anybody can tell it of the spare
+    while world.replica("r1").ledger.length < 2:
+        world.run(world.now + 0.0005)
+        assert world.now < 3.0
+    other = world.nodes["r2"]
+    other.crash()
+    other.lose_log()
+    world.cut_off(spare.key)
+    world.deaf = set()
+    other.start()
+    world.run(world.now + 2)
+    assert not world.replica("r1").active  # the other one knows only this process, now
+
+
 def test_an_eviction_gets_into_a_full_batch() -> None:
     """With partial synchronisation, a slot that does not hold it waits for the robot that is
     off."""
