@@ -10,7 +10,8 @@ promised.
 
 In partial synchronisation nobody leads: the first phase is how a proposer learns the local
 transitions of the others. It needs an answer from every member that it does not evict in the same
-slot. A process without the member's memory answers for it only in the slot that lets it in.
+slot. A process without the member's memory answers for it only in a slot with which another life of
+the robot begins.
 
 One slot is open at a time; batches carry the load.
 
@@ -257,8 +258,8 @@ class Consensus:
 
     def _are_replaced(self, robots: Mapping[str, bool], batch: Batch) -> bool:
         """Whether the batch ends the present life of each of these robots, so that the local
-        transitions of it that are not in the log are void: it evicts the robot, or lets another
-        memory of it in."""
+        transitions of it that are not in the log are void: it evicts the robot, or begins another
+        life of it."""
         ledger, ended = self.state.ledger, set()
         for item in ledger.news(batch.items):
             if self.electorate.ends_life(item.entry, robots):

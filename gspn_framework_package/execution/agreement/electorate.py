@@ -130,8 +130,12 @@ class Electorate:
         return state.peers.silent(self.members(), self.config.name, limit, state.now)
 
     def ends_life(self, entry: log_entries.Entry, robots: Mapping[str, bool]) -> bool:
-        """Whether an entry evicts one of these members, or lets another memory of it in. One about
-        an earlier incarnation has no effect.
+        """Whether an entry evicts one of these members, or begins another life of it. One about an
+        earlier incarnation has no effect.
+
+        Any return will do, also one of the memory that the process lacks: a robot makes no local
+        transition between its return and the slot that holds it. If that memory was lost, no other
+        return with the same incarnation would ever be news.
 
         :param robots: member -> whether a process that lacks its memory runs under its name.
         """
@@ -141,8 +145,7 @@ class Electorate:
             return robot is not None and entry.incarnation == robot.incarnation
         if isinstance(entry, log_entries.Join) and robots.get(entry.robot):
             robot = known.get(entry.robot)  # a witness has no incarnation there
-            later = robot is None or entry.incarnation > robot.incarnation
-            return later and entry.log != self.known_log(entry.robot)
+            return robot is None or entry.incarnation > robot.incarnation
         return False
 
     # -- ourselves ---------------------------------------------------------------------------------

@@ -459,6 +459,58 @@ def test_a_spare_does_not_answer_for_the_robot_whose_place_it_did_not_take() -> 
     world.verify()
 
 
+def return_that_waits(name: str, away: str) -> Any:
+    """A team in partial synchronisation of which one robot returned, as r1 and r2 know, while no
+    slot can be decided, because another one is off."""
+    world = team(TOUR, 4, True, joiners=1)
+    node = world.nodes[name]
+    world.nodes[away].crash()
+    node.crash()
+    node.start()
+    for other in ("r1", "r2"):
+        world.nodes[other].give(interface.Order("resume", log_entries.Resume()))
+    world.run(world.now + 1)
+    for other in ("r1", "r2"):
+        waiting = world.replica(other).state.others_proposals[name].values()
+        joins = [i.entry for i in waiting if isinstance(i.entry, log_entries.Join)]
+        assert [(j.incarnation, j.log) for j in joins] == [(1, node.log_id)]
+    return world, node, node.log_id
+
+
+def test_a_return_that_was_lost_with_its_memory_keeps_no_later_one_out() -> None:
+    """Both claim the same incarnation, since the new memory never heard of the lost return."""
+    world, node, first = return_that_waits("j0", "r4")
+    for lost in (node, world.nodes["r4"]):
+        lost.crash()
+        lost.lose_log()
+        lost.start()
+    all_agree(world)
+    assert world.replica("r1").known_log("j0") == node.replica.log_id != first
+    world.verify()
+
+
+def test_a_robot_out_of_reach_whose_return_waits_passes_no_pause() -> None:
+    """The slot that holds its return needs nobody's word for it beside a spare's."""
+    world, node, first = return_that_waits("r3", "r4")
+    spare = world.add_spare(node)
+    world.blocked |= {(a, b) for a in world.nodes for b in world.nodes if a != b and "r3" in (a, b)}
+    world.deaf.add(spare.key)  # so that it does not hear that it has to join
+    spare.start()
+    world.nodes["r4"].start()
+    world.nodes["r2"].give(interface.Order("pause", log_entries.Pause()))
+    world.run(world.now + 2)
+    assert world.nodes["r2"].results["pause"].ok
+    assert world.replica("r1").ledger.state.paused
+    assert world.replica("r1").ledger.state.robots["r3"].incarnation == 1
+    assert world.replica("r1").known_log("r3") == first
+    assert node.replica.ledger.length < world.replica("r1").ledger.length
+    world.remove(spare)
+    world.deaf.clear()
+    world.blocked.clear()
+    all_agree(world)
+    world.verify()
+
+
 @pytest.mark.parametrize("partial", [False, True])
 def test_a_second_process_of_the_only_robot_takes_no_part(partial: bool) -> None:
     world = team(TOUR, 1, partial)
