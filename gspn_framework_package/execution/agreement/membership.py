@@ -346,9 +346,11 @@ class Membership:
 
     def _hear_of_ourselves(self, message: Envelope, seen: Seen) -> None:
         """What another remembers of us. One that lost its log may have forgotten whom it knew, and
-        is no witness of our start."""
+        is no witness of our start, unless nothing was decided since the team began: whoever removes
+        logs while a team starts would have to help all that start later."""
         state, sender = self.state, message.sender
-        if message.log == self.electorate.known_log(sender):
+        begun = state.ledger.length > 1
+        if not begun or message.log == self.electorate.known_log(sender):
             state.peers.get(sender).welcomes = seen.log
         if state.amnesic or (state.joining and not state.active):
             return
