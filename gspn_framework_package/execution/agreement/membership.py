@@ -508,7 +508,9 @@ class Membership:
             if state.now < state.superseded_at + RIVAL * config.pace.heartbeat:
                 return  # is it somebody who runs, or a former life of ours?
             state.superseded_at = None
-        if self.electorate.known_incarnation() >= state.incarnation:
+        # visits that were made in a log that was given up are made again, and not under their names
+        acted = state.started is not None and state.started.incarnation == state.incarnation
+        if acted or self.electorate.known_incarnation() >= state.incarnation:
             self.new_life()
         if any(
             isinstance(own.item.entry, log_entries.Join)

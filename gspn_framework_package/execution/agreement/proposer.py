@@ -72,9 +72,10 @@ class Proposer:
         """A consensus message of a robot whose memory counts."""
         body, consensus, now = message.body, self.consensus, self.state.now
         if isinstance(body, Prepare):
+            before = self.state.promised
             consensus.on_prepare(message, body)
-            if self.state.promised == body.ballot:
-                self._give_way()
+            if before != self.state.promised == body.ballot:
+                self._give_way()  # once: who asks again and again may never get what it needs
         elif isinstance(body, Accept):
             consensus.on_accept(message, body)
         elif isinstance(body, Promise):

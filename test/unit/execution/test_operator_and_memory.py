@@ -9,7 +9,7 @@ import pytest
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.messages import Event
+from gspn_framework_package.execution.agreement.messages import Event, Prepare
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.agreement_simulation.world import SimulatedNode, World
@@ -160,6 +160,59 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     assert world.replica("r1").is_settled()
     all_agree(world)
     world.verify()
+
+
+def test_an_attempt_that_cannot_succeed_does_not_keep_others_from_trying() -> None:
+    """r3 asks for a quorum that will not come, again and again. Carriers may send that to
+    everybody. Only r2 was told that r1 and r4 are off."""
+    world = team(TOKENS, 4)
+    world.given_up = True
+    world.nodes["r1"].crash()
+    world.nodes["r4"].crash()
+    world.run(world.now + 2)
+    waits, asks = world.replica("r2").state, world.replica("r3").state
+    while waits.attempt is not None or asks.attempt is None or waits.promised != asks.promised:
+        world.run(world.now + 0.001)
+        assert world.now < 10.0
+    again = Prepare(asks.attempt.slot, asks.attempt.ballot, asks.attempt.frozen)
+    message = world.replica("r3").outbox.signed(again)
+    for name in ("r1", "r4"):
+        world.force("r2", name)
+    end = world.now + 4
+    while world.now < end:
+        world.nodes["r2"].give(interface.Received(message))
+        world.run(world.now + 0.02)
+    assert world.replica("r2").members() == ["r2", "r3"]
+
+
+def test_visits_of_a_log_that_was_given_up_are_made_again() -> None:
+    """The others come back, act, and then hear that the rest went on without them. Where they
+    stand now, in the log that counts, they have been before, and further."""
+    world = team(TOKENS, 3)
+    world.given_up = True
+    world.nodes["r1"].crash()
+    world.nodes["r3"].crash()
+    world.run(world.now + 2)  # so long that r2 does not hear them any more
+    world.force("r2", "r1")
+    world.force("r2", "r3")
+    world.run(world.now + 1)
+    assert world.replica("r2").members() == ["r2"]
+    world.cut_off("r2")
+    for name in ("r1", "r3"):
+        world.nodes[name].start()
+    world.run(world.now + 1)
+    further = {name: own_visit(world, name) for name in ("r1", "r3")}
+    world.blocked.clear()
+    world.run(world.now + 2)
+    assert world.replica("r2").members() == ["r1", "r2", "r3"]
+    world.run(world.now + 4)
+    for name in ("r1", "r3"):
+        assert own_visit(world, name) > further[name]
+    world.verify()
+
+
+def own_visit(world: Team, name: str) -> int:
+    return int(world.replica(name).ledger.state.robots[name].visit)
 
 
 def test_whoever_followed_a_log_that_was_given_up_forgets_it_and_nobody_else() -> None:
