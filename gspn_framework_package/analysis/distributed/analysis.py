@@ -21,12 +21,10 @@ from gspn_framework_package.analysis.distributed.steady import (
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.solution.linear import DIRECT_SIZE
 from gspn_framework_package.analysis.solution.measures import waiting_times
+from gspn_framework_package.analysis.state_space.space import INVARIANT_EFFORT
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.net import Net
-
-_INVARIANT_EFFORT = 100_000
-"""Most steps of the search for invariants that is done to get narrow fields."""
 
 
 class DistributedAnalysis:
@@ -54,7 +52,7 @@ class DistributedAnalysis:
         watch = functools.partial(Watch, progress, cancel, seconds=limits.seconds)
         self._watch = watch
         bounds = ranks.agreed(
-            lambda: invariant_bounds(net, _INVARIANT_EFFORT, watch()) if ranks.rank == 0 else []
+            lambda: invariant_bounds(net, INVARIANT_EFFORT, watch()) if ranks.rank == 0 else []
         )[0]
         self.states: RankStates = explore(
             net,

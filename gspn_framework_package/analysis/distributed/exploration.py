@@ -20,7 +20,12 @@ from gspn_framework_package.analysis.state_space.exploration import (
     label_type,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
-from gspn_framework_package.analysis.state_space.numpy_engine import StateTable, enabled, hashed
+from gspn_framework_package.analysis.state_space.numpy_engine import (
+    StateTable,
+    enabled,
+    fire,
+    hashed,
+)
 from gspn_framework_package.analysis.state_space.packing import (
     PackedNet,
     Packing,
@@ -236,10 +241,7 @@ class _Exploration:
         packed, states = self._packed, self._states
         block = states.array[self._explored : min(self._explored + self._rows, states.used)]
         sources, fired = enabled(packed, block)
-        successors = block[sources] + packed.change[fired]
-        overflow = np.bitwise_or.reduce(successors, axis=0) & packed.guard
-        if overflow.any():
-            raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+        successors = fire(packed, block, sources, fired)
         at_once = np.zeros(len(block), dtype=bool)
         at_once[sources[~self._timed[fired]]] = True
         self._vanishing.extend(at_once)

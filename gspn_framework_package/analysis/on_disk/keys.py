@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Words
+from gspn_framework_package.analysis.arrays import Booleans, Words
 from gspn_framework_package.analysis.state_space.packing import WORD_BITS, Packing
 
 Keys = np.ndarray
@@ -72,8 +72,11 @@ def distinct(keys: Keys) -> Keys:
     """The different keys of an array, sorted."""
     # the stable sort merges the sorted stretches of which the array consists
     ordered = np.sort(keys, kind="stable")
-    if len(ordered) < 2:
-        return ordered
-    first = np.ones(len(ordered), dtype=bool)
-    first[1:] = ordered[1:] != ordered[:-1]
-    return ordered[first]
+    return ordered[differs(ordered)]
+
+
+def differs(values: np.ndarray) -> Booleans:
+    """Where a value differs from the one before it; the first does."""
+    first = np.ones(len(values), dtype=bool)
+    first[1:] = values[1:] != values[:-1]
+    return first

@@ -13,8 +13,8 @@ from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequenc
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Booleans, Indices, Words
-from gspn_framework_package.analysis.on_disk.keys import KeyCode, Keys, distinct
+from gspn_framework_package.analysis.arrays import Indices, Words
+from gspn_framework_package.analysis.on_disk.keys import KeyCode, Keys, differs, distinct
 from gspn_framework_package.analysis.on_disk.scratch import Scratch, ScratchFile
 from gspn_framework_package.analysis.on_disk.sorted_keys import (
     Budget,
@@ -24,8 +24,9 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
     merged,
 )
 from gspn_framework_package.analysis.state_space.exploration import FieldOverflowError
-from gspn_framework_package.analysis.state_space.numpy_engine import enabled
+from gspn_framework_package.analysis.state_space.numpy_engine import enabled, fire
 from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
+from gspn_framework_package.analysis.state_space.space import INVARIANT_EFFORT
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError, UsageError
@@ -33,9 +34,6 @@ from gspn_framework_package.model.net import Marking, Net
 
 LEAST_MEMORY = 1 << 14
 """Least memory (bytes) of a search."""
-
-_INVARIANT_EFFORT = 100_000
-"""Most steps of the search for invariants that is done to get narrow fields."""
 
 _SPREAD = 2
 """A found sequence is merged with those up to this many times its size."""
@@ -144,25 +142,12 @@ class OnDiskSpace:
         states = self.code.decode(keys)
         sources, fired = enabled(self.packed, states)
         self._count(keys, states, sources, fired)
-        return distinct(self.code.encode(self.fire(states, sources, fired)))
-
-    def fire(self, states: Words, sources: Indices, fired: Indices) -> Words:
-        """The markings after the firings ``fired`` (in engine order) in ``states[sources]``.
-
-        :raises FieldOverflowError: the fields are too narrow.
-        """
-        successors = states[sources]
-        successors += self.packed.change[fired]
-        if len(successors):
-            overflow = np.bitwise_or.reduce(successors, axis=0) & self.packed.guard
-            if overflow.any():
-                raise FieldOverflowError(tuple(int(bits) for bits in overflow))
-        return successors
+        return distinct(self.code.encode(fire(self.packed, states, sources, fired)))
 
     def _count(self, keys: Keys, states: Words, sources: Indices, fired: Indices) -> None:
         self._arcs += len(sources)
         self._firings = self._firings + np.bincount(fired, minlength=len(self._firings))
-        first = np.flatnonzero(_changes(sources))
+        first = np.flatnonzero(differs(sources))
         self._vanishing += int((~self._timed[fired[first]]).sum())
         dead = len(states) - len(first)
         if dead and self._first_dead is None:
@@ -234,13 +219,6 @@ class OnDiskSpace:
         return way[::-1]
 
 
-def _changes(values: Indices) -> Booleans:
-    """Where a value differs from the one before it; the first does."""
-    first = np.ones(len(values), dtype=bool)
-    np.not_equal(values[1:], values[:-1], out=first[1:])
-    return first
-
-
 def search(
     net: Net,
     memory: float,
@@ -271,7 +249,7 @@ def search(
     watch = Watch(progress, cancel, seconds=seconds)
     scratch = scratch or Scratch()
     if bounds is None:
-        bounds = invariant_bounds(net, _INVARIANT_EFFORT, watch)
+        bounds = invariant_bounds(net, INVARIANT_EFFORT, watch)
     widths = starting_widths(net, bounds)
     while True:
         packed = PackedNet(net, widths)

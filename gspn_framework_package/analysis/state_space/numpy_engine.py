@@ -72,13 +72,7 @@ def explore(
         done += 1
         block = states.array[explored : min(explored + rows, states.used)]
         sources, fired = enabled(packed, block)
-        successors = block[sources]
-        successors += packed.change[fired]
-        overflow = (
-            np.bitwise_or.reduce(successors, axis=0) & packed.guard if len(successors) else ()
-        )
-        if np.any(overflow):
-            raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+        successors = fire(packed, block, sources, fired)
         if representative is not None:
             successors = representative(successors)
         targets.extend(table.insert(successors, states))
@@ -118,6 +112,19 @@ def enabled(packed: PackedNet, block: Words) -> Tuple[Indices, Indices]:
         return found, found
     sources = found // transitions
     return sources, found - sources * transitions
+
+
+def fire(packed: PackedNet, block: Words, sources: Indices, fired: Indices) -> Words:
+    """The states after the firings ``fired`` (in engine order) in ``block[sources]``.
+
+    :raises FieldOverflowError: the fields are too narrow.
+    """
+    successors = block[sources]
+    successors += packed.change[fired]
+    overflow = np.bitwise_or.reduce(successors, axis=0) & packed.guard
+    if overflow.any():
+        raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+    return successors
 
 
 def _mask_broadcast(packed: PackedNet, block: Words) -> Booleans:

@@ -51,7 +51,7 @@ _FEW_ROUNDS = 5_000
 """Most rounds of that attempt with numpy, about a second: numpy is slow if the graph is deep and
 narrow."""
 
-_INVARIANT_EFFORT = 100_000
+INVARIANT_EFFORT = 100_000
 """Most steps of the search for invariants that is done to get narrow fields."""
 
 
@@ -358,7 +358,7 @@ def explore(
     if engine == "sparse" or (engine == "auto" and is_sparse(net)):
         return space(*_run_sparse(net, limit, watch, untimed, room), "sparse")
     if bounds is None:
-        bounds = invariant_bounds(net, _INVARIANT_EFFORT, watch)
+        bounds = invariant_bounds(net, INVARIANT_EFFORT, watch)
     widths = starting_widths(net, bounds)
     while True:
         packed = PackedNet(net, widths, by_priority=not untimed)
