@@ -235,7 +235,10 @@ class Proposals:
         off = self.electorate.not_cast_out(voters, ())
         for robot in sorted(off):
             eviction = log_entries.Evict(robot, state.off[robot], True)
-            if all(own.item.entry != eviction for own in state.own_proposals):
+            entries = (own.item.entry for own in state.own_proposals)
+            evictions = (e for e in entries if isinstance(e, log_entries.Evict))
+            # whoever ordered it
+            if all(e._replace(by=log_entries.NOBODY) != eviction for e in evictions):
                 self.propose(eviction)
         batch = self.batch(frozen, dict.fromkeys(off, False), accepted)
         return None if self.electorate.not_cast_out(voters, batch.items) else batch

@@ -75,7 +75,7 @@ class Recovery:
             self.proposals.recall(record)
         if kind in OF_REACTIONS:
             self.reactions.recall(record)
-        if kind == "reset" and not record.get("keep"):
+        if _forgets_slots(record):
             self.replication.begin_anew()
         elif counts and kind in OF_REPLICATION:
             self.replication.recall(record)
@@ -95,7 +95,12 @@ class Recovery:
 
 def _replaces_slots(record: Record) -> bool:
     """Whether the slots before a record do not count for what follows it."""
-    return record["kind"] == "snapshot" or (record["kind"] == "reset" and not record.get("keep"))
+    return record["kind"] == "snapshot" or _forgets_slots(record)
+
+
+def _forgets_slots(record: Record) -> bool:
+    """Whether we forgot our slots with our votes."""
+    return record["kind"] == "reset" and not record.get("keep")
 
 
 def _damaged(record: Record, number: int, error: Exception) -> LogError:

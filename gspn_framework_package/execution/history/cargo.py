@@ -105,7 +105,9 @@ class Cargo:
         key = entry.transition, entry.id
         if entry.transition not in self.entrances or key in self._known_set:
             return
-        if sum(t == entry.transition for t, _ in self.outside) >= MOST_OUTSIDE:
+        if len(self.outside) >= MOST_OUTSIDE and MOST_OUTSIDE <= sum(
+            t == entry.transition for t, _ in self.outside
+        ):
             return
         ids = self._known.setdefault(entry.transition, [])
         ids.append(entry.id)

@@ -162,6 +162,23 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     world.verify()
 
 
+def test_an_eviction_by_force_is_in_the_log_once_with_whoever_ordered_it() -> None:
+    world = team(TOKENS, 3)
+    world.given_up = True
+    world.nodes["r1"].crash()
+    world.nodes["r3"].crash()
+    world.run(world.now + 2)  # so long that r2 does not hear them any more
+    ann = log_entries.Giver("ann", "team key")
+    for robot in ("r1", "r3"):
+        world.nodes["r2"].give(interface.ForceEvict("force " + robot, robot, ann))
+    world.run(world.now + 1)
+    assert world.replica("r2").members() == ["r2"]
+    records = world.nodes["r2"].disk.records()
+    entries = [e for r in records if r["kind"] == "slot" for e in r["entries"]]
+    evicted = [(e["robot"], e.get("by")) for e in entries if e["entry"] == "evict"]
+    assert sorted(evicted) == [("r1", ["ann", "team key"]), ("r3", ["ann", "team key"])]
+
+
 def test_an_attempt_that_cannot_succeed_does_not_keep_others_from_trying() -> None:
     """r3 asks for a quorum that will not come, again and again. Carriers may send that to
     everybody. Only r2 was told that r1 and r4 are off."""
