@@ -7,18 +7,14 @@ import os
 import signal
 import threading
 from types import FrameType
-from typing import TYPE_CHECKING, Optional
+from typing import Optional
 
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
-
-if TYPE_CHECKING:
-    from gspn_framework_package.team.zenoh_session import TeamAccess
-
-INTERRUPTED = 130
-"""Exit code of a program that was interrupted."""
 
 LAST_WORDS = 5.0
 """Seconds that an agent has to end when it is told to."""
@@ -65,8 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--robots",
-        type=int,
-        default=0,
+        type=numbers.robots,
         metavar="N",
         help="size of the team at the start (default: as in the plan)",
     )
@@ -92,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 
     plan = _plan_of(args)
-    access = _access(args)
+    access = access_of(args, args.robot)
     told = JsonVoice(args.robot) if args.json else None
     voice = told or PrintedVoice(args.robot, args.quiet)
     check_plan(plan, voice.warn)
@@ -108,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     over = threading.Event()
     signal.signal(signal.SIGTERM, _interrupt)
     host.start(lambda robot: over.set())
-    code = INTERRUPTED
+    code = EXIT_INTERRUPTED
     try:
         over.wait()
         code = host.exit_code or 0
@@ -120,22 +115,13 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _access(args: argparse.Namespace) -> TeamAccess:
-    """The endpoints, with the keys of this robot."""
-    from gspn_framework_package.team.keys import keys_of_robot
-
-    folder, args.keys = args.keys, ""
-    keys = keys_of_robot(folder, args.robot) if folder else None
-    return access_of(args)._replace(keys=keys)
-
-
 def _interrupt(number: int, frame: Optional[FrameType]) -> None:
     raise KeyboardInterrupt
 
 
 def _plan_of(args: argparse.Namespace) -> Plan:
     plan = read_plan(args.plan)
-    if args.robots:
+    if args.robots is not None:
         plan = plan.for_robots(args.robots)
     names = [robot.name for robot in plan.robots]
     if args.robot not in names + list(plan.witness) and not args.place:

@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
             if args.on == "mpi":
                 from gspn_framework_package.cli.analyse_mpi import run_on_mpi
 
-                return run_on_mpi(args, _time_text)
+                return run_on_mpi(args)
             return _run(args)
     except KeyboardInterrupt:
         leave()  # before Python destroys millions of objects, which takes seconds
@@ -296,8 +296,9 @@ def _json(value: Any, line_break: str) -> Iterator[str]:
 # -- text ------------------------------------------------------------------------------------------
 
 
-def _text(data: Mapping[str, Any]) -> Iterator[str]:
-    yield "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
+def subject_text(data: Mapping[str, Any]) -> str:
+    """A line on what is analysed."""
+    return "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
         data["kind"],
         data["name"] or "without a name",
         data["places"],
@@ -305,6 +306,10 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
         data["arcs"],
         data["tokens"],
     )
+
+
+def _text(data: Mapping[str, Any]) -> Iterator[str]:
+    yield subject_text(data)
     if "conservative" in data:
         yield from _structure_text(data)
         yield from _titled_text(data, Part.STRUCTURE)
@@ -496,7 +501,7 @@ def _reach_text(entry: Any, word: str) -> Iterator[str]:
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
 
 
-def _time_text(data: Mapping[str, Any]) -> Iterator[str]:
+def time_text(data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what several ranks found out about time."""
     if data["steady_state"]:
         yield from _steady_text(data["steady_state"])

@@ -7,20 +7,19 @@ import json
 import sys
 import time
 import traceback
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Tuple
 
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
 from gspn_framework_package.analysis.distributed.mpi_ranks import MpiRanks
 from gspn_framework_package.analysis.report import plain
 from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.cli.analyse import subject_text, time_text
 from gspn_framework_package.cli.limits import limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import read_subject
 from gspn_framework_package.model.errors import GspnError, LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-
-TimeText = Callable[[Mapping[str, Any]], Iterator[str]]
 
 _ANSWERED = frozenset(
     {
@@ -38,14 +37,11 @@ _EVERY = 5.0
 """Time (s) between two lines of progress."""
 
 
-def run_on_mpi(args: argparse.Namespace, time_text: TimeText) -> int:
-    """Analyse a net together with the other ranks; rank 0 prints the answers.
-
-    :param time_text: makes the lines on the steady state, and on what was not decided.
-    """
+def run_on_mpi(args: argparse.Namespace) -> int:
+    """Analyse a net together with the other ranks; rank 0 prints the answers."""
     ranks = MpiRanks()
     try:
-        return _run(args, ranks, time_text)
+        return _run(args, ranks)
     except GspnError as error:
         # all have the same error, and mpiexec ends all of them as soon as one has left
         if ranks.rank == 0:
@@ -60,7 +56,7 @@ def run_on_mpi(args: argparse.Namespace, time_text: TimeText) -> int:
         ranks.abort(_FAILED)
 
 
-def _run(args: argparse.Namespace, ranks: MpiRanks, time_text: TimeText) -> int:
+def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
     for name, value in sorted(vars(args).items()):
         if name not in _ANSWERED and value != args.parser.get_default(name):
             raise UsageError(
@@ -149,13 +145,7 @@ def _answers(analysis: DistributedAnalysis, *, timing: bool) -> Dict[str, Any]:
 
 
 def _text(data: Mapping[str, Any]) -> Iterator[str]:
-    yield "net %s: %d places, %d transitions, %d arcs, %d tokens" % (
-        data["name"] or "without a name",
-        data["places"],
-        data["transitions"],
-        data["arcs"],
-        data["tokens"],
-    )
+    yield subject_text(data)
     states = data["states"]
     yield "states: %s (%s tangible, %s vanishing), %s arcs" % tuple(
         format(states[key], ",") for key in ("total", "tangible", "vanishing", "arcs")

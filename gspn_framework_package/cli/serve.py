@@ -8,6 +8,7 @@ import os
 import sys
 from typing import Optional
 
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -50,8 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--robots",
-        type=int,
-        default=0,
+        type=numbers.robots,
         metavar="N",
         help="with --connect: number of robots at the start (default: as in the plan)",
     )
@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("there is no such file or folder", file=args.path)
     if args.connect:
         return _serve_team(args)
-    if args.keys or args.run_name or args.robots:
+    if args.keys or args.run_name or args.robots is not None:
         raise UsageError("--keys, --run and --robots say nothing without --connect")
     whole = os.path.realpath(args.path)
     first: Optional[str] = None
@@ -141,7 +141,7 @@ def _serve_team(args: argparse.Namespace) -> int:
     if args.edit or args.record or args.history:
         raise UsageError("--edit, --record and --history are for a folder, not for --connect")
     plan = read_plan(args.path)
-    if args.robots:
+    if args.robots is not None:
         plan = plan.for_robots(args.robots)
     lookout = ZenohLookout(access_of(args), args.run_name)
     watch = TeamWatch(plan, lookout, args.run_name)

@@ -81,15 +81,18 @@ def team_client(args: argparse.Namespace) -> TeamClient:
     return OperatorClient(key)
 
 
-def access_of(args: argparse.Namespace) -> TeamAccess:
+def access_of(args: argparse.Namespace, robot: str = "") -> TeamAccess:
     """The endpoints and keys that the options of a verb name.
 
+    :param robot: take the keys of this robot, also from the folder of its team.
     :raises GspnError: the keys cannot be used.
     """
-    from gspn_framework_package.team.keys import read_keys
+    from gspn_framework_package.team.keys import keys_of_robot, read_keys
     from gspn_framework_package.team.zenoh_session import TeamAccess
 
-    keys = read_keys(args.keys) if args.keys else None
+    keys = None
+    if args.keys:
+        keys = keys_of_robot(args.keys, robot) if robot else read_keys(args.keys)
     return TeamAccess(tuple(args.connect), tuple(getattr(args, "listen", ())), keys)
 
 

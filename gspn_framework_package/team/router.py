@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Sequence, Tuple
 
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.team.keys import KeyFolder, read_keys
@@ -44,33 +44,11 @@ class Router:
         self._session = self._open()
 
     def _open(self) -> zenoh.Session:
-        keys = self._keys()
-        self.members = len(keys.members) if keys else None
-        session = open_session(
-            TeamAccess(
-                self._connect, self._listen, keys, router=True, limited=self._is_limited(keys)
-            )
-        )
+        access = router_access(self._listen, self._connect, self._folder, self._limited)
+        self.members = len(access.keys.members) if access.keys else None
+        session = open_session(access)
         limit_silence(ports_of(self._listen), ports_of(self._connect))
         return session
-
-    def _is_limited(self, keys: Optional[KeyFolder]) -> bool:
-        """Whether a connection carries what one robot sends, which has a limit; a connection to
-        another router has none."""
-        routers = [member for member in keys.members if member.role == "router"] if keys else []
-        return self._limited and not self._connect and len(routers) <= 1
-
-    def _keys(self) -> Optional[KeyFolder]:
-        if not self._folder:
-            return None
-        keys = read_keys(self._folder)
-        if keys.member.role != "router":
-            raise UsageError(
-                "these are the keys of %s '%s', not of a router"
-                % (keys.member.role, keys.member.name),
-                hint="gspn keys add DIR --routers NAME=HOST",
-            )
-        return keys
 
     def _stamp(self) -> Tuple[int, int]:
         """What changes when the allow-list is replaced."""
@@ -95,7 +73,7 @@ class Router:
             return ""
         self._seen = stamp
         try:
-            self._keys()
+            _keys_of_router(self._folder)
         except GspnError as error:
             return "the allow-list stays as it was: %s" % error
         self._session.close()
@@ -111,15 +89,6 @@ class Router:
         self._session.close()
 
 
-class _Unopened(Router):
-    """A router that is not opened: it only knows how it would take part."""
-
-    def _open(self) -> Any:
-        keys = self._keys()
-        limited = self._is_limited(keys)
-        self.access = TeamAccess(self._connect, self._listen, keys, router=True, limited=limited)
-
-
 def router_access(
     listen: Sequence[str], connect: Sequence[str], keys_folder: str, limited: bool
 ) -> TeamAccess:
@@ -127,4 +96,18 @@ def router_access(
 
     :raises GspnError: the keys cannot be used.
     """
-    return _Unopened(listen, connect, keys_folder, limited).access
+    keys = _keys_of_router(keys_folder) if keys_folder else None
+    routers = [member for member in keys.members if member.role == "router"] if keys else []
+    # a connection to another router carries more than one robot sends, and has no limit
+    limited = limited and not connect and len(routers) <= 1
+    return TeamAccess(tuple(connect), tuple(listen), keys, router=True, limited=limited)
+
+
+def _keys_of_router(folder: str) -> KeyFolder:
+    keys = read_keys(folder)
+    if keys.member.role != "router":
+        raise UsageError(
+            "these are the keys of %s '%s', not of a router" % (keys.member.role, keys.member.name),
+            hint="gspn keys add DIR --routers NAME=HOST",
+        )
+    return keys

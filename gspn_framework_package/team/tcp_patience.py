@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from typing import Dict, Iterable, Set
+from typing import Iterable, Set
 
 GIVES_UP = 6.0
 """Seconds for which sent data may stay unacknowledged. On a bad link TCP repeats itself five times
@@ -50,7 +50,7 @@ def ports_of(endpoints: Iterable[str]) -> Set[int]:
 
 def _inodes(listens: Set[int], connects: Set[int]) -> Set[str]:
     """The sockets of this network namespace that are meant, by their number."""
-    found: Dict[str, None] = {}
+    found: Set[str] = set()
     for table in ("tcp", "tcp6"):
         with contextlib.suppress(OSError), open("/proc/self/net/" + table) as file:
             next(file, "")
@@ -58,5 +58,5 @@ def _inodes(listens: Set[int], connects: Set[int]) -> Set[str]:
                 _, local, remote, state, *_, inode = line.split()[:10]
                 ours, theirs = (int(end.rsplit(":", 1)[1], 16) for end in (local, remote))
                 if (state == _LISTENS and ours in listens) or theirs in connects:
-                    found[inode] = None
-    return set(found)
+                    found.add(inode)
+    return found
