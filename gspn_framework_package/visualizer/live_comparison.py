@@ -58,9 +58,22 @@ CURVES = 12
 SECONDS = 120.0
 """Time limit of the prediction, in seconds."""
 
-Listener = Callable[[List[Alarm], Sequence[Alarm], Sequence[Tuple[str, float]]], None]
-"""Called once per period with the alarms that last, the new ones, and what is watched, each with
-how near its alarm is (0 to 1)."""
+
+class Departures(NamedTuple):
+    """How a run departs from what its plan predicts.
+
+    :ivar lasting: the alarms that last.
+    :ivar new: the new ones.
+    :ivar levels: what is watched, each with how near its alarm is (0 to 1).
+    """
+
+    lasting: Sequence[Alarm]
+    new: Sequence[Alarm]
+    levels: Sequence[Tuple[str, float]]
+
+
+Listener = Callable[[Departures], None]
+"""Called once per period."""
 
 
 class _Attempt(NamedTuple):
@@ -313,7 +326,7 @@ class LiveComparison:
         lasting = monitor.on
         if self._listener is not None:
             levels = [(_name(stream), _level(stream)) for stream in monitor.streams]
-            self._listener(lasting, new, levels)
+            self._listener(Departures(lasting, new, levels))
         self._points.append((round(now, 2), [sum(follower.counts), *follower.counts]))
         if len(self._points) > 2 * POINTS:
             self._points = self._points[::2]

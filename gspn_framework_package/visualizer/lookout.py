@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import queue
-from typing import TYPE_CHECKING, Any, Callable, Optional, Protocol, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Optional, Protocol, Set, Tuple
 
-from gspn_framework_package.analysis.monitoring.monitor import Alarm
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.visualizer.live_comparison import Departures
 
 if TYPE_CHECKING:
     Replies = queue.SimpleQueue[Tuple[str, Optional[OperatorAnswer]]]
@@ -89,20 +89,8 @@ class Lookout(Protocol):
     def tell(self, text: str) -> None:
         """Report to whoever runs the server, at most every few seconds."""
 
-    def tell_departures(
-        self,
-        plan: Plan,
-        run: str,
-        lasting: Sequence[Alarm],
-        new: Sequence[Alarm],
-        levels: Sequence[Tuple[str, float]],
-    ) -> None:
-        """Report once a second whether the run goes as predicted; on a thread of its own.
-
-        :param lasting: how it departs.
-        :param new: those of them that are new.
-        :param levels: (what is compared, how near it is to an alarm), from 0 to 1.
-        """
+    def tell_departures(self, plan: Plan, run: str, found: Departures) -> None:
+        """Report once a second whether the run goes as predicted; on a thread of its own."""
 
     def close(self) -> None:
         """Look no more."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Sequence, Tuple
+from typing import Sequence
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -12,6 +12,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Prediction
 from gspn_framework_package.ros.messages import filled
 from gspn_framework_package.ros.voice import diagnostic_array
+from gspn_framework_package.visualizer.live_comparison import Departures
 
 PREDICTION_TOPIC = "/gspn_prediction"
 """All pages on a master publish on this topic; each message names its run."""
@@ -24,37 +25,28 @@ class RosPrediction:
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._prediction = rospy.Publisher(PREDICTION_TOPIC, Prediction, latch=True, queue_size=1)
 
-    def tell(
-        self,
-        plan: Plan,
-        run: str,
-        lasting: Sequence[Alarm],
-        new: Sequence[Alarm],
-        levels: Sequence[Tuple[str, float]],
-    ) -> None:
+    def tell(self, plan: Plan, run: str, found: Departures) -> None:
         """Publish.
 
         :param plan: the plan that the run is compared with.
         :param run: the name of the run.
-
-        The other parameters are those of a listener of :class:`LiveComparison`.
         """
-        for alarm in new:
+        for alarm in found.new:
             rospy.logwarn("the run departs from the plan: %s", alarm.describe())
         self._prediction.publish(
             filled(
                 Prediction,
                 run=run,
                 plan=plan.hash(),
-                departs=bool(lasting),
-                alarms=[alarm.describe() for alarm in lasting],
+                departs=bool(found.lasting),
+                alarms=[alarm.describe() for alarm in found.lasting],
                 false_alarm_every=ALARM_EVERY,
-                streams=[name for name, _ in levels],
-                levels=[level for _, level in levels],
+                streams=[name for name, _ in found.levels],
+                levels=[level for _, level in found.levels],
             )
         )
         if self._diagnostics.get_num_connections():
-            self._diagnostics.publish(_diagnosis(plan, run, lasting))
+            self._diagnostics.publish(_diagnosis(plan, run, found.lasting))
 
 
 def _diagnosis(plan: Plan, run: str, lasting: Sequence[Alarm]) -> DiagnosticArray:

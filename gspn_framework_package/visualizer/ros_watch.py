@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Callable, List, Optional, Sequence, Set, Tuple, Type
+from typing import Any, Callable, List, Optional, Set, Type
 
 import genpy
 import rospy
 from std_msgs.msg import String
 
-from gspn_framework_package.analysis.monitoring.monitor import Alarm
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC
@@ -24,6 +23,7 @@ from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.team.addressing import QUESTIONS
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.seal import TeamKey
+from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.lookout import ANSWER_TIME, UnreachableError
 from gspn_framework_package.visualizer.ros_prediction import RosPrediction
 
@@ -97,16 +97,9 @@ class RosLookout:
         """See :class:`Lookout`."""
         rospy.logwarn_throttle(5.0, text)
 
-    def tell_departures(
-        self,
-        plan: Plan,
-        run: str,
-        lasting: Sequence[Alarm],
-        new: Sequence[Alarm],
-        levels: Sequence[Tuple[str, float]],
-    ) -> None:
+    def tell_departures(self, plan: Plan, run: str, found: Departures) -> None:
         """See :class:`Lookout`."""
-        self._prediction.tell(plan, run, lasting, new, levels)
+        self._prediction.tell(plan, run, found)
 
     def _with_json(self, *what: str) -> Callable[[String], None]:
         """A callback that passes on what a message says in JSON."""

@@ -22,12 +22,10 @@ from typing import (
     List,
     Mapping,
     Optional,
-    Sequence,
     Set,
     Tuple,
 )
 
-from gspn_framework_package.analysis.monitoring.monitor import Alarm
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import NewNames
@@ -49,7 +47,7 @@ from gspn_framework_package.visualizer.fired_follower import (
     TeamSeen,
 )
 from gspn_framework_package.visualizer.hub import Hub
-from gspn_framework_package.visualizer.live_comparison import LiveComparison
+from gspn_framework_package.visualizer.live_comparison import Departures, LiveComparison
 from gspn_framework_package.visualizer.lookout import (
     ANSWER_TIME,
     Lookout,
@@ -594,7 +592,5 @@ class TeamWatch(Activity):
     def _note(self, level: str, robot: str, text: str) -> None:
         self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
 
-    def _tell_departures(
-        self, lasting: List[Alarm], new: Sequence[Alarm], levels: Sequence[Tuple[str, float]]
-    ) -> None:
-        self._lookout.tell_departures(self._plan, self._run, lasting, new, levels)
+    def _tell_departures(self, found: Departures) -> None:
+        self._lookout.tell_departures(self._plan, self._run, found)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set
 
-from gspn_framework_package.analysis.monitoring.monitor import Alarm
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
 from gspn_framework_package.team.zenoh_session import TeamAccess, key_of, names_in
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
+from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.lookout import UnreachableError
 
 QUIET = 30.0
@@ -139,16 +139,9 @@ class ZenohLookout:
             self._told[text] = now
             print(text, file=sys.stderr, flush=True)
 
-    def tell_departures(
-        self,
-        plan: Plan,
-        run: str,
-        lasting: Sequence[Alarm],
-        new: Sequence[Alarm],
-        levels: Sequence[Tuple[str, float]],
-    ) -> None:
+    def tell_departures(self, plan: Plan, run: str, found: Departures) -> None:
         """See :class:`Lookout`."""
-        for alarm in new:
+        for alarm in found.new:
             self.tell("the run departs from the plan: %s" % alarm.describe())
 
     def _on_fired(self, robot: str, fields: Dict[str, Any]) -> None:

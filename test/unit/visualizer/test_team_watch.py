@@ -14,6 +14,7 @@ from gspn_framework_package.model.errors import GspnError, RefusedError
 from gspn_framework_package.team.carrier import OperatorAnswer
 from gspn_framework_package.visualizer.deployed_plan import read_deployed
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.lookout import UnreachableError
 from gspn_framework_package.visualizer.team_watch import UNHEARD, TeamWatch
 
@@ -53,7 +54,7 @@ class Silence:
     def tell(self, text):
         self.told.append(text)
 
-    def tell_departures(self, plan, run, lasting, new, levels):
+    def tell_departures(self, plan, run, found):
         self.told.append(run)
 
 
@@ -103,7 +104,7 @@ class Watched:
 def test_a_prediction_names_the_run_that_was_chosen_later(monkeypatch):
     page = Watched(monkeypatch, run="")
     page.watch._show_run("tuesday")
-    page.watch._comparison._listener([], [], [])
+    page.watch._comparison._listener(Departures([], [], []))
     assert page.lookout.told == ["tuesday"]
 
 
