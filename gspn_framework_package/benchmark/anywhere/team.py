@@ -28,6 +28,7 @@ from gspn_framework_package.benchmark.netns.team import (
     GSPN,
     MASTER_PORT,
     OPERATOR,
+    ROS_MASTER,
     ROUTER_PORT,
     RUN,
     node_words,
@@ -140,8 +141,7 @@ class AnywhereTeam:
     def start_master(self, machine: str) -> None:
         """Start the ROS master of a machine, and wait until it listens."""
         name = self.master_of(machine)
-        words = ["rosmaster", "--core", "-p", str(MASTER_PORT)]
-        self.programs.start(name, words, machine, self._ros(machine))
+        self.programs.start(name, ROS_MASTER, machine, self._ros(machine))
         self.programs.await_port(name, MASTER_PORT, machine)
 
     def _ros(self, machine: str) -> Dict[str, str]:

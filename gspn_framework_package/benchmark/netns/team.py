@@ -22,6 +22,9 @@ MASTER = "master"
 robots' names."""
 
 MASTER_PORT = 11311
+ROS_MASTER = ("rosmaster", "--core", "-p", str(MASTER_PORT))
+"""Starts a ROS master."""
+
 ROUTER_PORT = 7447
 RUN = "lab"
 OPERATOR = "ann"
@@ -123,9 +126,7 @@ class MasterTeam(NamespaceTeam):
 
     def start_middle(self) -> None:
         """See :class:`NamespaceTeam`."""
-        self.programs.start(
-            MASTER, ["rosmaster", "--core", "-p", str(MASTER_PORT)], "", self.environment(MASTER)
-        )
+        self.programs.start(MASTER, ROS_MASTER, "", self.environment(MASTER))
         self.programs.await_port(MASTER, MASTER_PORT)
 
     def start_robot(self, robot: str) -> None:
@@ -154,8 +155,7 @@ class OwnMastersTeam(MasterTeam):
         """See :class:`NamespaceTeam`: here, every robot's master."""
         for robot in self.robots:
             name = robot + "_master"
-            words = ["rosmaster", "--core", "-p", str(MASTER_PORT)]
-            self.programs.start(name, words, robot, self.environment(robot))
+            self.programs.start(name, ROS_MASTER, robot, self.environment(robot))
         for robot in self.robots:
             self.programs.await_port(robot + "_master", MASTER_PORT, robot)
             others = [self._master(other) for other in self.robots if other != robot]
