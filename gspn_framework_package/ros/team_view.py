@@ -165,7 +165,11 @@ class TeamView:
 
     def _on_room(self, message: String) -> None:
         places = [place.name for place in self._plan.net.places]
-        found = spots_of_room(json.loads(message.data), self._map_frame, places)
+        try:
+            found = spots_of_room(json.loads(message.data), self._map_frame, places)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            rospy.logwarn_throttle(60.0, "/world/room cannot be read (%r)" % error)
+            return
         with self._lock:
             self._spots = {**found, **spots_of_goals(self._plan)}
 

@@ -3,13 +3,16 @@
 import json
 from pathlib import Path
 
+import pytest
 import yaml
+from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.msg import RobotActivity
 from gspn_framework_package.ros.team_markers import TeamMarkers, spots_of_goals, spots_of_room
+from gspn_framework_package.ros.team_view import TeamView
 
 ROOT = Path(__file__).parents[3]
 ROOM = {"locations": {"L1": {"area": [[0.0, 1.0], [2.0, 3.0]]}, "L2": {"area": [[4, 4], [6, 6]]}}}
@@ -101,3 +104,14 @@ def test_the_rviz_file_shows_the_topics_of_the_node():
     assert config["Visualization Manager"]["Global Options"]["Fixed Frame"] == "map"
     assert all(d["Class"].startswith("rviz/") and d["Name"] for d in displays.values())
     assert json.dumps(config)  # plain values only
+
+
+@pytest.mark.parametrize("text", ["no JSON", "[]", "{}", '{"locations": {"L1": {"area": 3}}}'])
+def test_a_room_that_cannot_be_read_leaves_what_is_known(monkeypatch, text):
+    told = []
+    monkeypatch.setattr("rospy.logwarn_throttle", lambda period, text: told.append(text))
+    view = TeamView.__new__(TeamView)  # no node
+    view._plan, view._map_frame, view._spots = plan_with({"a": None, "b": None}), "map", {"a": 1}
+    view._on_room(String(text))
+    assert view._spots == {"a": 1}
+    assert len(told) == 1 and "/world/room cannot be read" in told[0]
