@@ -13,7 +13,7 @@ from gspn_framework_package.analysis.distributed import DistributedAnalysis
 from gspn_framework_package.analysis.distributed.mpi_ranks import MpiRanks
 from gspn_framework_package.analysis.report import plain
 from gspn_framework_package.analysis.watch import Cancel, Progress
-from gspn_framework_package.cli.analyse import subject_text, time_text
+from gspn_framework_package.cli.analysis_text import subject_text, time_text
 from gspn_framework_package.cli.limits import limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import read_subject
