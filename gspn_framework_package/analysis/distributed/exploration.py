@@ -14,9 +14,9 @@ from gspn_framework_package.analysis.distributed.ranks import Ranks, divided
 from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
-    FieldOverflowError,
     Growing,
     RawGraph,
+    in_wide_fields,
     label_type,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
@@ -29,7 +29,6 @@ from gspn_framework_package.analysis.state_space.numpy_engine import (
 from gspn_framework_package.analysis.state_space.packing import (
     PackedNet,
     Packing,
-    starting_widths,
 )
 from gspn_framework_package.analysis.state_space.space import StateSpace, is_sparse
 from gspn_framework_package.analysis.watch import Watch
@@ -185,13 +184,11 @@ def explore(
             "a net of so many places and transitions is not distributed", hint="leave --on out"
         )
     room = Allowance(memory, time.monotonic() + seconds)
-    widths = starting_widths(net, bounds)
-    while True:
-        packed = PackedNet(net, widths)
-        try:
-            return _Exploration(packed, ranks, limit, watch(), room).explore()
-        except FieldOverflowError as overflow:
-            widths = packed.wider(overflow.bits)
+    return in_wide_fields(
+        net,
+        bounds,
+        lambda packed: _Exploration(packed, ranks, limit, watch(), room).explore(),
+    )
 
 
 class _Exploration:

@@ -23,9 +23,9 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
     Writer,
     merged,
 )
-from gspn_framework_package.analysis.state_space.exploration import FieldOverflowError
+from gspn_framework_package.analysis.state_space.exploration import in_wide_fields
 from gspn_framework_package.analysis.state_space.numpy_engine import enabled, fire
-from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
+from gspn_framework_package.analysis.state_space.packing import PackedNet
 from gspn_framework_package.analysis.state_space.space import INVARIANT_EFFORT
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -250,17 +250,15 @@ def search(
     scratch = scratch or Scratch()
     if bounds is None:
         bounds = invariant_bounds(net, INVARIANT_EFFORT, watch)
-    widths = starting_widths(net, bounds)
-    while True:
-        packed = PackedNet(net, widths)
-        space = OnDiskSpace(packed, scratch, memory)
+    files = scratch
+
+    def run(packed: PackedNet) -> OnDiskSpace:
+        space = OnDiskSpace(packed, files, memory)
         try:
             space.explore(limit, watch)
-        except FieldOverflowError as overflow:
-            scratch.close()
-            widths = packed.wider(overflow.bits)
         except BaseException:
-            scratch.close()
+            files.close()
             raise
-        else:
-            return space
+        return space
+
+    return in_wide_fields(net, bounds, run)

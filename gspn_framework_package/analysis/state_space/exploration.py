@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple, Optional, Tuple, Type
+from typing import Callable, NamedTuple, Optional, Sequence, Tuple, Type, TypeVar
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices, Words
+from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
+from gspn_framework_package.model.net import Net
+
+Result = TypeVar("Result")
 
 
 class RawGraph(NamedTuple):
@@ -65,6 +69,37 @@ class FieldOverflowError(Exception):
     def __init__(self, bits: Tuple[int, ...]) -> None:
         super().__init__("a field of a packed marking is too narrow")
         self.bits = bits
+
+
+def in_wide_fields(
+    net: Net,
+    bounds: Sequence[Optional[int]],
+    work: Callable[[PackedNet], Result],
+    *,
+    by_priority: bool = True,
+    alike: Optional[Indices] = None,
+) -> Result:
+    """Do ``work`` on a packed net, and again with wider fields as often as a count outgrows its
+    field.
+
+    :param bounds: for each place, the most tokens that it can hold (None: unknown).
+    :param work: raises FieldOverflowError if a field is too narrow.
+    :param by_priority: see :class:`~.packing.PackedNet`.
+    :param alike: int array: a number for each place; places with the same number get fields of the
+        same width. None: each has a width of its own.
+    :raises LimitError: a field already has the maximum width.
+    """
+    widths = starting_widths(net, bounds)
+    while True:
+        if alike is not None:
+            widest = np.zeros(len(widths), dtype=np.int64)
+            np.maximum.at(widest, alike, np.array(widths, dtype=np.int64))
+            widths = tuple(widest[alike].tolist())
+        packed = PackedNet(net, widths, by_priority=by_priority)
+        try:
+            return work(packed)
+        except FieldOverflowError as overflow:
+            widths = packed.wider(overflow.bits)
 
 
 class Growing:

@@ -26,11 +26,11 @@ from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space import numpy_engine, sparse_engine
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
-    FieldOverflowError,
     RawGraph,
+    in_wide_fields,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
-from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing, starting_widths
+from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import Condition, parse_condition
@@ -359,16 +359,14 @@ def explore(
         return space(*_run_sparse(net, limit, watch, untimed, room), "sparse")
     if bounds is None:
         bounds = invariant_bounds(net, INVARIANT_EFFORT, watch)
-    widths = starting_widths(net, bounds)
-    while True:
-        packed = PackedNet(net, widths, by_priority=not untimed)
-        try:
-            graph, name = _run(packed, limit, watch, engine, room)
-        except FieldOverflowError as overflow:
-            widths = packed.wider(overflow.bits)
-        else:
-            assert graph.states is not None  # these engines pack them
-            return space(PackedStore(Packing(net, widths), graph.states), graph, packed.order, name)
+
+    def run(packed: PackedNet) -> StateSpace:
+        graph, name = _run(packed, limit, watch, engine, room)
+        assert graph.states is not None  # these engines pack them
+        store = PackedStore(Packing(net, packed.widths), graph.states)
+        return space(store, graph, packed.order, name)
+
+    return in_wide_fields(net, bounds, run, by_priority=not untimed)
 
 
 def is_sparse(net: Net) -> bool:

@@ -13,15 +13,11 @@ from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space import numpy_engine
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
-    FieldOverflowError,
     RawGraph,
+    in_wide_fields,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
-from gspn_framework_package.analysis.state_space.packing import (
-    PackedNet,
-    Packing,
-    starting_widths,
-)
+from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep
 from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -140,29 +136,24 @@ def explore_lumped(
     :param symmetry: what is exchanged; a net without any is explored as a whole.
     :raises CancelledError: ``cancel`` returned true.
     """
-    net, of = symmetry.net, symmetry.place_orbits
+    net = symmetry.net
     watch = Watch(progress, cancel)
     room = Allowance(memory, time.monotonic() + seconds)
-    widths: Sequence[int] = starting_widths(net, bounds)
-    while True:
-        # what is exchanged gets fields of one width
-        widest = np.zeros(len(widths), dtype=np.int64)
-        np.maximum.at(widest, of, np.array(widths, dtype=np.int64))
-        packed = PackedNet(net, widest[of].tolist())
+
+    def run(packed: PackedNet) -> LumpedSpace:
         packing = Packing(net, packed.widths)
 
-        def least(states: Words, packing: Packing = packing) -> Words:
+        def least(states: Words) -> Words:
             markings = packing.unpack(states)
             symmetry.reduce(markings)
             return packing.pack_all(markings)
 
-        try:
-            graph = numpy_engine.explore(packed, limit, watch, room=room, representative=least)
-        except FieldOverflowError as overflow:
-            widths = packed.wider(overflow.bits)
-            continue
+        graph = numpy_engine.explore(packed, limit, watch, room=room, representative=least)
         assert graph.states is not None  # this engine packs them
         shortage = room.shortage(len(graph.states), limit, seconds)
         return LumpedSpace(
             symmetry, PackedStore(packing, graph.states), graph, packed.order, shortage
         )
+
+    # what is exchanged gets fields of one width
+    return in_wide_fields(net, bounds, run, alike=symmetry.place_orbits)
