@@ -34,11 +34,13 @@ PARTS = 3
 """What a call may take, as a multiple of what each part of an analysis may take."""
 
 PROGRAM = (
-    "import json, sys; sys.path[:0] = json.loads(sys.argv.pop(1)); "
+    "import json, signal, sys; sys.path[:0] = json.loads(sys.argv.pop(1)); "
+    "from gspn_framework_package.execution.parent_death import end_with_parent; "
+    "end_with_parent(int(sys.argv.pop(1)), signal.SIGKILL) or sys.exit(1); "
     "from gspn_framework_package.cli.main import main; sys.exit(main())"
 )
 """``gspn``, started with ``-I`` so that no module in the folder of the plans is taken for one of
-Python's."""
+Python's. It ends with the server, even if that is killed."""
 
 
 class CallLimits(NamedTuple):
@@ -302,7 +304,8 @@ class _Runs:
         package = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
         paths = [package, *(path for path in sys.path if path and os.path.isdir(path))]
         paths = [p for p in paths if p == package or os.path.realpath(p) != self._folder]
-        command = [sys.executable, "-I", "-c", PROGRAM, json.dumps(paths), *words]
+        command = [sys.executable, "-I", "-c", PROGRAM, json.dumps(paths), str(os.getpid())]
+        command += words
         with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
             child = subprocess.Popen(
                 command, cwd=self._folder, stdin=subprocess.DEVNULL, stdout=out, stderr=err

@@ -1,17 +1,19 @@
 """``gspn mcp``: the protocol over standard input and output, and the tools behind it."""
 
+import contextlib
 import io
 import json
 import os
 import queue
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from gspn_framework_package.cli import mcp_tools
@@ -287,7 +289,9 @@ def test_calls_end_in_an_answer_progress_or_silence():
     assert [m["id"] for m in left if "id" in m] == [5]  # nobody waits for a cancelled call
 
 
-def test_the_program_answers_until_its_input_ends(plans):
+@contextlib.contextmanager
+def program(plans):
+    """``gspn mcp`` at pipes; it ends with the block at the latest."""
     server = subprocess.Popen(
         [sys.executable, "-m", "gspn_framework_package", "mcp", str(plans)],
         cwd=str(ROOT),
@@ -295,17 +299,34 @@ def test_the_program_answers_until_its_input_ends(plans):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    try:
-        server.stdin.write(
-            json.dumps(request("tools/call", name="check", arguments={"plan": "tokens"})).encode()
-            + b"\n"
-        )
-        server.stdin.flush()
+    with server:
+        try:
+            yield server
+        finally:
+            server.kill()
+
+
+def send_call(server, name, **arguments):
+    message = request("tools/call", name=name, arguments=arguments)
+    server.stdin.write(json.dumps(message).encode() + b"\n")
+    server.stdin.flush()
+
+
+def test_the_program_answers_until_its_input_ends(plans):
+    with program(plans) as server:
+        send_call(server, "check", plan="tokens")
         result = json.loads(server.stdout.readline())["result"]
         assert json.loads(result["content"][0]["text"])["accepted"] and not result["isError"]
         out, err = server.communicate(timeout=60)
         assert (server.returncode, out, err) == (0, b"", b"")
-    finally:
-        if server.poll() is None:
-            server.send_signal(signal.SIGKILL)
-            server.wait()
+
+
+def test_what_a_call_runs_ends_with_a_killed_program(plans):
+    with program(plans) as server:
+        send_call(server, "simulate", plan="tokens", time=1e9, replications=1000)
+        deadline, children = time.monotonic() + 60, []
+        while not children and time.monotonic() < deadline:
+            children = psutil.Process(server.pid).children()
+            time.sleep(0.02)
+        server.kill()
+        assert children and not psutil.wait_procs(children, timeout=30)[1]

@@ -3,7 +3,6 @@ it."""
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
 import signal
@@ -13,6 +12,8 @@ import time
 import traceback
 from typing import Callable, Dict, List, NamedTuple, Optional
 
+from gspn_framework_package.execution.parent_death import end_with_parent
+
 PATIENCE = 10.0
 """Seconds that processes have to shut down when the parent has to end; ``roslaunch`` gives the
 parent 15."""
@@ -20,7 +21,6 @@ parent 15."""
 RESPAWN_DELAY = 1.0
 """Seconds until a process that ended is restarted; the launch files use the same for nodes."""
 
-_SET_PARENT_DEATH_SIGNAL = 1  # prctl(2)
 _WATCHED = (signal.SIGCHLD, signal.SIGINT, signal.SIGTERM)
 
 
@@ -98,9 +98,9 @@ class _Parent:
         """In the child, do its work and end the process."""
         code = 1
         try:
-            ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
+            family = end_with_parent(parent, signal.SIGTERM)
             signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)  # type: ignore[arg-type]
-            if os.getppid() == parent:  # otherwise it died before the call above took effect
+            if family:  # otherwise it died before the call above took effect
                 code = member.body()
         except BaseException:  # no code of the parent may run in the child
             traceback.print_exc()
