@@ -65,7 +65,7 @@ class Camera:
         )
         # both are stored in column-major order
         self._matrix = np.reshape(self._projection, (4, 4)).T @ np.reshape(self._view, (4, 4)).T
-        self._font = _font(max(12, height // 42))
+        self._font = scalable_font(max(12, height // 42))
         self._trails: Dict[str, Deque[Point]] = {
             name: deque(maxlen=TRAIL) for name in physics.robots
         }
@@ -193,7 +193,7 @@ class Camera:
         draw.text(middle, text, color, self._font, "mm")
 
 
-def _font(size: int) -> Any:
+def scalable_font(size: int) -> Any:
     """A scalable font if Matplotlib provides one, otherwise Pillow's default."""
     try:
         import matplotlib

@@ -1,6 +1,6 @@
 """The greenhouse of docs/first_plan.md, made in the page from nothing: drawn, completed, checked,
 saved, analysed, run, and opened again. Only its actions are written elsewhere. With ``--film`` it is
-the film of the README."""
+the film of docs/five_minutes.md."""
 
 import json
 import re

@@ -23,6 +23,7 @@ from typing import Tuple
 
 import pytest
 from document_commands import PACKAGE, ROOT, Command, File, documents, steps
+from PIL import Image
 from terminal import Terminal
 
 from gspn_framework_package.cli.main import VERBS, _parser
@@ -76,7 +77,7 @@ SHORTER = re.compile(r"(--seconds[= ])[0-9.]+")
 
 DOCUMENTS = documents()
 
-TYPED = ("README.md", "docs/first_plan.md")
+TYPED = ("docs/five_minutes.md", "docs/first_plan.md")
 """Documents whose ``python3 -m gspn_framework_package`` commands are typed in a terminal below, each
 once and with the same demands: what runs them all need not run those."""
 
@@ -249,12 +250,12 @@ def test_the_first_plan_typed_in_a_terminal(tmp_path):
     assert not any("not decided" in text or "without bound" in text for text in checks)
 
 
-def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
-    """What its five minutes need no ROS for, in a checkout: each command ends as it says, the page
+def test_five_minutes_typed_in_a_terminal(sandbox, tmp_path):
+    """All that needs no ROS, in a checkout: each command ends as it says, the page
     at Ctrl-C."""
     typed = []
     with _terminal(sandbox, home=tmp_path) as terminal:
-        for step in steps(ROOT / "README.md"):
+        for step in steps(ROOT / "docs/five_minutes.md"):
             if not isinstance(step, Command) or step.words[:3] != ["python3", "-m", PACKAGE]:
                 continue
             typed.append(step.words[3])
@@ -495,12 +496,22 @@ def test_the_gallery_shows_every_plan_as_it_is():
             assert names <= shown, "gspn draw {0} -o {0}/net.svg".format("plans/" + plan.name)
 
 
-def test_the_readme_and_the_site_list_every_document():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_site_and_its_first_page_list_every_document():
+    text = _text("index.md")
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
-    assert pages <= set(re.findall(r"^([a-z_0-9]+)$", _text("index.md"), re.MULTILINE))
+    assert pages <= set(re.findall(r"^([a-z_0-9]+)$", text, re.MULTILINE))
     parts = {page for page in pages if page.startswith("benchmarks_")}  # benchmarks.md leads there
-    assert pages - parts <= set(re.findall(r"\]\(docs/(\w+)\.md", readme))
+    assert pages - parts <= set(re.findall(r"\]\((\w+)\.md", text))
+
+
+def test_the_readme_is_one_screen_with_a_film():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= 45
+    assert "](docs/index.md)" in readme
+    (film,) = re.findall(r"!\[[^]]*\]\((docs/images/\S+)\)", readme)
+    assert os.path.getsize(ROOT / film) < 3_000_000
+    with Image.open(ROOT / film) as pictures:
+        assert pictures.n_frames > 50
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
