@@ -36,9 +36,9 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.addressing import read_status
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
+from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Event, data_event, plan_event, renumbered
-from gspn_framework_package.visualizer.deployed_plan import DeployedPlan, read_deployed
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,

@@ -12,7 +12,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import GspnError, RefusedError
 from gspn_framework_package.team.carrier import OperatorAnswer
-from gspn_framework_package.visualizer.deployed_plan import read_deployed
+from gspn_framework_package.team.deployed_plan import read_deployed
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.lookout import UnreachableError
