@@ -46,6 +46,16 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
 
     :raises OSError: or another of ``MASTER_ERRORS``, no master answers.
     """
+    answer = ask_node(namespace, CommandRequest(command="status"))
+    return read_status(answer.message) if answer else None
+
+
+def ask_node(namespace: str, request: CommandRequest) -> Optional[CommandResponse]:
+    """The answer of the execution node in a namespace; None if there is no node, or it does not
+    answer within ``PATIENCE``. For questions: an order would need the key of the team.
+
+    :raises OSError: or another of ``MASTER_ERRORS``, no master answers.
+    """
     name = rospy.names.ns_join(namespace, "command")
     master: Any = master_proxy()
     code, _, uri = master.lookupService("/gspn_operator", name)
@@ -54,12 +64,12 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
     calls = ServiceCalls(deadline=PATIENCE)
     answers: queue.SimpleQueue[CommandResponse] = queue.SimpleQueue()
     try:
-        calls.call(namespace, uri, name, Command, CommandRequest(command="status"), answers.put)
+        calls.call(namespace, uri, name, Command, request, answers.put)
         deadline = time.monotonic() + PATIENCE
         # a failure means that the node is gone, and the master has not noticed yet
         while time.monotonic() < deadline and not calls.failures:
             with contextlib.suppress(queue.Empty):
-                return read_status(answers.get(timeout=0.02).message)
+                return answers.get(timeout=0.02)
         return None
     finally:
         calls.close()

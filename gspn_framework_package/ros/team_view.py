@@ -6,8 +6,9 @@ While somebody subscribes, it publishes once a second
 - ``gspn_net/compressed`` (sensor_msgs/CompressedImage, PNG): the net with its current marking.
 
 Where a place is comes from the goal of its action, or from the room of the simulated world
-(``/world/room``). A robot is drawn at the origin of its frame, so tf moves it. No robot waits for
-this node, and it gives no orders.
+(``/world/room``). A robot is drawn at the origin of its frame, so tf moves it. When the team
+goes on under another plan, the node asks a robot for it and draws that one. No robot waits for this
+node, and it gives no orders.
 
 Private parameters: ``plan`` (file or folder), ``robots`` (size of the team; 0: as in the plan),
 ``run`` (name of the run; "" takes the first one of this plan), ``robot_frame`` (frame of a robot,
@@ -30,6 +31,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Marking, RobotActivity
+from gspn_framework_package.ros.operator_client import ask_node, status_in
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.ros.team_markers import (
     Spot,
@@ -40,6 +42,8 @@ from gspn_framework_package.ros.team_markers import (
 from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.node_process import run_node
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, published_topics
+from gspn_framework_package.srv import CommandRequest
+from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
 
 PERIOD = 1.0
 """Seconds of wall time between two messages on a topic."""
@@ -102,6 +106,9 @@ class TeamView:
         self._marking: Optional[Marking] = None
         self._spots: Dict[str, Spot] = spots_of_goals(plan)
         self._drawn: Tuple[Optional[Tuple[int, ...]], bytes] = (None, b"")
+        self._stage = 0
+        self._heard: Dict[str, RobotActivity] = {}
+        self._room_text = ""
         self._markers = TeamMarkers(robot_frame)
         self._followed: Dict[str, Any] = {}
         self._teller: Optional[Tuple[str, Any]] = None
@@ -109,6 +116,11 @@ class TeamView:
         self._marker_topic = rospy.Publisher("gspn_markers", MarkerArray, queue_size=2)
         self._image_topic = rospy.Publisher("gspn_net/compressed", CompressedImage, queue_size=2)
         self._room = rospy.Subscriber("/world/room", String, self._on_room)
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that is drawn."""
+        return self._plan
 
     def publish(self) -> None:
         """Publish what somebody subscribes; called once a second."""
@@ -140,7 +152,9 @@ class TeamView:
         with self._lock:
             self._robots = {name: robot for name, robot in self._robots.items() if name in there}
             ours = sorted(self._robots)
+            self._heard = {name: robot for name, robot in self._heard.items() if name in there}
         self._follow_marking(ours if watched else [])
+        self._follow_plan()
 
     def _follow_marking(self, namespaces: List[str]) -> None:
         """Follow the marking as one of these robots knows it."""
@@ -151,8 +165,40 @@ class TeamView:
             topic = namespaces[0] + MARKING
             self._teller = namespaces[0], rospy.Subscriber(topic, Marking, self._on_marking)
 
+    def _follow_plan(self) -> None:
+        """Draw the plan that the team follows now; only this thread changes the plan."""
+        with self._lock:
+            heard = sorted(self._heard.items())
+        for namespace, robot in heard:
+            if robot.plan == self._hash or (self._run and robot.run != self._run):
+                continue
+            try:
+                if not self._run:
+                    status = status_in(namespace)
+                    if status is None or status.get("began_with") != self._hash:
+                        continue
+                question = CommandRequest(command="plan", run=robot.run)
+                answer = ask_node(namespace, question)
+            except MASTER_ERRORS:
+                return
+            found = read_deployed(robot.run, answer.message) if answer and answer.success else None
+            if found is not None and found.number > self._stage:
+                self._show(found)
+                return
+
+    def _show(self, deployed: DeployedPlan) -> None:
+        with self._lock:
+            self._run, self._stage = deployed.run, deployed.number
+            self._plan, self._hash = deployed.plan, deployed.plan.hash()
+            self._drawn = (None, b"")
+            self._spots = spots_of_goals(self._plan)
+        if self._room_text:
+            self._place_in_room(self._room_text)
+        rospy.loginfo("the team goes on under the plan '%s'", self._plan.name)
+
     def _on_activity(self, message: RobotActivity, namespace: str) -> None:
         with self._lock:
+            self._heard[namespace] = message
             if not self._run and message.plan == self._hash:
                 self._run = message.run
             if message.run == self._run:
@@ -164,14 +210,20 @@ class TeamView:
                 self._marking = message
 
     def _on_room(self, message: String) -> None:
-        places = [place.name for place in self._plan.net.places]
+        self._room_text = message.data
+        self._place_in_room(message.data)
+
+    def _place_in_room(self, text: str) -> None:
+        plan = self._plan
+        places = [place.name for place in plan.net.places]
         try:
-            found = spots_of_room(json.loads(message.data), self._map_frame, places)
+            found = spots_of_room(json.loads(text), self._map_frame, places)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             rospy.logwarn_throttle(60.0, "/world/room cannot be read (%r)" % error)
             return
         with self._lock:
-            self._spots = {**found, **spots_of_goals(self._plan)}
+            if plan is self._plan:  # else another plan came meanwhile, and its places are found
+                self._spots = {**found, **spots_of_goals(plan)}
 
     def _tokens(self) -> Dict[str, int]:
         """Place -> tokens, as far as the team has told; before, as the plan begins."""

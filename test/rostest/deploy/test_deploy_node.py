@@ -19,6 +19,7 @@ from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.ros.team_view import TeamView
 from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.ros_watch import RosLookout
@@ -92,6 +93,17 @@ class DeployTest(RobotTestCase):
 
         wait_for(is_shown, 30, what)
 
+    def wait_for_the_view(self, team):
+        """Wait until what rviz is shown follows the team, with the plan that it began with."""
+        first = read_plan(os.path.join(team.plan, "plan.json"))
+        view = TeamView(first, team.run, "{robot}", "map")
+
+        def follows():
+            view.publish()
+            return view.plan.name == "5 places"
+
+        wait_for(follows, 30, "the new plan for rviz")
+
     def test_a_patrol_gets_a_fifth_location_without_stopping(self):
         for mode in ("full", "partial"):
             team = self.start(mode)
@@ -114,6 +126,7 @@ class DeployTest(RobotTestCase):
             self.wait_for_the_page(page, "the fifth location on the page")
             late = self.watched(team)
             self.wait_for_the_page(late, "the fifth location on a page that was opened later")
+            self.wait_for_the_view(team)
             self.assertEqual({r["incarnation"] for r in team["robot_1"].status()["robots"]}, {0})
             team["robot_2"].kill()  # it learns of the plan from its log
             team["robot_2"].start()

@@ -4,15 +4,20 @@ import json
 from pathlib import Path
 
 import pytest
+import rospy
 import yaml
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
+from gspn_framework_package.execution.plan_change import stage_of
+from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json
-from gspn_framework_package.msg import RobotActivity
+from gspn_framework_package.msg import Marking, RobotActivity
+from gspn_framework_package.ros import team_view as seen
 from gspn_framework_package.ros.team_markers import TeamMarkers, spots_of_goals, spots_of_room
 from gspn_framework_package.ros.team_view import TeamView
+from gspn_framework_package.srv import CommandResponse
 
 ROOT = Path(__file__).parents[3]
 ROOM = {"locations": {"L1": {"area": [[0.0, 1.0], [2.0, 3.0]]}, "L2": {"area": [[4, 4], [6, 6]]}}}
@@ -104,6 +109,70 @@ def test_the_rviz_file_shows_the_topics_of_the_node():
     assert config["Visualization Manager"]["Global Options"]["Fixed Frame"] == "map"
     assert all(d["Class"].startswith("rviz/") and d["Name"] for d in displays.values())
     assert json.dumps(config)  # plain values only
+
+
+def team_view(monkeypatch, plan, answers):
+    """The node, with fake connections: (view, topic -> what it published last). ``answers`` has
+    what a robot answers to each command."""
+    published = {}
+
+    class Connection:
+        def __init__(self, topic, *_, **__):
+            self.topic = topic
+
+        def get_num_connections(self):
+            return 1
+
+        def publish(self, message):
+            published[self.topic] = message
+
+        def unregister(self):
+            pass
+
+    monkeypatch.setattr("rospy.Publisher", Connection)
+    monkeypatch.setattr("rospy.Subscriber", Connection)
+    monkeypatch.setattr("rospy.get_rostime", rospy.Time)
+    there = [("/a/robot_activity", ""), ("/a/marking", "")]
+    monkeypatch.setattr(seen, "published_topics", lambda: there)
+    monkeypatch.setattr(seen, "ask_node", lambda namespace, question: answers[question.command])
+    monkeypatch.setattr(seen, "status_in", lambda namespace: answers["status"])
+    monkeypatch.setattr(seen, "render", lambda text, *_: text.encode())
+    return TeamView(plan, "", "{robot}", "map"), published
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_team_is_drawn_in_the_plan_that_it_goes_on_under(monkeypatch, late):
+    """Whether the node was there when the team changed, or came later with the first plan."""
+    there = goal(position={"x": 1}, orientation={"w": 1})
+    old, new = plan_with({"a": None, "b": None}), plan_with({"a": None, "b": None, "L1 new": there})
+    entry = stage_of(new, {})
+    staged = StagedPlan(1, entry.digest, entry.plan)
+    answers = {
+        "plan": CommandResponse(False, "the team follows the plan that it began with"),
+        "status": {"began_with": old.hash()},
+    }
+    view, published = team_view(monkeypatch, old, answers)
+
+    def hear(plan, place):
+        view._on_activity(RobotActivity(run="r", plan=plan.hash(), robot="a", place=place), "/a")
+        counts = [int(p.name == place) for p in plan.net.places]
+        names = [p.name for p in plan.net.places]
+        view._on_marking(Marking(run="r", plan=plan.hash(), places=names, counts=counts))
+        for _ in range(2):  # it looks around every other time
+            view.publish()
+
+    view._on_room(String(json.dumps(ROOM)))
+    if not late:
+        hear(old, "b")
+        assert b"L1 new" not in published["gspn_net/compressed"].data
+    answers["plan"] = CommandResponse(True, json.dumps(staged.to_json()))
+    hear(new, "L1 new")
+    hear(new, "L1 new")
+    assert b"L1 new" in published["gspn_net/compressed"].data
+    names = drawn(published["gspn_markers"], "place_names").values()
+    assert [m.text for m in names] == ["L1 new: 1"]
+    hear(old, "b")  # a robot that has not heard of it yet
+    assert b"L1 new" in published["gspn_net/compressed"].data
 
 
 @pytest.mark.parametrize("text", ["no JSON", "[]", "{}", '{"locations": {"L1": {"area": 3}}}'])
