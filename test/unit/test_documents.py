@@ -2,8 +2,8 @@
 
 What needs no ROS is run, in a folder that holds what the document has written down so far. What
 needs ROS is checked against the launch files, scripts and interfaces that it names;
-``test/rostest/documents`` runs it on a live team. What sets up a machine is in :data:`SET_UP`, and
-not run. A command that is none of these fails.
+``test/rostest/documents`` runs it on a live team. What cannot be run here is in :data:`NOT_RUN`,
+with the reason. A command that is none of these fails.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shlex
 import shutil
 import socket
 import subprocess
@@ -19,41 +20,30 @@ import urllib.request
 import xml.etree.ElementTree as ElementTree
 from functools import lru_cache
 from pathlib import Path
-from typing import Tuple
+from typing import List, Tuple
 
 import pytest
 from document_commands import PACKAGE, ROOT, Command, File, documents, steps
 from PIL import Image
 from terminal import Terminal
+from test_project_files import apt_packages
 
+import gspn_framework_package
 from gspn_framework_package.cli.main import VERBS, _parser
 
-SET_UP = (
-    # variables of one's own network, and the shell of one's own workspace
-    r"export ROS_(MASTER_URI|IP|HOSTNAME)=\S+",
-    r"source (/opt/ros/noetic|devel|install|build/catkin_ws/devel)/setup\.bash",
-    r"(cd|mkdir -p) ~/catkin_ws(/src)?",
-    # one's own folder: the document is typed in a terminal below
-    r'export PYTHONPATH="\$PWD"',
-    r"mkdir -p ~/greenhouse",
-    r"cd ~",
-    r'ln -s "\$PWD" ~/catkin_ws/src/gspn_framework_package',
-    # installing and building: ./run_tests does it from scripts/, see scripts/prepare.sh and
-    # scripts/check_install.sh
-    r"sudo apt-get install .+",
-    r"rosdep install --from-paths src --ignore-src -y",
-    r"catkin_make( install)?( -DPYTHON_EXECUTABLE=/usr/bin/python3)?",
-    r"pip3? install .+",
-    r"python3 -m coverage report -m",
-    r"python3 -m venv ~/gspn",
-    r"~/gspn/bin/(pip install \.|gspn --help)",
-    # programs of others
-    r"rosrun fkie_master_(discovery|sync) \w+",
-    r"roscore",
-    r"chronyc tracking",
-    r"(storm|prism) .+",
+NOT_RUN = (
+    (r"source /opt/ros/noetic/setup\.bash", "another distribution"),
+    (r"rosdep install --from-paths src --ignore-src -y", "the network; another distribution"),
+    (r"catkin_make", "another distribution: Debian needs an option, and is typed below"),
+    (r"sudo apt-get install .+", "changes the machine; what it installs is compared below"),
+    (r"pip3? install .+", "the network; what it installs is compared below"),
+    (r"python3 -m venv ~/gspn", "for the next: scripts/check_install.sh does the same offline"),
+    (r"~/gspn/bin/(pip install \.|gspn --help)", "the network"),
+    (r"python3 -m coverage report -m", "a library that the tests do without"),
+    (r"rosrun fkie_master_(discovery|sync) \w+", "a package of others"),
+    (r"(storm|prism) .+", "programs of others; test/unit/formats reads the files with stormpy"),
 )
-"""Commands that change the machine or need another: read, not run."""
+"""Commands that are not run, and what they need that is not here."""
 
 ENDLESS = {"serve", "replay", "record", "router", "agent"}
 """Verbs that end at Ctrl-C, or follow a live team: their arguments are parsed, the rest is tested
@@ -77,13 +67,15 @@ SHORTER = re.compile(r"(--seconds[= ])[0-9.]+")
 
 DOCUMENTS = documents()
 
-TYPED = ("docs/five_minutes.md", "docs/first_plan.md")
+TYPED = ("docs/five_minutes.md",)
 """Documents whose ``python3 -m gspn_framework_package`` commands are typed in a terminal below, each
 once and with the same demands: what runs them all need not run those."""
 
 
 ANYWHERE = "docs/teams_anywhere.md"
 """Typed below too, in a terminal for each program that goes on."""
+
+FIRST_PLAN, INSTALLING = "docs/first_plan.md", "docs/installing.md"
 
 
 def _name(document: Path) -> str:
@@ -117,8 +109,12 @@ def test_commands(document, sandbox):
 
 
 def _try(command: Command, sandbox: Path) -> None:
-    if any(re.fullmatch(pattern, command.line) for pattern in SET_UP):
+    if any(re.fullmatch(pattern, command.line) for pattern, _ in NOT_RUN):
         return
+    if command.document == FIRST_PLAN and not command.line.startswith("ros"):
+        return  # typed below
+    if command.line in {step.line for step in workspace_on_debian()}:
+        return  # typed below
     words = Command(*command[:2], re.sub(r"\$\([^)]*\)", "FOUND", command.line), "").words
     if command.document == ANYWHERE and words[0] in ("gspn", "python3"):
         return
@@ -139,6 +135,8 @@ def _try(command: Command, sandbox: Path) -> None:
         _options_exist(command, [str(ROOT / words[0])], words[1:])
     elif words[0] in ("docs/build", "scripts/make_deb"):
         assert os.access(ROOT / words[0], os.X_OK), str(command)
+    elif words[0] == "export":
+        _passes(command, ["bash", "-c", command.line], sandbox)
     elif words[0] in ROS_COMMANDS:
         ROS_COMMANDS[words[0]](command, words[1:])
     else:
@@ -279,6 +277,51 @@ def test_five_minutes_typed_in_a_terminal(sandbox, tmp_path):
             *("new", "serve", "serve", "replay"),
         ]
     )
+
+
+def workspace_on_debian() -> List[Command]:
+    """The lines of docs/installing.md that build a workspace on Debian 12."""
+    found = [step for step in steps(ROOT / INSTALLING) if isinstance(step, Command)]
+    lines = [step.line for step in found]
+    begin = lines.index("mkdir -p ~/catkin_ws/src")
+    return found[begin : lines.index("source devel/setup.bash") + 1]
+
+
+@pytest.mark.skipif(not os.path.exists("/usr/bin/catkin_make"), reason="not the ROS of Debian")
+def test_the_workspace_on_debian_typed_in_a_terminal(tmp_path):
+    typed = workspace_on_debian()
+    assert len(typed) == 5
+    environment = {"HOME": str(tmp_path), "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"}
+    with Terminal(ROOT, {**environment, "LC_ALL": "C.UTF-8"}) as terminal:
+        for step in typed:
+            code, text = terminal.type(step.line, patience=280)
+            assert code == 0, "%s\n%s" % (step, text[-3000:])
+        code, text = terminal.type("rosrun gspn_framework_package gspn --version")
+        assert (code, "gspn " + gspn_framework_package.__version__ in text) == (0, True), text
+
+
+def test_what_the_documents_install_is_what_the_tests_run_with():
+    """A shell expands the list for apt; pip gets libraries that scripts/requirements.txt has."""
+    names = {apt for path in DOCUMENTS for apt in _lines(path, "sudo apt-get install $(")}
+    for line in names:
+        found = subprocess.check_output(
+            ["bash", "-c", "echo " + line.split("install ", 1)[1]], cwd=str(ROOT), text=True
+        )
+        assert set(found.split()) == apt_packages(0)
+    assert len(names) == 1
+    known = (ROOT / "scripts/requirements.txt").read_text(encoding="utf-8")
+    piped = [line for path in DOCUMENTS for line in _lines(path, "pip install ", "pip3 install ")]
+    libraries = {
+        re.match(r"[\w-]+", w).group() for s in piped for w in shlex.split(s)[2:] if w[0] != "-"
+    }
+    assert "duckdb" in libraries
+    for library in libraries - {"coverage"}:
+        assert re.search("^%s[><=]" % library, known, re.MULTILINE), library
+
+
+def _lines(document: Path, *starts: str) -> List[str]:
+    found = [step.line for step in steps(document) if isinstance(step, Command)]
+    return [line for line in found if line.startswith(starts)]
 
 
 def test_teams_anywhere_typed_in_terminals(sandbox, tmp_path):
