@@ -399,11 +399,14 @@ class ReportWork:
                 self.data["live"] = False
                 self.undecided.pop("live", None)
 
-    def reach(self, condition: str) -> None:
-        """Answer whether a condition can come to hold."""
+    def reach(self, condition: str, find: Optional[Callable[[str], Reachability]] = None) -> None:
+        """Answer whether a condition can come to hold.
+
+        :param find: decides it; None: the analysis does.
+        """
 
         def compute() -> Dict[str, Any]:
-            found = self.analysis.reach(condition)
+            found = (find or self.analysis.reach)(condition)
             if found.reachable is None:
                 self.undecided["reach.%s" % condition] = (
                     "not found within %s, which are not all" % (self.analysis.space.extent)
@@ -412,12 +415,19 @@ class ReportWork:
 
         self.data.setdefault("reach", []).append(self._try("reach.%s" % condition, compute))
 
-    def cover(self, marking: Mapping[str, int]) -> None:
-        """Answer whether a marking with at least these tokens can be reached."""
+    def cover(
+        self,
+        marking: Mapping[str, int],
+        find: Optional[Callable[[Mapping[str, int]], Reachability]] = None,
+    ) -> None:
+        """Answer whether a marking with at least these tokens can be reached.
+
+        :param find: decides it; None: the analysis does.
+        """
         text = ",".join("%s=%d" % item for item in marking.items())
 
         def compute() -> Dict[str, Any]:
-            found = self.analysis.cover(marking)
+            found = (find or self.analysis.cover)(marking)
             if found.reachable is None:
                 self.undecided["cover.%s" % text] = "not found within %s, which are not all" % (
                     self.analysis.space.extent

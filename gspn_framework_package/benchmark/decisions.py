@@ -189,7 +189,7 @@ def automaton_of(space: StateSpace) -> Automaton:
         if transition.timed and len(arcs):
             values[arcs] = transition.rate
             if transition.servers != 1:
-                values[arcs] *= enabling_degree(space, t, sources[arcs])
+                values[arcs] *= enabling_degree(space.net, t, space.store, sources[arcs])
     choices = np.full(len(lengths), CHANCE, dtype=np.int32)
     arcs = np.concatenate([[0], np.cumsum(lengths)])
     choices[of_rows] = space.transitions[arcs[:-1][of_rows]]

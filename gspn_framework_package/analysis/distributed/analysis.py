@@ -20,7 +20,6 @@ from gspn_framework_package.analysis.distributed.steady import (
 )
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.solution.linear import DIRECT_SIZE
-from gspn_framework_package.analysis.solution.measures import waiting_times
 from gspn_framework_package.analysis.state_space.space import INVARIANT_EFFORT
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -103,31 +102,13 @@ class DistributedAnalysis:
         chain = RankChain(self.states, self._watch())
         share = steady_share(chain, self._watch(), direct)
         means, rates = measured(chain, share.values)
-        names = [place.name for place in self.net.places]
-        mean_tokens = dict(zip(names, means))
-        throughput = {t.name: value for t, value in zip(self.net.transitions, rates)}
-        return {
-            "mean_tokens": mean_tokens,
-            "throughput": throughput,
-            "token_distribution": {
-                name: {str(count): value for count, value in counts.items()}
-                for name, counts in zip(names, token_distribution(chain, share.values))
-            },
-            "mean_waiting_time": waiting_times(self.net, mean_tokens, throughput),
-            "residual": share.residual,
-            "method": share.method,
-            "components": [
-                {
-                    "states": share.recurrent,
-                    "probability": 1.0,
-                    "deadlock": share.deadlock,
-                    "marking": self._likeliest(chain, share.values),
-                }
-            ],
-            "component_count": 1,
-            "deadlock_count": int(share.deadlock),
-            "probability_of_other_components": 0.0,
-        }
+        return share.answers(
+            self.net,
+            means,
+            rates,
+            token_distribution(chain, share.values),
+            self._likeliest(chain, share.values),
+        )
 
     def _likeliest(self, chain: RankChain, values: Floats) -> Dict[str, int]:
         """The most probable marking."""

@@ -15,9 +15,7 @@ from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
     Growing,
-    RawGraph,
     in_wide_fields,
-    label_type,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
 from gspn_framework_package.analysis.state_space.numpy_engine import (
@@ -31,15 +29,10 @@ from gspn_framework_package.analysis.state_space.packing import (
     Packing,
 )
 from gspn_framework_package.analysis.state_space.space import StateSpace, is_sparse
+from gspn_framework_package.analysis.state_space.window import rows_of_round, timed_in, window
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.net import Net
-
-ROWS = 1 << 15
-"""Most states that a rank expands in one round."""
-
-_ROUND = 1 << 19
-"""Most states times transitions of a round."""
 
 _UPPER = np.int64(40)
 """The owner of a state follows from the bits of its hash above this one; the hash table of the
@@ -109,53 +102,14 @@ class RankStates:
         return owners, numbers
 
     def window(self, states: Indices) -> StateSpace:
-        """A state space of its own: some ``states`` of this rank, numbered first, the firings
-        from them, and whatever immediate firings follow, up to the next tangible states, from which
-        nothing fires."""
-        packed, timed = self.packed, timed_in(self.packed)
-        size = len(packed.order)
-        found = Growing(np.uint64, packed.words)
-        table = StateTable(found)
-        table.insert(self.words[states], found)
-        targets, labels = Growing(np.int64), Growing(label_type(size))
-        counts = []
-        explored = 0
-        while explored < found.used:
-            first = explored < len(states)
-            if not first and timed.all():
-                counts.append(np.zeros(found.used - explored, dtype=np.int64))
-                break
-            stop = min(explored + rows_of_round(size), len(states) if first else found.used)
-            block = found.array[explored:stop]
-            sources, fired = enabled(packed, block)
-            if not first:
-                at_once = ~timed[fired]
-                sources, fired = sources[at_once], fired[at_once]
-            successors = block[sources] + packed.change[fired]
-            targets.extend(table.insert(successors, found))
-            labels.extend(fired)
-            counts.append(np.bincount(sources, minlength=len(block)))
-            explored = stop
-        offsets = np.concatenate([[0], np.cumsum(np.concatenate([*counts, []]))]).astype(np.int64)
-        words = found.finished()
-        graph = RawGraph(words, offsets, targets.finished(), labels.finished(), len(words))
-        store = PackedStore(Packing(packed.net, packed.widths), words)
-        return StateSpace(packed.net, store, graph, packed.order, untimed=False, engine="mpi")
+        """A state space of its own around some ``states`` of this rank, see
+        :func:`~gspn_framework_package.analysis.state_space.window.window`."""
+        return window(self.packed, self.words[states])
 
 
 def owners_of(words: Words, size: int) -> Indices:
     """The ranks that packed markings belong to."""
     return (hashed(words) >> _UPPER) % size
-
-
-def timed_in(packed: PackedNet) -> Booleans:
-    """Whether each transition, in engine order, is exponential."""
-    return np.array([packed.net.transitions[t].timed for t in packed.order.tolist()], dtype=bool)
-
-
-def rows_of_round(transitions: int) -> int:
-    """Most states that a rank expands at once."""
-    return max(1, min(ROWS, _ROUND // max(transitions, 1)))
 
 
 def explore(

@@ -67,6 +67,20 @@ class Ranks:
         )
 
 
+class Alone(Ranks):
+    """One process that computes everything itself."""
+
+    rank, size = 0, 1
+
+    def gather(self, value: Value) -> List[Value]:
+        """See :meth:`Ranks.gather`."""
+        return [value]
+
+    def exchange(self, parts: Sequence[np.ndarray]) -> List[np.ndarray]:
+        """See :meth:`Ranks.exchange`."""
+        return list(parts)
+
+
 class AgreedWatch(Watch):
     """A watch that ends the work of all ranks if it ends that of one. All call it together.
 

@@ -10,12 +10,13 @@ from scipy import sparse
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix, Words
 from gspn_framework_package.analysis.chain.markov_chain import Chain
-from gspn_framework_package.analysis.distributed.exploration import RankStates, rows_of_round
+from gspn_framework_package.analysis.distributed.exploration import RankStates
 from gspn_framework_package.analysis.distributed.ranks import divided
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.state_space.exploration import Growing
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
 from gspn_framework_package.analysis.state_space.rated_graph import rate
+from gspn_framework_package.analysis.state_space.window import rows_of_round
 from gspn_framework_package.analysis.watch import Watch
 
 _Rates = Tuple[Words, Indices, Indices, Floats]

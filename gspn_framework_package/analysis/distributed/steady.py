@@ -6,13 +6,18 @@ between ranks it is a Jacobi iteration; Anderson acceleration spans them all.
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, Tuple
 
 import numpy as np
 from scipy import sparse
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
-from gspn_framework_package.analysis.distributed.ranks import AgreedWatch, Ranks
+from gspn_framework_package.analysis.distributed.long_run import (
+    SEVERAL_CLASSES,
+    LongRun,
+    recurrent_states,
+)
+from gspn_framework_package.analysis.distributed.ranks import AgreedWatch
 from gspn_framework_package.analysis.distributed.rates import RankChain
 from gspn_framework_package.analysis.solution.linear import (
     ACCEPTED,
@@ -32,18 +37,7 @@ _STEP = 0.9
 visited in turn, such as two ranks with one state each."""
 
 
-class RankShare(NamedTuple):
-    """The long-run share of time in each state of this rank (``values``), how many states of all
-    ranks recur, whether nothing happens there any more, and the residual and method behind it."""
-
-    values: Floats
-    recurrent: int
-    deadlock: bool
-    residual: float
-    method: str
-
-
-def steady_share(chain: RankChain, watch: Watch, direct: int = DIRECT_SIZE) -> RankShare:
+def steady_share(chain: RankChain, watch: Watch, direct: int = DIRECT_SIZE) -> LongRun:
     """Where the chain is in the long run. All ranks call it together.
 
     :param direct: up to this many states, every rank solves the whole chain.
@@ -51,56 +45,22 @@ def steady_share(chain: RankChain, watch: Watch, direct: int = DIRECT_SIZE) -> R
     :raises LimitError: the linear system was not solved.
     """
     ranks = chain.ranks
-    recurs = _recurrent(chain)
+    # the initial state, if it is tangible and of this rank
+    initial = np.zeros(len(chain), dtype=bool)
+    initial[:1] = chain.states.has_initial and not chain.states.vanishing[0]
+    dead = chain.exit_rates == 0
+    recurs = recurrent_states(ranks, dead, initial, chain.reaching, chain.reached)
+    if recurs is None:
+        raise RefusedError(SEVERAL_CLASSES, hint="leave --on out, which tells them apart")
     recurrent = int(ranks.total(int(recurs.sum())))
     if recurrent == 1:
         deadlock = bool(ranks.total(int((chain.exit_rates == 0).sum())))
-        return RankShare(recurs.astype(np.float64), 1, deadlock, 0.0, "LU")
+        return LongRun(recurs.astype(np.float64), 1, deadlock, 0.0, "LU")
     if recurrent <= direct:
         found = _solved_by_each(chain, recurs)
     else:
         found = _solved_together(chain, recurs, recurrent, watch)
-    return RankShare(found.values, recurrent, False, found.residual, found.method)
-
-
-def _recurrent(chain: RankChain) -> Booleans:
-    """The recurrent states of this rank."""
-    ranks = chain.ranks
-    dead = chain.exit_rates == 0
-    state = _chosen(ranks, dead)
-    begins_there = state is None
-    if state is None:
-        # the initial one, if it is tangible: then all others are reached from it
-        initial = chain.states.has_initial and not chain.states.vanishing[0]
-        begins_there = any(ranks.gather(initial))
-        here = np.zeros(len(chain), dtype=bool)
-        here[:1] = initial or not begins_there
-        state = _chosen(ranks, here)
-    assert state is not None  # a chain has a state
-    while True:
-        lead_there = chain.reaching(state)
-        everywhere = all(ranks.gather(bool(lead_there.all())))
-        if everywhere and begins_there:
-            return lead_there
-        reached = chain.reached(state)
-        if everywhere:
-            return reached
-        state = _chosen(ranks, reached & ~lead_there)
-        begins_there = False
-        if state is None:  # it recurs, and some states never lead there
-            raise RefusedError(
-                "the chain may end in one of several recurrent classes",
-                hint="leave --on out, which tells them apart",
-            )
-
-
-def _chosen(ranks: Ranks, candidates: Booleans) -> Optional[int]:
-    """The last of the candidates of the first rank that has one, by its number there (-1 on the
-    others); None if there is none."""
-    having = ranks.gather(bool(candidates.any()))
-    if not any(having):
-        return None
-    return int(np.flatnonzero(candidates)[-1]) if having.index(True) == ranks.rank else -1
+    return LongRun(found.values, recurrent, False, found.residual, found.method)
 
 
 def _solved_by_each(chain: RankChain, recurs: Booleans) -> LinearSolution:

@@ -7,17 +7,22 @@ from typing import Any, Callable, Dict, Optional, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
+from gspn_framework_package.analysis.on_disk.reach import cover, reach
 from gspn_framework_package.analysis.on_disk.scratch import Scratch
 from gspn_framework_package.analysis.on_disk.search import OnDiskSpace, search
+from gspn_framework_package.analysis.on_disk.steady import steady_state
 from gspn_framework_package.analysis.plan.reading import NET, TimingNotes
 from gspn_framework_package.analysis.report import (
     MEASURES,
     Part,
     Questions,
     ReportWork,
+    asked_conditions,
     report,
 )
-from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
 
 _BYTES_PER_STATE = 240
@@ -57,6 +62,7 @@ def report_within(
     if space.complete or states == limits.states or first.boundedness.bounded is False:
         return first, report(first, questions)
     del first, space  # and their memory
+    _check(net, questions)
     found = search(
         net,
         memory,
@@ -67,13 +73,37 @@ def report_within(
         cancel=cancel,
     )
     analysis = make(limits._replace(states=len(found), memory=int(memory)))
+
+    def watch() -> Watch:
+        return Watch(progress, cancel, seconds=seconds)
+
     try:
-        return analysis, _report_of(analysis, found, questions)
+        return analysis, _report_of(analysis, found, questions, memory, watch)
     finally:
         scratch.close()
 
 
-def _report_of(analysis: Analysis, space: OnDiskSpace, questions: Questions) -> Dict[str, Any]:
+def _check(net: Net, questions: Questions) -> None:
+    """Find mistakes in the questions before the long search.
+
+    :raises GspnError: a condition cannot be parsed, or a name is unknown.
+    """
+    for condition in asked_conditions(questions):
+        parse_condition(condition, [place.name for place in net.places], ["deadlock"])
+    for marking in questions.cover:
+        net.marking(marking)
+    for name in questions.rewards:
+        if name not in net.place_index:
+            net.transition_number(name)
+
+
+def _report_of(
+    analysis: Analysis,
+    space: OnDiskSpace,
+    questions: Questions,
+    memory: float,
+    watch: Callable[[], Watch],
+) -> Dict[str, Any]:
     work = ReportWork(analysis)
     work.basics()
     if questions.structure:
@@ -87,16 +117,15 @@ def _report_of(analysis: Analysis, space: OnDiskSpace, questions: Questions) -> 
     for measure in MEASURES:
         if measure.part is Part.BEHAVIOUR and measure.key not in work.data:
             leave_out(measure.key)
+    for condition in questions.reach:
+        work.reach(condition, lambda text: reach(space, text, watch()))
+    for marking in questions.cover:
+        work.cover(marking, lambda counts: cover(space, counts, watch()))
     if questions.timing:
-        leave_out("steady_state")
-    for key, asked in (
-        ("reach", questions.reach),
-        ("cover", questions.cover),
-        ("mean_time_to", questions.mean_time_to),
-    ):
-        if asked:
-            work.data[key] = [None] * len(asked)
-            work.undecided[key] = _NOT_ON_DISK
+        work.answer("steady_state", lambda: _steady(space, questions, memory, watch))
+    if questions.mean_time_to:
+        work.data["mean_time_to"] = [None] * len(questions.mean_time_to)
+        work.undecided["mean_time_to"] = _NOT_ON_DISK
     if questions.settling is not None:
         leave_out("time_to_steady_state")
     if questions.at:
@@ -105,6 +134,16 @@ def _report_of(analysis: Analysis, space: OnDiskSpace, questions: Questions) -> 
     work.data["scratch"] = str(space.scratch.folder)
     work.finish()
     return work.data
+
+
+def _steady(
+    space: OnDiskSpace, questions: Questions, memory: float, watch: Callable[[], Watch]
+) -> Dict[str, Any]:
+    found = steady_state(OnDiskChain(space, memory, watch()), watch())
+    if questions.rewards:
+        known = {**found["throughput"], **found["mean_tokens"]}
+        found["reward"] = math.fsum(v * known[n] for n, v in questions.rewards.items())
+    return found
 
 
 def _behaviour(work: ReportWork, space: OnDiskSpace) -> None:

@@ -15,6 +15,7 @@ from typing import Optional, Set, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.model.errors import LimitError, UsageError
 
 _RESERVE = 64 << 20
@@ -88,7 +89,7 @@ class Scratch:
 
 
 class ScratchFile:
-    """A temporary file of arrays, which is written from its beginning to its end."""
+    """A temporary file of arrays."""
 
     def __init__(self, scratch: Scratch) -> None:
         self._scratch = scratch
@@ -103,18 +104,26 @@ class ScratchFile:
         :raises LimitError: the disk is full.
         """
         begin = self.size
+        self.write(begin, array)
+        return begin
+
+    def write(self, position: int, array: np.ndarray) -> None:
+        """Write an array to ``position`` (bytes).
+
+        :raises LimitError: the disk is full.
+        """
         left = np.ascontiguousarray(array).view(np.uint8).reshape(-1).data
         try:
             while len(left):
-                written = os.pwrite(self._file.fileno(), left, self.size)
+                written = os.pwrite(self._file.fileno(), left, position)
                 left = left[written:]
-                self.size += written
-                self._scratch.grow(written)
+                position += written
+                self._scratch.grow(max(position - self.size, 0))
+                self.size = max(self.size, position)
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
                 raise
             raise self._scratch.full(len(left)) from None
-        return begin
 
     def read(self, position: int, into: np.ndarray) -> np.ndarray:
         """Fill an array from ``position`` (bytes) on; returns the array."""
@@ -132,3 +141,29 @@ class ScratchFile:
         if not self._file.closed:
             self._file.close()
             self._scratch.closed(self)
+
+
+class ScratchVector:
+    """Float numbers in a temporary file, which are read and written in parts.
+
+    :param size: how many.
+    """
+
+    def __init__(self, scratch: Scratch, size: int) -> None:
+        self._file = scratch.file()
+        self._size = size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> Floats:
+        begin, end, _ = part.indices(self._size)
+        return self._file.read(8 * begin, np.empty(max(end - begin, 0), dtype=np.float64))
+
+    def __setitem__(self, part: slice, values: Floats) -> None:
+        begin, _, _ = part.indices(self._size)
+        self._file.write(8 * begin, np.asarray(values, dtype=np.float64))
+
+    def close(self) -> None:
+        """Free its space."""
+        self._file.close()

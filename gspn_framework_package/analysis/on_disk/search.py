@@ -13,7 +13,7 @@ from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequenc
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Indices, Words
+from gspn_framework_package.analysis.arrays import Booleans, Indices, Words
 from gspn_framework_package.analysis.on_disk.keys import KeyCode, Keys, differs, distinct
 from gspn_framework_package.analysis.on_disk.scratch import Scratch, ScratchFile
 from gspn_framework_package.analysis.on_disk.sorted_keys import (
@@ -21,6 +21,7 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
     Pile,
     SortedKeys,
     Writer,
+    by_ranges,
     merged,
 )
 from gspn_framework_package.analysis.state_space.exploration import in_wide_fields
@@ -177,6 +178,37 @@ class OnDiskSpace:
                 keys = keys[~run.search(keys)[1]]
             yield keys
 
+    @property
+    def has_vanishing_start(self) -> bool:
+        """Whether the initial marking enables an immediate transition."""
+        return bool(self._at_once(self.packed.initial[None, :])[0])
+
+    def _at_once(self, states: Words) -> Booleans:
+        """Which states are vanishing."""
+        sources, fired = enabled(self.packed, states)
+        found = np.zeros(len(states), dtype=bool)
+        found[sources[~self._timed[fired]]] = True
+        return found
+
+    def tangible(self, watch: Watch) -> SortedKeys:
+        """The keys of all tangible markings, in one sequence.
+
+        :raises LimitError: the disk is full.
+        """
+        if self._vanishing:
+            writer = Writer(self.scratch, self.budget, self.code.dtype)
+            for parts in by_ranges(self._found, self.budget.together):
+                keys = distinct(np.concatenate(parts))
+                for begin in range(0, len(keys), self._rows):
+                    watch.step("states", len(self))
+                    some = keys[begin : begin + self._rows]
+                    writer.append(some[~self._at_once(self.code.decode(some))])
+            return writer.finished()
+        if len(self._found) > 1:
+            whole = merged(self._found, self.scratch, self.budget, watch, "states", self._states)
+            self._found = [whole]
+        return self._found[0]
+
     def _remember(self, layer: SortedKeys, watch: Watch) -> None:
         """Put a layer among the markings found before."""
         together = [layer]
@@ -197,10 +229,17 @@ class OnDiskSpace:
             return None
         layer, key = self._first_dead
         marking = tuple(self.packed.unpack(self.code.decode(key))[0].tolist())
-        return self._way_to(layer, key), marking
+        return self.way_to(layer, key), marking
 
-    def _way_to(self, layer: int, key: Keys) -> List[str]:
-        """A shortest firing sequence to a marking, backwards from layer to layer."""
+    def parts(self) -> Iterator[Tuple[int, Keys]]:
+        """All markings, some at a time, layer by layer: the number of their layer, and their
+        keys."""
+        for number, layer in enumerate(self._layers):
+            for keys in layer.parts(self._rows):
+                yield number, keys
+
+    def way_to(self, layer: int, key: Keys) -> List[str]:
+        """A shortest firing sequence to a marking of a layer, backwards from layer to layer."""
         way = []
         for number in range(layer - 1, -1, -1):
             state = self.code.decode(key)

@@ -3,11 +3,13 @@
 Instead of going to ``G(x)``, the next point is the combination of the last few ``G(x)`` whose
 changes ``G(x) - x`` cancel out best (Anderson 1965). For a linear ``G`` this is equivalent to GMRES
 (Walker and Ni 2011), and does not need the matrix of ``G``.
+
+The vectors are read and written in parts, so that they need not be in memory.
 """
 
 from __future__ import annotations
 
-from typing import Callable, Optional, Tuple
+from typing import Callable, Iterator, Optional, Protocol
 
 import numpy as np
 
@@ -20,6 +22,23 @@ _DEPENDENT = 1e-12
 """Changes whose directions are this close to linear dependence count as one, since separating them
 would only amplify rounding."""
 
+_PART = 1 << 16
+"""Number of entries of a vector that are read at once."""
+
+
+class Vector(Protocol):
+    """Numbers that are read and written in parts: a float array, or a file."""
+
+    def __getitem__(self, part: slice) -> Floats: ...
+
+    def __setitem__(self, part: slice, values: Floats) -> None: ...
+
+
+def parts(size: int) -> Iterator[slice]:
+    """The parts in which to read a vector of this size."""
+    for begin in range(0, size, _PART):
+        yield slice(begin, min(begin + _PART, size))
+
 
 class Anderson:
     """The memory of one iteration; ``next`` is called with every point and its image under ``G``.
@@ -27,49 +46,71 @@ class Anderson:
     >>> turn = np.array([[0.0, -0.9], [0.9, 0.0]])  # by itself it would take 260 steps to 1e-12
     >>> point, accelerated = np.array([1.0, 0.0]), Anderson(2)
     >>> for _ in range(4):
-    ...     point = accelerated.next(point, turn @ point + 1.0)
+    ...     accelerated.next(point, turn @ point + 1.0)
     >>> bool(np.abs(turn @ point + 1.0 - point).max() < 1e-12)
     True
     """
 
     def __init__(
-        self, size: int, depth: int = DEPTH, total: Optional[Callable[[Floats], Floats]] = None
+        self,
+        size: int,
+        depth: int = DEPTH,
+        total: Optional[Callable[[Floats], Floats]] = None,
+        vector: Callable[[int], Vector] = np.empty,
     ) -> None:
         """:param total: adds up the scalar products (float array) of all processes, if each of them
-        has a part of the vectors."""
+            has a part of the vectors.
+        :param vector: makes a vector of a given size; its entries do not matter.
+        """
+        self._size, self._depth = size, depth
         self._total = total or (lambda sums: sums)
-        self._changes = np.zeros((depth, size))  # differences of successive G(x) - x
-        self._moves = np.zeros((depth, size))  # differences of successive G(x)
+        self._changes = [vector(size) for _ in range(depth)]  # of successive G(x) - x
+        self._moves = [vector(size) for _ in range(depth)]  # of successive G(x)
         self._products = np.zeros((depth, depth))  # of the changes with each other
         self._count = 0
-        self._last: Optional[Tuple[Floats, Floats]] = None
+        self._last_change, self._last_image = vector(size), vector(size)
+        self._begun = False
 
-    def next(self, point: Floats, image: Floats) -> Floats:
-        """The point to continue from.
+    def next(self, point: Vector, image: Vector) -> None:
+        """Replace ``point`` by the point to continue from.
 
-        :param point: float array.
-        :param image: ``G(point)``: a separate array, which is kept and must not be changed.
+        :param image: ``G(point)``.
         """
-        change = image - point
-        last, self._last = self._last, (change, image)
-        if last is None:
-            return image.copy()
-        row = self._count % len(self._changes)
-        np.subtract(change, last[0], out=self._changes[row])
-        np.subtract(image, last[1], out=self._moves[row])
+        if not self._begun:
+            self._begun = True
+            for part in parts(self._size):
+                known = image[part]
+                self._last_change[part] = known - point[part]
+                self._last_image[part] = known
+                point[part] = known
+            return
+        row = self._count % self._depth
         self._count += 1
-        used = min(self._count, len(self._changes))
-        changes = self._changes[:used]
-        self._products[row, :used] = self._products[:used, row] = self._total(
-            changes @ changes[row]
-        )
+        used = min(self._count, self._depth)
+        sums = np.zeros((2, used))  # the products of the changes with the newest, and with G(x) - x
+        for part in parts(self._size):
+            known = image[part]
+            change = known - point[part]
+            newest = change - self._last_change[part]
+            self._changes[row][part] = newest
+            self._moves[row][part] = known - self._last_image[part]
+            self._last_change[part] = change
+            self._last_image[part] = known
+            for number in range(used):
+                other = newest if number == row else self._changes[number][part]
+                sums[0, number] += other @ newest
+                sums[1, number] += other @ change
+        sums = self._total(sums)
+        self._products[row, :used] = self._products[:used, row] = sums[0]
         length = np.sqrt(np.maximum(np.diagonal(self._products)[:used], 1e-300))
         gram = self._products[:used, :used] / np.outer(length, length)
-        aligned = self._total(changes @ change)
-        shares = np.linalg.lstsq(gram, aligned / length, rcond=_DEPENDENT)[0] / length
-        result: Floats = image - shares @ self._moves[:used]
-        return result
+        shares = np.linalg.lstsq(gram, sums[1] / length, rcond=_DEPENDENT)[0] / length
+        for part in parts(self._size):
+            moved = np.array(image[part])
+            for number, share in enumerate(shares.tolist()):
+                moved -= share * self._moves[number][part]
+            point[part] = moved
 
     def forget(self) -> None:
         """Start again: the next point is unrelated to the earlier ones."""
-        self._count, self._last = 0, None
+        self._count, self._begun = 0, False

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import sys
 import warnings
-from typing import Callable, NamedTuple, Optional
+from typing import Callable, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
 from gspn_framework_package.analysis.arrays import Floats, Indices, Matrix
-from gspn_framework_package.analysis.solution.anderson import Anderson
+from gspn_framework_package.analysis.solution.anderson import Anderson, Vector, parts
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
@@ -236,33 +236,40 @@ def iterate(
     sweep: Callable[[Floats], Floats],
     residual_of: Callable[[Floats], float],
     values: Floats,
-    diagonal: Floats,
+    diagonal: Vector,
     watch: Watch,
     *,
     scale: Optional[float] = None,
     reduction: Reduction = Reduction(),  # noqa: B008 (immutable)
+    vector: Callable[[int], Vector] = np.empty,
 ) -> LinearSolution:
     """Repeat accelerated sweeps until the residual is small, or stays as it is.
 
     :param sweep: one sweep; it may change its argument.
     :param residual_of: the residual of some values, see :func:`residual`.
-    :param values: the initial guess.
-    :param diagonal: float array, all positive.
+    :param values: the initial guess; it is overwritten.
+    :param diagonal: all positive.
     :param scale: the largest entry of the right-hand side; None if that is 0: then the solution
         sums to 1.
     :param reduction: of the processes that call this together.
+    :param vector: makes the vectors that only this function uses. The sweeps get float arrays.
     """
-    accelerated = Anderson(len(diagonal), total=reduction.total)
-    best, best_residual, best_at = values, float("inf"), 0
+    size = len(values)
+    accelerated = Anderson(size, total=reduction.total, vector=vector)
+    image = values
+    point, best = vector(size), vector(size)
+    for part in parts(size):
+        point[part] = best[part] = image[part]
+    best_residual, best_at = float("inf"), 0
     unchecked = 0
     for stride in range(1, MAX_SWEEPS // _STRIDE + 1):
-        image = values.copy()
+        for part in parts(size):
+            image[part] = point[part]
         for _ in range(_STRIDE):
             image = sweep(image)
         unchecked += 1
         # The change made by the sweeps shows, at no cost, when to compute the residual.
-        largest = reduction.largest(float((diagonal * image).max(initial=0.0)))
-        changed = reduction.largest(float(np.abs(diagonal * (image - values)).max(initial=0.0)))
+        largest, changed = (reduction.largest(v) for v in _largest_terms(diagonal, point, image))
         tolerance = TOLERANCE
         if scale is None:
             changed /= largest or 1.0
@@ -275,18 +282,36 @@ def iterate(
             if now < 0.5 * best_residual:
                 best_at = stride
             if now < best_residual:
-                best, best_residual = image, now
+                best_residual = now
+                for part in parts(size):
+                    best[part] = image[part]
             if now <= tolerance or (best_residual <= 1e-11 and stride - best_at >= _PATIENCE):
                 break
             if not np.isfinite(now) or now > 1e6 * best_residual:
                 accelerated.forget()
-                values = best
+                for part in parts(size):
+                    point[part] = best[part]
                 continue
             watch.step("sweeps (residual %.0e)" % now, stride * _STRIDE)
-        values = accelerated.next(values, image)
+        accelerated.next(point, image)
+    total = np.zeros(1)
+    for part in parts(size):
+        image[part] = best[part]
+        total += image[part].sum()
     if scale is None:
-        best = best / reduction.total(best.sum(keepdims=True))
-    return LinearSolution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
+        image /= reduction.total(total)
+    return LinearSolution(image, best_residual, "Gauss-Seidel", stride * _STRIDE)
+
+
+def _largest_terms(diagonal: Vector, before: Vector, after: Floats) -> Tuple[float, float]:
+    """The largest ``diagonal * after``, and the largest absolute ``diagonal * (after - before)``;
+    at least 0."""
+    largest = changed = 0.0
+    for part in parts(len(after)):
+        weights, values = diagonal[part], after[part]
+        largest = max(largest, float((weights * values).max()))
+        changed = max(changed, float(np.abs(weights * (values - before[part])).max()))
+    return largest, changed
 
 
 def sweeper(
@@ -295,18 +320,47 @@ def sweeper(
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place.
 
     It reads ``constant`` each time, which the caller may change."""
-    if matrix.nnz < _WORTH_LOADING and "numba" not in sys.modules:
-        return _scipy_sweeper(matrix, diagonal, constant, backward)
-    try:
-        from gspn_framework_package.analysis.solution.numba_sweeps import sweep
-    except ImportError:
+    sweep = _compiled_sweep(matrix.nnz)
+    if sweep is None:
         return _scipy_sweeper(matrix, diagonal, constant, backward)
     share = 1.0 / diagonal
 
     def compiled(values: Floats) -> Floats:
-        sweep(matrix.indptr, matrix.indices, matrix.data, constant, share, values, backward)
+        sweep(matrix.indptr, matrix.indices, matrix.data, constant, share, values, backward, 0)
         return values
 
+    return compiled
+
+
+def sweep_rows(matrix: Matrix, diagonal: Floats, values: Floats, first: int, entries: int) -> None:
+    """One Gauss-Seidel sweep over some of the rows of ``diagonal * x = matrix @ x``, in place.
+
+    :param matrix: these rows, sparse (CSR), with as many columns as there are ``values``.
+    :param diagonal: float array: the diagonal in these rows.
+    :param first: the number of the first of them.
+    :param entries: the number of entries of the whole matrix.
+    """
+    sweep, rows = _compiled_sweep(entries), slice(first, first + len(diagonal))
+    constant = np.zeros(len(diagonal))
+    if sweep is not None:
+        arrays = (matrix.indptr, matrix.indices, matrix.data)
+        sweep(*arrays, constant, 1.0 / diagonal, values, False, first)
+        return
+    mine = values[rows].copy()
+    values[rows] = 0.0
+    constant += matrix @ values
+    values[rows] = _scipy_sweeper(matrix[:, rows], diagonal, constant, False)(mine)
+
+
+def _compiled_sweep(entries: int) -> Optional[Callable[..., None]]:
+    """The compiled sweep, if it is there and worth loading for a matrix with so many entries."""
+    if entries < _WORTH_LOADING and "numba" not in sys.modules:
+        return None
+    try:
+        from gspn_framework_package.analysis.solution.numba_sweeps import sweep
+    except ImportError:
+        return None
+    compiled: Callable[..., None] = sweep
     return compiled
 
 

@@ -15,13 +15,14 @@ def sweep(
     share: Floats,
     values: Floats,
     backward: bool,
+    first: int,
 ) -> None:
     """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix is in
-    CSR form."""
-    size = len(values)
+    CSR form. It, ``constant`` and ``share`` may be those of some rows only: from ``first`` on."""
+    size = len(share)
     for i in range(size):
         row = size - 1 - i if backward else i
         total = constant[row]
         for k in range(offsets[row], offsets[row + 1]):
             total += data[k] * values[columns[k]]
-        values[row] = total * share[row]
+        values[first + row] = total * share[row]

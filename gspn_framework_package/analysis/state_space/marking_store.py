@@ -193,3 +193,17 @@ class SparseStore:
                 np.searchsorted(self._places[order], np.arange(len(self._base) + 1)),
             )
         return self._by_place
+
+
+class Columns:
+    """The columns of some markings, computed on access.
+
+    :param store: the markings.
+    :param part: which of them; by default all.
+    """
+
+    def __init__(self, store: Union[PackedStore, SparseStore], part: slice = slice(None)) -> None:
+        self._store, self._part = store, part
+
+    def __getitem__(self, place: int) -> Indices:
+        return self._store.column(place, self._part)

@@ -147,25 +147,40 @@ def _mask_by_transition(packed: PackedNet, block: Words) -> Booleans:
     columns = [np.ascontiguousarray(block[:, w]) for w in range(packed.words)]
     work = np.empty(len(block), dtype=np.uint64)
     for row in range(len(packed.order)):
-        result: Optional[Booleans] = None
-        for w in range(packed.words):
-            for weights, guards, enabled in (
-                (packed.need, packed.need_guard, True),
-                (packed.inhibit, packed.inhibit_guard, False),
-            ):
-                guard = guards[row, w]
-                if not guard:
-                    continue
-                np.bitwise_or(columns[w], guard, out=work)
-                np.subtract(work, weights[row, w], out=work)
-                np.bitwise_and(work, guard, out=work)
-                if result is None:
-                    result = np.equal(work, guard if enabled else np.uint64(0), out=mask[row])
-                else:
-                    result &= work == (guard if enabled else np.uint64(0))
-        if result is None:
-            mask[row] = True
+        _concession(packed, row, columns, work, mask[row])
     return np.ascontiguousarray(mask.T)
+
+
+def has_concession(packed: PackedNet, row: int, block: Words) -> Booleans:
+    """In which states the transition ``row`` (in engine order) would fire, were it not for others
+    of higher precedence."""
+    columns = [np.ascontiguousarray(block[:, w]) for w in range(packed.words)]
+    mask = np.empty(len(block), dtype=bool)
+    _concession(packed, row, columns, np.empty(len(block), dtype=np.uint64), mask)
+    return mask
+
+
+def _concession(
+    packed: PackedNet, row: int, columns: List[Words], work: Words, into: Booleans
+) -> None:
+    result: Optional[Booleans] = None
+    for w in range(packed.words):
+        for weights, guards, enabled in (
+            (packed.need, packed.need_guard, True),
+            (packed.inhibit, packed.inhibit_guard, False),
+        ):
+            guard = guards[row, w]
+            if not guard:
+                continue
+            np.bitwise_or(columns[w], guard, out=work)
+            np.subtract(work, weights[row, w], out=work)
+            np.bitwise_and(work, guard, out=work)
+            if result is None:
+                result = np.equal(work, guard if enabled else np.uint64(0), out=into)
+            else:
+                result &= work == (guard if enabled else np.uint64(0))
+    if result is None:
+        into[:] = True
 
 
 class StateTable:

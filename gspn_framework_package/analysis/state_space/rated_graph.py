@@ -96,13 +96,8 @@ def rate(space: StateSpace) -> RatedGraph:
         transition = space.net.transitions[t]
         if not transition.timed:
             values[arcs] = transition.weight
-        elif transition.servers == 1:
-            values[arcs] = transition.rate
         else:
-            degree = enabling_degree(space, t, sources[arcs])
-            if transition.servers is not None:
-                degree = np.minimum(degree, transition.servers)
-            values[arcs] = transition.rate * degree
+            values[arcs] = firing_rate(space.net, t, space.store, sources[arcs])
     _normalise(space, vanishing, sources, values)
     return RatedGraph(
         space.net,
@@ -125,12 +120,28 @@ def _arcs_by_transition(transitions: Indices) -> Iterator[Tuple[int, Indices]]:
         yield t, order[first:last]
 
 
-def enabling_degree(space: StateSpace, t: int, states: Indices) -> Indices:
-    """How many times transition number ``t`` could fire at once in each of ``states``."""
+def firing_rate(
+    net: Net, t: int, store: Union[PackedStore, SparseStore], states: Indices
+) -> Union[float, Floats]:
+    """The rate (1/s) at which exponential transition number ``t``, which is enabled, fires in each
+    of some ``states`` (numbers)."""
+    transition = net.transitions[t]
+    if transition.servers == 1:
+        return transition.rate
+    degree = enabling_degree(net, t, store, states)
+    if transition.servers is not None:
+        degree = np.minimum(degree, transition.servers)
+    return transition.rate * degree
+
+
+def enabling_degree(
+    net: Net, t: int, store: Union[PackedStore, SparseStore], states: Indices
+) -> Indices:
+    """How many times transition number ``t`` could fire at once in each of ``states`` (numbers)."""
     degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
-    for p, weight in space.net.inputs[t]:
-        np.minimum(degree, space.column(p, states) // weight, out=degree)
-    return degree if space.net.inputs[t] else np.ones(len(states), dtype=np.int64)
+    for p, weight in net.inputs[t]:
+        np.minimum(degree, store.column(p, states) // weight, out=degree)
+    return degree if net.inputs[t] else np.ones(len(states), dtype=np.int64)
 
 
 def _normalise(space: StateSpace, vanishing: Booleans, sources: Indices, values: Floats) -> None:

@@ -29,7 +29,11 @@ from gspn_framework_package.analysis.state_space.exploration import (
     RawGraph,
     in_wide_fields,
 )
-from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
+from gspn_framework_package.analysis.state_space.marking_store import (
+    Columns,
+    PackedStore,
+    SparseStore,
+)
 from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -209,7 +213,7 @@ class StateSpace:
         for begin in range(0, len(self), 1 << 17):
             part = slice(begin, min(begin + (1 << 17), len(self)))
             labels = {} if dead is None else {"deadlock": dead[part]}
-            columns = _Columns(self, part)
+            columns = Columns(self.store, part)
             result[part] = condition.holds_in_columns(columns, part.stop - part.start, labels)
         return result
 
@@ -382,16 +386,6 @@ def _run_sparse(
         net, limit, watch, by_priority=not untimed, room=room
     )
     return store, graph, order
-
-
-class _Columns:
-    """The columns of some of the markings, computed on access."""
-
-    def __init__(self, space: StateSpace, part: slice) -> None:
-        self._space, self._part = space, part
-
-    def __getitem__(self, place: int) -> Indices:
-        return self._space.column(place, self._part)
 
 
 def _run(

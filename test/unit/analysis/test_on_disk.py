@@ -10,8 +10,10 @@ from generated_nets import bounded_nets
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gspn_framework_package.analysis.on_disk import answers
 from gspn_framework_package.analysis.on_disk import scratch as scratch_module
 from gspn_framework_package.analysis.on_disk.keys import KeyCode
+from gspn_framework_package.analysis.on_disk.reach import cover
 from gspn_framework_package.analysis.on_disk.scratch import Scratch
 from gspn_framework_package.analysis.on_disk.search import LEAST_MEMORY, search
 from gspn_framework_package.analysis.on_disk.sorted_keys import (
@@ -21,6 +23,7 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
 )
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.packing import Packing
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.benchmark import on_disk
 from gspn_framework_package.benchmark.nets import FAMILIES
 from gspn_framework_package.cli.main import main
@@ -229,9 +232,70 @@ def test_the_command_answers_on_disk_what_it_can(kanban, tmp_path, capsys):
     assert {key: data[key] for key in same} == {key: whole[key] for key in same}
     assert set(whole) <= set(data)
     assert all(data["undecided"][key] for key in whole if data[key] is None and whole[key])
+    assert set(data["steady_state"]) == set(whole["steady_state"])
+    assert data["steady_state"]["throughput"] == pytest.approx(whole["steady_state"]["throughput"])
     _, out, _ = analysed(capsys, kanban, "--memory", "100KB", "--no-structure")
     assert "states: 4,600 (4,600 tangible" in out
     assert "on disk: at most" in out
+    assert "steady state (" in out
+
+
+def test_questions_are_answered_on_disk_as_in_memory(kanban, capsys):
+    asked = ["--no-structure", "--json", "--reward", "machine1=2", "--reward", "enter=3"]
+    for condition in ("machine1 == 2 and out4 == 1", "machine1 == 3", "deadlock", "out1 == 2"):
+        asked += ["--reach", condition]
+    asked += ["--cover", "machine1=1,machine4=2", "--cover", "machine1=3"]
+    _, out, _ = analysed(capsys, kanban, *asked)
+    whole = json.loads(out)
+    _, out, _ = analysed(capsys, kanban, *asked, "--memory", "100KB")
+    data = json.loads(out)
+    assert data["engine"] == "disk"
+    assert data["steady_state"]["reward"] == pytest.approx(whole["steady_state"]["reward"])
+    for key in ("reach", "cover"):
+        for here, there in zip(data[key], whole[key]):
+            for name in ("condition", "reachable", "coverable", "count"):
+                assert here.get(name) == there.get(name)
+            # there may be several shortest ways
+            assert len(here["witness"] or ()) == len(there["witness"] or ())
+    assert [found["reachable"] for found in data["reach"]] == [True, False, False, True]
+
+
+def test_a_witness_on_disk_can_be_fired_and_holds():
+    net = FAMILIES["fms"](2)
+    space = search(net, 10 * LEAST)
+    wanted = {net.places[3].name: 2}
+    found = cover(space, wanted, Watch())
+    here = tuple(net.initial_marking)
+    for step in found.witness:
+        assert net.transition_number(step.transition) in net.enabled(here)
+        here = net.fire(here, net.transition_number(step.transition))
+        assert net.named(here, zeros=False) == step.marking
+    assert here[3] >= 2
+
+
+@pytest.mark.parametrize(
+    ("question", "says"),
+    [
+        (["--reach", "nowhere == 1"], "nowhere"),
+        (["--cover", "nowhere=1"], "nowhere"),
+        (["--reward", "nowhere=1"], "nowhere"),
+    ],
+)
+def test_a_mistake_in_a_question_is_found_before_the_search(
+    kanban, capsys, monkeypatch, question, says
+):
+    monkeypatch.setattr(answers, "search", None)
+    code, _, errors = analysed(capsys, kanban, "--memory", "100KB", *question)
+    assert code == 2
+    assert says in errors
+
+
+def test_too_little_memory_for_the_steady_state_is_said(kanban, capsys):
+    _, out, _ = analysed(capsys, kanban, "--json", "--no-structure", "--memory", "50KB")
+    data = json.loads(out)
+    assert data["states"]["total"] == 4600
+    assert data["steady_state"] is None
+    assert "raise --memory" in data["undecided"]["steady_state"]
 
 
 def test_the_command_stays_in_memory_if_that_is_enough(kanban, capsys):

@@ -161,6 +161,7 @@ class _Search:
         times = 1.0 / model.exits[model.tangible]
         pace = 1.0 / (_STRIDE * float(times.mean())) if long_run and len(times) else 1.0
         weight = math.sqrt(size) / pace
+        values = values.copy()
         best, best_spread, best_at = values, math.inf, 0
         for stride in range(1, most // _STRIDE + 1):
             image = values.copy()
@@ -185,12 +186,12 @@ class _Search:
                     continue
                 self._watch.step("sweeps (spread %.0e)" % spread, stride * _STRIDE)
             if not long_run:
-                values = accelerated.next(values, image)
+                accelerated.next(values, image)
                 continue
             drifted = float((image - values).mean())
-            before = np.append(values, self._gain * weight)
+            following = np.append(values, self._gain * weight)
             after = np.append(image - drifted, (self._gain + pace * drifted) * weight)
-            following = accelerated.next(before, after)
+            accelerated.next(following, after)
             self._gain = float(following[-1]) / weight
             values = following[:-1] - following[0]
         return (best if math.isfinite(best_spread) else values), False
