@@ -6,7 +6,8 @@ Every robot is a process of its own, and so is the router, all on this machine.
 
 - *Round trip*: 500 bytes to another robot and back, one after the other.
 - *Team*: ``plans/tokens`` as in :mod:`~gspn_framework_package.benchmark.latency`.
-- *Flood*: the same, while somebody with the keys of a robot sends 10,000 messages a second.
+- *Flood*: the same, while somebody with the keys of a robot sends 10,000 messages a second. The
+  processor time of a firing does not count theirs.
 
 ``--large N`` starts N robots, ten in a process, and measures how long it takes until all have
 fired, and what they need.
@@ -31,7 +32,12 @@ import psutil
 from gspn_framework_package.benchmark.latency import latencies, plan_of
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.ports import free_port
-from gspn_framework_package.benchmark.processes import child, end_cleanly_when_told
+from gspn_framework_package.benchmark.processes import (
+    child,
+    cost_of,
+    cpu_seconds,
+    end_cleanly_when_told,
+)
 from gspn_framework_package.execution.agreement.interface import Send
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.execution.event_log import read_log
@@ -136,6 +142,9 @@ def _flood(site: _Site, sent: Any, stop: Any) -> None:
     session.close()
 
 
+_PARTS = (_route, _robots, _flood)
+
+
 # -- measurements ----------------------------------------------------------------------------------
 
 
@@ -146,6 +155,7 @@ class _Processes:
         self.site = site
         self.stop = _SPAWN.Event()
         self._all: List[Any] = []
+        self._parts: Dict[Any, List[int]] = {}
 
     def __enter__(self) -> _Processes:
         ready = _SPAWN.Event()
@@ -159,15 +169,17 @@ class _Processes:
         process = child(target, self.site, *arguments, self.stop)
         process.start()
         self._all.append(process)
+        self._parts.setdefault(target, []).append(process.pid)
+
+    def seconds(self, target: Any) -> float:
+        """Processor seconds so far of the processes that were started with a function."""
+        found = cpu_seconds(psutil.Process(pid) for pid in self._parts.get(target, []))
+        return sum(found.values())
 
     def usage(self) -> Dict[str, float]:
         """Processor seconds, and memory (MB, what is shared divided among those who share it)."""
-        seconds, megabytes = 0.0, 0.0
-        for process in map(psutil.Process, [started.pid for started in self._all]):
-            times = process.cpu_times()
-            seconds += times.user + times.system
-            megabytes += process.memory_full_info().pss / 1e6
-        return {"cpu_s": seconds, "memory_mb": megabytes}
+        cost = cost_of(psutil.Process(started.pid) for started in self._all)
+        return {"cpu_s": cost.cpu_seconds, "memory_mb": cost.pss_mb}
 
     def __exit__(self, *_: object) -> None:
         self.stop.set()
@@ -221,10 +233,10 @@ def team(
             _wait_for_logs(folder, robots)
             time.sleep(3.0)  # exclude the connections made in the background
             before, began = sent.value, time.monotonic()
-            used = processes.usage()["cpu_s"]
+            used = {part: processes.seconds(part) for part in _PARTS}
             time.sleep(window)
             flood = (sent.value - before) / window
-            used = processes.usage()["cpu_s"] - used
+            used = {part: processes.seconds(part) - used[part] for part in _PARTS}
         logs = [
             read_log(path)
             for path in [_log_of(folder, _name(number)) for number in range(1, robots + 1)]
@@ -242,8 +254,12 @@ def team(
         "coordinated_p99_ms": round(coordinated[int(len(coordinated) * 0.99)], 2)
         if moves
         else None,
-        "cpu_ms_per_firing": round(1000 * used / moves, 2) if moves else None,
+        "cpu_ms_per_firing": round(1000 * (used[_robots] + used[_route]) / moves, 2)
+        if moves
+        else None,
+        "router_percent_of_core": round(100 * used[_route] / window),
         **({"flood_per_s": round(flood)} if flooded else {}),
+        **({"flooder_percent_of_core": round(100 * used[_flood] / window)} if flooded else {}),
         "logs": "rule %d: %s" % violation if violation else "valid",
     }
 
@@ -308,7 +324,9 @@ COLUMNS = (
     ("coordinated_median_ms", "coordinated median [ms]"),
     ("coordinated_p99_ms", "p99 [ms]"),
     ("cpu_ms_per_firing", "CPU per firing [ms]"),
+    ("router_percent_of_core", "router [% of a core]"),
     ("flood_per_s", "flood/s"),
+    ("flooder_percent_of_core", "flooder [% of a core]"),
     ("logs", "logs"),
 )
 

@@ -63,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
                 news = router.follow_keys()
                 if news:
                     _tell(args, news, members=router.members)
+                for flood in router.floods():
+                    _tell(args, flood)
     finally:
         router.close()
     return 0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Sequence, Tuple
+from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.errors import GspnError, UsageError
+from gspn_framework_package.team.flood_brake import FloodBrake
 from gspn_framework_package.team.keys import KeyFolder, read_keys
 from gspn_framework_package.team.tcp_patience import limit_silence, ports_of
 from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
@@ -41,6 +42,7 @@ class Router:
         self._listen, self._connect = tuple(listen), tuple(connect)
         self._folder = keys_folder
         self._seen = self._stamp()
+        self._brake: Optional[FloodBrake] = None
         self._session = self._open()
 
     def _open(self) -> zenoh.Session:
@@ -48,6 +50,8 @@ class Router:
         self.members = len(access.keys.members) if access.keys else None
         session = open_session(access)
         limit_silence(ports_of(self._listen), ports_of(self._connect))
+        if access.limited:
+            self._brake = FloodBrake(ports_of(self._listen))
         return session
 
     def _stamp(self) -> Tuple[int, int]:
@@ -76,7 +80,7 @@ class Router:
             _keys_of_router(self._folder)
         except GspnError as error:
             return "the allow-list stays as it was: %s" % error
-        self._session.close()
+        self.close()
         try:
             self._session = self._open()
         except GspnError as error:
@@ -84,8 +88,15 @@ class Router:
             return "the router is down: %s" % error
         return "%s: %s may take part" % (REPLACED, self.members)
 
+    def floods(self) -> List[str]:
+        """Who was braked, or let go, since the last call, for people."""
+        return self._brake.news() if self._brake is not None else []
+
     def close(self) -> None:
         """Close all connections."""
+        if self._brake is not None:
+            self._brake.close()
+            self._brake = None
         self._session.close()
 
 

@@ -9,15 +9,14 @@ does not let the robot in again. Zenoh has no setting for it, so the sockets get
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 from typing import Iterable, Set
+
+from gspn_framework_package.team.own_sockets import LISTENS, own_sockets
 
 GIVES_UP = 6.0
 """Seconds for which sent data may stay unacknowledged. On a bad link TCP repeats itself five times
 in that time."""
-
-_LISTENS = "0A"
 
 
 def limit_silence(listens: Iterable[int] = (), connects: Iterable[int] = ()) -> int:
@@ -27,18 +26,14 @@ def limit_silence(listens: Iterable[int] = (), connects: Iterable[int] = ()) -> 
     :param listens: ports here.
     :param connects: ports elsewhere.
     """
-    wanted = _inodes(set(listens), set(connects))
-    if not wanted:
-        return 0
+    here, there = set(listens), set(connects)
     done = 0
-    for name in os.listdir("/proc/self/fd"):
-        with contextlib.suppress(OSError, ValueError):  # closed meanwhile
-            target = os.readlink("/proc/self/fd/" + name)
-            if target.startswith("socket:[") and target[8:-1] in wanted:
-                with socket.socket(fileno=os.dup(int(name))) as same:
-                    option = socket.TCP_USER_TIMEOUT
-                    same.setsockopt(socket.IPPROTO_TCP, option, int(1000 * GIVES_UP))
-                done += 1
+    for _, same in own_sockets(
+        lambda state, local, remote: (state == LISTENS and local in here) or remote in there
+    ):
+        with contextlib.suppress(OSError):  # closed meanwhile
+            same.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * GIVES_UP))
+            done += 1
     return done
 
 
@@ -46,17 +41,3 @@ def ports_of(endpoints: Iterable[str]) -> Set[int]:
     """The ports in endpoints such as ``tls/HOST:7447``."""
     ends = (endpoint.rsplit(":", 1)[-1] for endpoint in endpoints)
     return {int(end) for end in ends if end.isdigit()}
-
-
-def _inodes(listens: Set[int], connects: Set[int]) -> Set[str]:
-    """The sockets of this network namespace that are meant, by their number."""
-    found: Set[str] = set()
-    for table in ("tcp", "tcp6"):
-        with contextlib.suppress(OSError), open("/proc/self/net/" + table) as file:
-            next(file, "")
-            for line in file:
-                _, local, remote, state, *_, inode = line.split()[:10]
-                ours, theirs = (int(end.rsplit(":", 1)[1], 16) for end in (local, remote))
-                if (state == _LISTENS and ours in listens) or theirs in connects:
-                    found.add(inode)
-    return found

@@ -197,6 +197,24 @@ def test_of_a_flood_the_router_lets_little_through(hub):
     listening.undeclare()
 
 
+def test_who_goes_on_flooding_is_braked_by_the_router_and_the_others_are_not(hub):
+    one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
+    connect(one, two)
+    flooder, key = hub.session("robot_3"), key_of("run", "robot_3", "all", "0")
+    told = []
+
+    def braked():
+        for _ in range(200):
+            flooder.put(key, b"x" * 20_000)
+        told.extend(hub.router.floods())
+        return told
+
+    wait_for(braked, 30.0)
+    assert len(told) == 1 and told[0].endswith("sends more than a robot: it is heard in pieces")
+    one.send(EVERYBODY, "meanwhile")
+    wait_for(lambda: "meanwhile" in two.numbers())
+
+
 def test_another_run_is_not_heard(hub):
     one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
     other = Robot(hub, "robot_3", run="another")
