@@ -431,6 +431,13 @@ class Consensus:
         state.slow = 0.0
         state.round_trip += (took - state.round_trip) / (8 if state.round_trip else 1)
 
+    def woke(self, now: float) -> None:
+        """We were suspended: that time is no measure of the network, and whoever took it for one
+        would give way for as long."""
+        for attempt in (*self.state.attempts, self.state.attempt):
+            if attempt is not None:
+                attempt.began = now
+
     def took(self, seconds: float) -> None:
         """Something of ours, which others proposed, was decided within that time."""
         self.state.slow = min(self.state.slow, seconds)

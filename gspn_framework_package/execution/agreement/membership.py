@@ -640,11 +640,12 @@ class Membership:
     def _heard_though_off(self, robot: str) -> None:
         """A robot that was asserted to be off is heard: the assertion was wrong, or has ended."""
         was = robot in self.electorate.asserted_off()
+        if was:  # in the log, too: who is started again between the two hears the robot once more
+            self.proposals.withdraw_forced_evictions(robot, "%s is not off: it was heard" % robot)
         del self.state.off[robot]
         self._persist_off()
         if not was:
             return
-        self.proposals.withdraw_forced_evictions(robot, "%s is not off: it was heard" % robot)
         self.proposer.abandon()
         self.outbox.fault("%s was said to be off, and is heard: it is not evicted" % robot)
 

@@ -158,6 +158,7 @@ class Replica:
         state.now = now
         if now - before > 4 * self.config.pace.heartbeat:
             self.membership.listen_anew()  # suspended, or starved: nobody's silence counts
+            self.consensus.woke(now)
         halted = False
         for number, one in enumerate(given, 1):
             halted = state.halted is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, List
 
 import pytest
 
@@ -177,6 +177,46 @@ def test_an_eviction_by_force_is_in_the_log_once_with_whoever_ordered_it() -> No
     entries = [e for r in records if r["kind"] == "slot" for e in r["entries"]]
     evicted = [(e["robot"], e.get("by")) for e in entries if e["entry"] == "evict"]
     assert sorted(evicted) == [("r1", ["ann", "team key"]), ("r3", ["ann", "team key"])]
+
+
+@pytest.mark.parametrize("of_two", [0, 1])
+def test_a_wrong_assertion_is_taken_back_also_across_a_crash(of_two: int) -> None:
+    """r1 is said to be off, but only the link was cut. The robot that was told so is killed while
+    it takes that back, before the first or the second of the two records of that."""
+    world = team(TOKENS, 3)
+    world.cut_off("r2")
+    world.run(world.now + 2)
+    world.force("r2", "r1")
+    world.run(world.now + 0.5)
+    second = world.nodes["r2"]
+    assert world.replica("r2").electorate.asserted_off() == {"r1"}
+    carry_out = second.carry_out
+
+    def die_while_taking_it_back(effects: List[interface.Effect]) -> None:
+        records = [
+            number
+            for number, effect in enumerate(effects, 1)
+            if isinstance(effect, interface.Persist) and effect.record["kind"] in ("void", "forced")
+        ]
+        if len(records) == 2:
+            second.doomed = records[of_two]
+            world.random.seed(2)  # the record before which it dies is not written
+        carry_out(effects)
+
+    second.carry_out = die_while_taking_it_back  # type: ignore[method-assign]
+    world.blocked.clear()
+    world.run(world.now + 2)
+    assert second.replica is None
+    del second.carry_out
+    second.start()
+    world.run(world.now + 3)
+    replica = world.replica("r2")
+    assert replica.electorate.asserted_off() == set()
+    assert [
+        o for o in replica.state.own_proposals if isinstance(o.item.entry, log_entries.Evict)
+    ] == []
+    assert replica.members() == ["r1", "r2", "r3"]
+    world.verify()
 
 
 def test_an_attempt_that_cannot_succeed_does_not_keep_others_from_trying() -> None:

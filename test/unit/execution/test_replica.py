@@ -459,6 +459,27 @@ def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
     assert all(node.replica.state.round_trip < 0.01 for node in world.nodes.values())
 
 
+def test_sleep_is_not_taken_for_a_slow_network() -> None:
+    world = Team(make_plan(TOKENS, 3, True, 0.0, 0.0, False), 1, Weather(0.001, 0.001))
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(0.5)
+    first = world.nodes["r1"]
+    assert first.replica is not None
+    for _ in range(40):  # until it sleeps while it waits for answers
+        world.run(world.now + 0.0007)
+        if first.replica.state.attempt is not None:
+            break
+    assert first.replica.state.attempt is not None
+    first.suspended = True
+    world.run(world.now + 5.0)
+    first.resume()
+    for _ in range(200):
+        world.run(world.now + 0.001)
+        assert first.replica.state.delay < 0.1
+
+
 @pytest.mark.parametrize("partial", [False, True])
 def test_robots_far_apart_do_not_beat_each_other_for_ever(partial: bool) -> None:
     """An answer takes longer than the longest wait for one, until that is known."""
