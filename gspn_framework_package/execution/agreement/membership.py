@@ -24,7 +24,7 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Life
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.proposer import Proposer
-from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended
@@ -256,8 +256,8 @@ class Membership:
         peer = peers.get(sender)
         known = self.electorate.known_log(sender)
         if not known and len(peers.known) < MOST_ROBOTS:
-            known = peers.known[sender] = message.log
-            self.outbox.persist({"kind": "peer", "robot": sender, "log": message.log}, durable=True)
+            known = message.log
+            self._note_log(sender, known)
         peer.note_life(message)
         peer.surprise = None
         if known and message.log != known:
@@ -268,6 +268,19 @@ class Membership:
         elif isinstance(message.body, Hello) and message.body.begin < peer.before.records:
             peer.surprise = Seen(known, *peer.before)
         return True
+
+    def _note_log(self, robot: str, log: str) -> None:
+        self.state.peers.known[robot] = log
+        self.outbox.persist({"kind": "peer", "robot": robot, "log": log}, durable=True)
+
+    def note_proposer(self, ballot: Ballot) -> None:
+        """A slot was decided under that ballot, so its log is the one whose votes count for that
+        robot, even if we lost what we knew, and then heard of another process of its name first."""
+        robot, state = ballot.robot, self.state
+        if not ballot.log or robot == self.config.name or robot in state.ledger.logs:
+            return
+        if state.peers.known.get(robot) != ballot.log:
+            self._note_log(robot, ballot.log)
 
     def on_hello(self, message: Envelope, hello: Hello) -> None:
         """Another announces itself."""
@@ -350,12 +363,13 @@ class Membership:
         logs while a team starts would have to help all that start later."""
         state, sender = self.state, message.sender
         begun = state.ledger.length > 1
-        if not begun or message.log == self.electorate.known_log(sender):
+        witness = not begun or message.log == self.electorate.known_log(sender)
+        if witness:
             state.peers.get(sender).welcomes = seen.log
         if state.amnesic or (state.joining and not state.active):
             return
         if seen.log != state.log_id:
-            if state.ledger.logs.get(self.config.name) != state.log_id:
+            if witness and state.ledger.logs.get(self.config.name) != state.log_id:
                 self.forget("%s knows an older one" % sender)
             return
         ours = Life(state.incarnation, state.records)

@@ -508,7 +508,7 @@ class _Run:
                 known = {n.replica.known_log(first.name) for n in world.alive() if n.replica}
                 for node in world.nodes.values():
                     if node.disk is not None:  # also who is down just now knows it afterwards
-                        known |= {r.get("log") for r in node.disk.records() if r["kind"] == "peer"}
+                        known |= {str(r["log"]) for r in node.disk.records() if r["kind"] == "peer"}
                 asked = any(r["kind"] == "invoked" for r in records)
                 # a log is lost that counts for somebody who heard of it first, or that may yet be
                 # let in, because it asked to be

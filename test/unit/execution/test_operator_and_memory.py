@@ -703,6 +703,34 @@ def test_a_robot_that_lost_its_log_is_no_witness_of_a_start() -> None:
     assert not world.replica("r1").active  # the other one knows only this process, now
 
 
+@pytest.mark.parametrize("partial", [False, True])
+def test_no_slot_is_lost_by_the_word_of_a_robot_that_lost_its_log(partial: bool) -> None:
+    """r2 lost its log, and hears the other process of r1 before the one with which it decided."""
+    world, spare = two_of_the_first(partial)
+    spare.give(interface.Order("pause", log_entries.Pause()))
+    world.run(world.now + 1)
+    decided = spare.replica.ledger.length
+    assert decided > 1
+    other = world.nodes["r2"]
+    other.crash()
+    other.lose_log()
+    world.blocked = {("r2", spare.key), (spare.key, "r2")}
+    world.run(world.now + 0.5)  # r1 hears that another process of its name is in the team
+    other.start()
+    while world.replica("r2").known_log("r1") != world.replica("r1").log_id:
+        world.run(world.now + 0.0005)
+        assert world.now < 4.0
+    world.blocked.clear()
+    for _ in range(3000):
+        world.run(world.now + 0.001)
+        assert world.length() >= decided
+    other.give(interface.Order("resume", log_entries.Resume()))
+    world.run(world.now + 3)
+    assert other.results["resume"].ok
+    assert sum(node.replica.may_vote() for node in world.alive()) == 2
+    world.verify()
+
+
 def test_an_eviction_gets_into_a_full_batch() -> None:
     """With partial synchronisation, a slot that does not hold it waits for the robot that is
     off."""
