@@ -6,6 +6,7 @@ import argparse
 import os
 import signal
 import threading
+import time
 from types import FrameType
 from typing import Optional
 
@@ -72,10 +73,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="print an object on each line: what the robot says, how it is, and how it ended",
     )
     parser.epilog = (
-        "Start one for each robot; 'gspn router' connects them, and 'gspn status --connect "
-        "ENDPOINT' and the orders reach them. Exit codes: 0 the run came to its end, 1 the plan "
-        "was refused, the run was stopped or failed, or nobody can be reached, 2 wrong input or "
-        "usage, 130 interrupted: the robot is still in the team."
+        "Start one for each robot; 'gspn router' connects them, and each waits until it is there. "
+        "'gspn status --connect ENDPOINT' and the orders reach them. Exit codes: 0 the run came "
+        "to its end, 1 the plan was refused, the run was stopped or failed, or the router does "
+        "not let the robot in, 2 wrong input or usage, 130 interrupted: the robot is still in the "
+        "team."
     )
 
 
@@ -84,7 +86,9 @@ def run(args: argparse.Namespace) -> int:
     from gspn_framework_package.team.agent import JsonVoice, PrintedVoice, make_agent
     from gspn_framework_package.team.host import HostOptions
     from gspn_framework_package.team.plan_examination import check_plan
+    from gspn_framework_package.team.router_wait import await_router
     from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
+    from gspn_framework_package.team.zenoh_session import session_config, zenoh_library
 
     plan = _plan_of(args)
     access = access_of(args, args.robot)
@@ -92,16 +96,21 @@ def run(args: argparse.Namespace) -> int:
     voice = told or PrintedVoice(args.robot, args.quiet)
     check_plan(plan, voice.warn)
     partial = plan.synchronisation is Synchronisation.PARTIAL
+    options = HostOptions(args.run_name, _log_of(args), args.place, args.stay)
+    signal.signal(signal.SIGTERM, _interrupt)
+    zenoh_library()
+    session_config(access)  # endpoints that are wrong are not waited for
+    if not access.listen:  # else the session itself connects whenever it can
+        await_router(access.connect, voice.warn, time.sleep)
     host = make_agent(
         plan,
         args.robot,
-        HostOptions(args.run_name, _log_of(args), args.place, args.stay),
+        options,
         voice,
         lambda host: ZenohCarrier(args.robot, args.run_name, access, host.handlers, partial),
         args.allow_commands,
     )
     over = threading.Event()
-    signal.signal(signal.SIGTERM, _interrupt)
     host.start(lambda robot: over.set())
     code = EXIT_INTERRUPTED
     try:
@@ -111,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
         host.stop()
         host.join(LAST_WORDS)
         if told is not None:
-            told.tell("end", exit_code=code, log=_log_of(args))
+            told.tell("end", exit_code=code, log=options.log_file)
     return code
 
 

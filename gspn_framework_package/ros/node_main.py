@@ -36,6 +36,7 @@ from gspn_framework_package.ros.transport.registration import (
     registered_together,
 )
 from gspn_framework_package.team.plan_examination import check_plan
+from gspn_framework_package.team.router_wait import await_router
 
 if TYPE_CHECKING:
     from gspn_framework_package.team.jobs import Job
@@ -285,6 +286,9 @@ def _run_robots(
         rospy.loginfo("%s: %s", plan.name, note)
     if options.check and not checked:
         check_plan(plan, rospy.logwarn)
+    await_router(options.router.split(), rospy.logwarn, ending.wait)
+    if ending.is_set():
+        return 0
     nodes: List[ExecutionNode] = []
     try:
         with registered_together():

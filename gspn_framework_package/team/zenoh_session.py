@@ -19,9 +19,10 @@ sends (:mod:`~gspn_framework_package.team.lanes`).
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from urllib.parse import quote, unquote
 
 from gspn_framework_package.model.errors import ExecutionError, UsageError
@@ -37,6 +38,7 @@ _SENDS = ["put", "reply", "declare_queryable"]
 _ASKS = ["query"]
 _SECURE = "tls/"
 _RUNTIME = "ZENOH_RUNTIME"
+_chosen: List[bool] = []  # whether a session of this process has read it
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
@@ -67,14 +69,29 @@ def open_session(access: TeamAccess) -> zenoh.Session:
     """
     zenoh = zenoh_library()
     config = zenoh.Config.from_json5(json.dumps(session_config(access)))
-    os.environ.setdefault(_RUNTIME, _threads(access.router))  # read when the first session opens
     try:
-        return zenoh.open(config)
+        with _threads_chosen(access.router):
+            return zenoh.open(config)
     except zenoh.ZError as error:
         raise ExecutionError(
             "no Zenoh session with %s (%s)" % (_told(access), _reason(error)),
             hint="is a router there ('gspn router'), and do the keys belong to its team?",
         ) from None
+
+
+@contextlib.contextmanager
+def _threads_chosen(router: bool) -> Iterator[None]:
+    """Have the first session choose its threads, unless the user did: Zenoh reads them from the
+    environment, which programs that actions start must not inherit."""
+    if _RUNTIME in os.environ or _chosen:
+        yield
+        return
+    _chosen.append(True)
+    os.environ[_RUNTIME] = _threads(router)
+    try:
+        yield
+    finally:
+        del os.environ[_RUNTIME]
 
 
 def _threads(router: bool) -> str:

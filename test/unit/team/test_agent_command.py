@@ -1,14 +1,19 @@
 """``gspn agent``: robots without ROS, each a process, and the operator who asks them."""
 
+import contextlib
 import json
 import os
+import signal
+import socket
 import subprocess
 import sys
+import threading
 
 import pytest
 from meeting import WORK, meeting_of
 from waiting import wait_for
 
+from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team import log_file
@@ -160,12 +165,61 @@ def test_an_agent_takes_no_keys_of_another_member(plan, tmp_path, capsys, keys, 
     assert says in capsys.readouterr().err
 
 
-def test_an_agent_whose_key_others_can_read_or_whom_nobody_answers_does_not_begin(
-    plan, tmp_path, capsys
+@pytest.fixture(name="stranger")
+def _stranger():
+    """The port of somebody who takes connections, and is no router."""
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+
+        def hang_up():
+            with contextlib.suppress(OSError):  # the test is over
+                while True:
+                    listening.accept()[0].close()
+
+        threading.Thread(target=hang_up, daemon=True).start()
+        yield listening.getsockname()[1]
+        listening.shutdown(socket.SHUT_RDWR)
+
+
+def test_agents_wait_for_their_router_and_end_when_told(plan, tmp_path):
+    zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
+    hub = zenoh_team.Hub()
+    hub.router.close()
+    command = [sys.executable, "-m", "gspn_framework_package", "agent", str(plan)]
+    command += ["--connect", hub.endpoint, "--quiet", "--robot"]
+    agents, told = {}, {}
+    try:
+        for robot in ("robot_1", "robot_2"):
+            told[robot] = tmp_path / (robot + ".txt")
+            words = [robot, "--log", str(tmp_path / (robot + ".jsonl"))]
+            with open(told[robot], "w") as out:
+                agents[robot] = subprocess.Popen([*command, *words], stderr=out)
+        for text in told.values():
+            wait_for(lambda text=text: "waits for a router" in text.read_text(), 60, "the line")
+        agents["robot_2"].send_signal(signal.SIGINT)
+        assert agents["robot_2"].wait(60) == EXIT_INTERRUPTED
+        assert not (tmp_path / "robot_2.jsonl").exists()
+        hub.reopen()
+        wait_for((tmp_path / "robot_1.jsonl").exists, 60, "the log of the other one")
+        agents["robot_1"].send_signal(signal.SIGTERM)
+        assert agents["robot_1"].wait(60) == EXIT_INTERRUPTED
+    finally:
+        for agent in agents.values():
+            agent.kill()
+            agent.wait()
+        hub.close()
+    for robot, text in told.items():
+        assert text.read_text().count("%s: warning: waits for a router" % robot) == 1
+        assert "Traceback" not in text.read_text()
+
+
+def test_an_agent_whose_key_others_can_read_or_that_is_not_let_in_does_not_begin(
+    plan, tmp_path, stranger, capsys
 ):
     zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
     own = os.path.join(zenoh_team.make_keys(tmp_path / "keys"), "robot_1")
-    port = zenoh_team.free_port()
+    port = stranger
     begin = ["agent", str(plan), "--robot", "robot_1", "--keys", own]
 
     def code(endpoint):

@@ -9,7 +9,7 @@ import threading
 import time
 
 import pytest
-from zenoh_team import Hub, make_keys, wait_for
+from zenoh_team import Hub, free_port, make_keys, wait_for
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.model.errors import ExecutionError, UsageError
@@ -377,16 +377,22 @@ def test_a_missing_library_is_named(monkeypatch):
 
 
 ONE_THREAD = """
-import os
+import os, subprocess
 from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
 
-session = open_session(TeamAccess(listen=("tcp/127.0.0.1:0",)))
-names = [open("/proc/self/task/%s/comm" % task).read() for task in os.listdir("/proc/self/task")]
-session.close()
+here = open_session(TeamAccess(listen=("tcp/127.0.0.1:%d",)))
+other = open_session(TeamAccess(connect=("tcp/127.0.0.1:%d",)))
+names = [open("/proc/self/task/%%s/comm" %% task).read() for task in os.listdir("/proc/self/task")]
+inherited = subprocess.check_output(["env"], text=True)
+other.close()
+here.close()
 assert not [name for name in names if name.startswith(("rx-", "tx-", "acc-", "net-"))], names
+assert "ZENOH_RUNTIME" not in inherited, inherited
 """
 
 
-def test_zenoh_hands_no_message_from_thread_to_thread():
+def test_zenoh_hands_no_message_from_thread_to_thread_and_programs_inherit_nothing():
     environment = {name: text for name, text in os.environ.items() if name != "ZENOH_RUNTIME"}
-    subprocess.run([sys.executable, "-c", ONE_THREAD], env=environment, check=True, timeout=120)
+    port = free_port()
+    words = [sys.executable, "-c", ONE_THREAD % (port, port)]
+    subprocess.run(words, env=environment, check=True, timeout=120)
