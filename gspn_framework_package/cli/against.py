@@ -102,7 +102,7 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
         MEMORY,
     )
     if args.json:
-        data = {**found.to_json(), "objective": objective.describe()}
+        data = {**found.to_json(), "objective": found.objective.describe()}
         json.dump({**data, "notes": [*notes, *found.notes]}, sys.stdout, indent=2, allow_nan=False)
         print()
     else:

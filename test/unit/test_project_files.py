@@ -19,6 +19,8 @@ BASE, PYTHON = "rosdep/base.yaml", "rosdep/python.yaml"
 #: for Ubuntu focal with Noetic: a file, or a repository of noetic/distribution.yaml; what it
 #: installs there). A key that is not in those lists stops ``rosdep install``, so whoever adds one
 #: looks it up there.
+#: Each line of PYTHON was read there (commit 000730d), but for waitress, which is younger (pull
+#: request 38185 of August 2023): who has an older list runs ``rosdep update`` first.
 ROSDEP = {
     "actionlib": ("actionlib", "ros-noetic-actionlib"),
     "actionlib_msgs": ("common_msgs", "ros-noetic-actionlib-msgs"),

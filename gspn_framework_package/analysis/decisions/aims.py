@@ -87,6 +87,20 @@ class Objective:
         """The unit of its value, for people; empty if it has none."""
         return {Aim.LONG_RUN: "1/s", Aim.TIME_TO: "s"}.get(self.aim, "")
 
+    def resolved(self, net: Net) -> Objective:
+        """The objective with the patterns among its rewards replaced by the names in ``net`` that
+        they match: ``*`` and ``?`` as in file names. A name of the net itself is not taken for a
+        pattern.
+
+        :raises UsageError: nothing matches a pattern.
+        """
+        names = [*(place.name for place in net.places), *(t.name for t in net.transitions)]
+        rewards: Dict[str, float] = {}
+        for pattern, value in self.rewards.items():
+            for name in _matching(pattern, names):
+                rewards[name] = value
+        return replace(self, rewards=rewards)
+
     def describe(self) -> str:
         """The objective in words."""
         named = ["%s: %g" % item for item in self.rewards.items()]
@@ -157,19 +171,13 @@ class Request:
     limits: Limits = Limits()
 
     def resolved(self, net: Net) -> Request:
-        """The request with its patterns replaced by the names in ``net`` that they match: ``*``
-        and ``?`` as in file names, in rewards and in ``may_wait``. A name of the net itself is not
-        taken for a pattern.
+        """The request with its patterns replaced by the names in ``net`` that they match, in
+        rewards (:meth:`Objective.resolved`) and in ``may_wait``.
 
         :raises UsageError: nothing matches a pattern; see also :meth:`check`.
         :raises ExpressionError: see :meth:`check`.
         """
         places = [place.name for place in net.places]
-        names = [*places, *(t.name for t in net.transitions)]
-        rewards: Dict[str, float] = {}
-        for pattern, value in self.objective.rewards.items():
-            for name in _matching(pattern, names):
-                rewards[name] = value
         deciding = [
             place
             for place, leaving in zip(places, net.consumers)
@@ -182,7 +190,7 @@ class Request:
         }
         found = replace(
             self,
-            objective=replace(self.objective, rewards=rewards),
+            objective=self.objective.resolved(net),
             may_wait=frozenset(may_wait),
         )
         found.check(net)

@@ -209,6 +209,7 @@ def compare_plans(
     :raises RefusedError: a plan cannot be played: a timeless cycle.
     :raises CancelledError: ``cancel`` returned true.
     """
+    objective = _same_for_both(old, new, objective)
     _check(old, new, objective, seconds, replications, precision, time, warmup, confidence)
     contest = Contest(old, new, objective, losses, seed, seconds)
     most = MOST_PAIRS if replications is None else replications
@@ -227,6 +228,15 @@ def compare_plans(
             if work.is_over(precision, confidence):
                 break
     return work.result(confidence, expected)
+
+
+def _same_for_both(old: Plan, new: Plan, objective: Objective) -> Objective:
+    found = objective.resolved(old.net)
+    others = objective.resolved(new.net).rewards
+    for name in set(found.rewards) ^ set(others):
+        if name not in objective.rewards:
+            raise UsageError("a pattern matches '%s', which one of the two plans lacks" % name)
+    return found
 
 
 def _check(

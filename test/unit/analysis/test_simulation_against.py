@@ -309,6 +309,7 @@ def test_a_warm_up_that_is_too_short_is_lengthened():
     ("objective", "options", "message"),
     [
         (Objective.long_run({"nowhere": 1.0}), {}, "'nowhere'"),
+        (Objective.long_run({"no*": 1.0}), {}, "nothing in the net matches 'no"),
         (Objective.long_run(TRIPS), {"replications": 1}, "make no interval"),
         (Objective.long_run(TRIPS), {"confidence": 1.0}, "confidence of 1"),
         (Objective.long_run(TRIPS), {"seconds": 0.0}, "no time"),
@@ -320,6 +321,16 @@ def test_a_warm_up_that_is_too_short_is_lengthened():
 def test_what_makes_no_sense_is_refused(objective, options, message):
     with pytest.raises(UsageError, match=message):
         compare_plans(SLOW, QUICK, objective, **options)
+
+
+def test_a_pattern_of_rewards_has_to_match_the_same_in_both_plans():
+    aim = Objective.long_run({"*_done": 1.0})
+    found = compare_plans(BOTH, QUICK, aim, replications=4, seconds=None, time=20.0)
+    assert found.objective == Objective.long_run(TRIPS)
+    more = NetBuilder().place("choose", 1).exponential("done", rate=1.0, inputs="choose")
+    other = Plan(more.exponential("more_done", rate=1.0, inputs="choose").build())
+    with pytest.raises(UsageError, match="which one of the two plans lacks"):
+        compare_plans(SLOW, other, aim, replications=4, seconds=None)
 
 
 def test_other_durations_are_pointed_out():
