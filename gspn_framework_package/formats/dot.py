@@ -26,6 +26,9 @@ _MAX_DOTS = 4
 _ARROW_LENGTH, _DOT_LENGTH = 7.0, 5.6
 """Lengths of the two kinds of arc heads, in points, at the size used for nets."""
 
+_SHADE = "#5a708c22"
+"""Background of a box; translucent, so that a box in another one is darker."""
+
 Attribute = Union[str, int, float]
 
 
@@ -70,9 +73,9 @@ class Graph:
         self.close(parents)
         self._lines.append("subgraph %s {" % _quote("cluster_%d" % number))
         self._open += 1
-        self._lines.append(
-            "graph%s;" % _attributes({"label": label, "style": "rounded", "color": "gray50"})
-        )
+        # a shade and no line: a line would cross names, for which Graphviz makes no room
+        look = {"label": label, "style": "rounded,filled", "fillcolor": _SHADE, "color": "none"}
+        self._lines.append("graph%s;" % _attributes(look))
         self._lines += ["%s;" % _quote(node) for node in nodes]
 
     def close(self, left: int = 0) -> None:

@@ -5,6 +5,7 @@ import json
 import zipfile
 
 import pytest
+from page_reading import resize
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.registry import read_net, write_net
@@ -150,6 +151,9 @@ def test_each_edit_is_checked_and_the_witness_plays(open_editor, axe, tmp_path):
     for format, begins in (("svg", b"<svg"), ("png", b"\x89PNG")):
         page.click("#ed-export")
         page.select_option("#ed-export-format", format)
+        if format == "svg":
+            axe(page, "the dialog of Export")
+            resize(page, 1280, 720)
         with page.expect_download() as download:
             page.click("#dialog .primary")
         path = tmp_path / ("picture." + format)
@@ -266,6 +270,7 @@ def test_a_draft_is_kept_and_offered(open_editor, axe, folder):
     assert page.is_hidden("#ed-banner")
     page.click("#ed-save-as")
     page.fill("#ed-save-name", "copy")
+    axe(page, "the dialog of Save as")
     page.click("#dialog .primary")
     page.wait_for_function("() => window.gspn.edit.id === 'file-copy/plan.json'")
     assert json.loads((folder.parent / "copy" / "plan.json").read_text())["plan"] == "drafted"

@@ -313,6 +313,15 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     control(page, key + ".kind").select_option(label="a call of a service")
     page.wait_for_selector("#ed-properties .wrong:has-text('Not in the plan yet')")
     assert state(page)["plan"]["actions"]["Sort"] == "actions.sort"
+    # it is red once somebody leaves the form as it is
+    control(page, key + ".kind").focus()
+    colour = (
+        """() => getComputedStyle(document.querySelector("#ed-properties [data-verdict]")).color"""
+    )
+    filling_in = page.evaluate(colour)
+    page.focus("#ed-search")
+    assert page.evaluate(colour) != filling_in
+    control(page, key + ".kind").focus()
     enter(page, key + ".service", "shelf")
     enter(page, key + ".type", "shelf_msgs/Put")  # not installed: any fields can be given
     assert state(page)["plan"]["actions"]["Sort"] == {

@@ -44,5 +44,5 @@ def test_a_team_over_zenoh_is_watched_and_ordered(agents, site, open_page, pictu
     page.click("#pause-team")
     page.wait_for_selector(".alarm:has-text('The team is paused')", state="detached")
     agents.let_them_meet()
-    page.wait_for_selector(".alarm:has-text('Finished')")
+    page.wait_for_selector(".alarm.good:has-text('Finished')")
     page.wait_for_selector("#log li:has-text('meet')")

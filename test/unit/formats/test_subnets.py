@@ -1,6 +1,7 @@
 """Subnets: a place of a plan whose action is another plan."""
 
 import json
+import re
 import shutil
 
 import pytest
@@ -483,3 +484,7 @@ def test_commands_know_subnets(folder, tmp_path, capsys):
         assert main(["draw", file, "-o", str(tmp_path / "net.svg")]) == 0
         svg = (tmp_path / "net.svg").read_text()
         assert svg.count('class="cluster"') == 2 and svg.count('class="node"') == 23
+        # a shade, whose edge crosses no name
+        boxes = re.findall(r"cluster_.*\n<path ([^>]*)", svg)
+        assert len(boxes) == 2
+        assert all('stroke="transparent"' in b or 'stroke="none"' in b for b in boxes)

@@ -594,7 +594,7 @@ class Page {
     if (status.ended)
       alarm(
         `${status.fault ? "Failed" : status.finished ? "Finished" : "Ended"}: ${status.ended}`,
-        status.fault ? "" : "warning",
+        status.fault ? "" : status.finished ? "good" : "warning",
       );
     const shown = alarms.map((element) => element.textContent).join("\n");
     if (shown !== this.alarmsShown) {

@@ -94,7 +94,10 @@ export class OptimiseForm {
         "Rewards",
         "Per token and second in a place, or per firing of a transition. Costs are negative.",
         "Add a reward",
-        (name) => [this.nodes(`${name}.name`, "Rewarded"), this.amount(`${name}.value`, "Reward")],
+        (name) => [
+          this.nodes(`${name}.name`, "Rewarded"),
+          this.amount(`${name}.value`, "Reward", 1),
+        ],
         ({ name, value }) => ({ name: name.value, value: value.value }),
       ),
     );
@@ -289,8 +292,8 @@ export class OptimiseForm {
     return control;
   }
 
-  amount(name, label) {
-    return this.entryControl(name, label, this.numeric({}));
+  amount(name, label, value = "") {
+    return this.entryControl(name, label, this.numeric({ value }));
   }
 
   /** A choice among all places and transitions, or among the exponential transitions. */
