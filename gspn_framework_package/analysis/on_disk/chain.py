@@ -46,7 +46,7 @@ _PER_ROW = 80
 _PER_COLLECTED = 80
 """Bytes that an arc takes while those into some states are collected."""
 
-_MOST_ROWS = 1 << 18
+_MOST_ROWS = 1 << 17
 """More rows at once save no time."""
 
 _ARC = np.dtype([("target", np.int64), ("source", np.int64), ("rate", np.float64)])
@@ -98,6 +98,8 @@ class OnDiskChain:
         self._rows = int(min(max(memory / _ROWS_SHARE / each, 1), _MOST_ROWS))
         self._memory = memory
         self._blocks: List[_Block] = []
+        self._columns: Indices = np.empty(0, dtype=self._column_type)
+        self._rates: Floats = np.empty(0)
         self._file = space.scratch.file()
         self.exit_rates = ScratchVector(space.scratch, size)
         self.entries = 0
@@ -254,14 +256,16 @@ class OnDiskChain:
 
     def blocks(self) -> Iterator[Tuple[slice, Matrix]]:
         """The states, some at a time: which they are, and the rates into them (CSR), with a column
-        for each state."""
+        for each state. Each is overwritten by the next."""
         for block in self._blocks:
             yield block.part, self._read(block)
 
     def _read(self, block: _Block) -> Matrix:
+        most = max(each.entries for each in self._blocks)
+        if len(self._columns) < most:  # the same memory for all blocks
+            self._columns, self._rates = np.empty(most, dtype=self._column_type), np.empty(most)
         offsets = np.empty(block.rows + 1, dtype=self._column_type)
-        columns = np.empty(block.entries, dtype=self._column_type)
-        rates = np.empty(block.entries)
+        columns, rates = self._columns[: block.entries], self._rates[: block.entries]
         position = block.position
         for array in (offsets, columns, rates):
             self._file.read(position, array)

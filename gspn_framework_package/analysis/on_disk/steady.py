@@ -94,7 +94,7 @@ def _solved(chain: OnDiskChain, recurs: Booleans, watch: Watch) -> LinearSolutio
     def sweep(values: Floats) -> Floats:
         for part, rates in chain.blocks():
             watch.step("states of this sweep", part.start)
-            sweep_rows(rates, chain.exit_rates[part], values, part.start, chain.entries)
+            sweep_rows(rates, chain.exit_rates[part], values, part.start)
         return values
 
     def residual_of(values: Floats) -> float:

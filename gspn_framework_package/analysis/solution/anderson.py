@@ -22,8 +22,9 @@ _DEPENDENT = 1e-12
 """Changes whose directions are this close to linear dependence count as one, since separating them
 would only amplify rounding."""
 
-_PART = 1 << 16
-"""Number of entries of a vector that are read at once."""
+_PART = 1 << 13
+"""Number of entries of a vector that are read at once: few enough for the processor's cache, and
+for BLAS not to start threads."""
 
 
 class Vector(Protocol):

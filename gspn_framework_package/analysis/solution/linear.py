@@ -320,7 +320,8 @@ def sweeper(
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place.
 
     It reads ``constant`` each time, which the caller may change."""
-    sweep = _compiled_sweep(matrix.nnz)
+    worth = matrix.nnz >= _WORTH_LOADING or "numba" in sys.modules
+    sweep = _compiled_sweep() if worth else None
     if sweep is None:
         return _scipy_sweeper(matrix, diagonal, constant, backward)
     share = 1.0 / diagonal
@@ -332,15 +333,15 @@ def sweeper(
     return compiled
 
 
-def sweep_rows(matrix: Matrix, diagonal: Floats, values: Floats, first: int, entries: int) -> None:
-    """One Gauss-Seidel sweep over some of the rows of ``diagonal * x = matrix @ x``, in place.
+def sweep_rows(matrix: Matrix, diagonal: Floats, values: Floats, first: int) -> None:
+    """One Gauss-Seidel sweep over some of the rows of ``diagonal * x = matrix @ x``, in place;
+    compiled by numba if it is installed.
 
     :param matrix: these rows, sparse (CSR), with as many columns as there are ``values``.
     :param diagonal: float array: the diagonal in these rows.
     :param first: the number of the first of them.
-    :param entries: the number of entries of the whole matrix.
     """
-    sweep, rows = _compiled_sweep(entries), slice(first, first + len(diagonal))
+    sweep, rows = _compiled_sweep(), slice(first, first + len(diagonal))
     constant = np.zeros(len(diagonal))
     if sweep is not None:
         arrays = (matrix.indptr, matrix.indices, matrix.data)
@@ -352,10 +353,8 @@ def sweep_rows(matrix: Matrix, diagonal: Floats, values: Floats, first: int, ent
     values[rows] = _scipy_sweeper(matrix[:, rows], diagonal, constant, False)(mine)
 
 
-def _compiled_sweep(entries: int) -> Optional[Callable[..., None]]:
-    """The compiled sweep, if it is there and worth loading for a matrix with so many entries."""
-    if entries < _WORTH_LOADING and "numba" not in sys.modules:
-        return None
+def _compiled_sweep() -> Optional[Callable[..., None]]:
+    """The compiled sweep, if numba is installed."""
     try:
         from gspn_framework_package.analysis.solution.numba_sweeps import sweep
     except ImportError:

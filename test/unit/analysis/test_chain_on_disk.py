@@ -134,7 +134,7 @@ def test_rows_too_long_for_the_memory_are_collected_in_pieces(monkeypatch):
 
 
 def test_without_numba_the_steady_state_is_the_same(monkeypatch):
-    monkeypatch.setattr(linear, "_compiled_sweep", lambda entries: None)
+    monkeypatch.setattr(linear, "_compiled_sweep", lambda: None)
     assert_as_in_memory(FAMILIES["kanban"](1), 0)
 
 

@@ -343,8 +343,9 @@ def test_a_net_without_bounds_never_goes_on_disk(tmp_path, capsys):
 
 
 def test_the_benchmark_compares_with_memory(capsys):
-    assert on_disk.main(["--sizes", "2", "--json"]) == 0
+    assert on_disk.main(["--sizes", "2", "--steady", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["nets"]
     assert row["same"] is True
     assert row["disk"]["states"] == 4600
+    assert row["disk"]["rates"] == 28120
     assert row["disk"]["peak_mb"] > 0
