@@ -3,9 +3,16 @@ writable. The import fails if numba is not installed."""
 
 from __future__ import annotations
 
+import os
 from typing import Any, Callable, Dict
 
-from numba import njit
+# otherwise numba's colorama writes an escape sequence behind the output when the process ends, if
+# that is a terminal, as it is for a rank of mpiexec
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+
+from numba import config, njit
+
+__all__ = ["Function", "compiled", "config"]
 
 Function = Callable[..., Any]
 

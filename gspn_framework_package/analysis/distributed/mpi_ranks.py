@@ -34,15 +34,22 @@ class MpiRanks(Ranks):
 
     def exchange(self, parts: Sequence[np.ndarray]) -> List[np.ndarray]:
         """See :meth:`Ranks.exchange`."""
-        sent = np.ascontiguousarray(np.concatenate(parts))
-        lengths = np.array(self._world.alltoall([len(part) for part in parts]))
+        outgoing = [len(part) for part in parts]
+        incoming: List[int] = self._world.alltoall(outgoing)
+        received = self.swap(np.concatenate(parts), outgoing, incoming)
+        return np.split(received, np.cumsum(incoming)[:-1])
+
+    def swap(
+        self, sent: np.ndarray, outgoing: Sequence[int], incoming: Sequence[int]
+    ) -> np.ndarray:
+        """See :meth:`Ranks.swap`."""
+        received = np.empty((sum(incoming), *sent.shape[1:]), dtype=sent.dtype)
         width = sent.shape[1] if sent.ndim > 1 else 1
-        received = np.empty((int(lengths.sum()), *sent.shape[1:]), dtype=sent.dtype)
         self._world.Alltoallv(
-            [sent, [len(part) * width for part in parts]],
-            [received, (lengths * width).tolist()],
+            [np.ascontiguousarray(sent), [count * width for count in outgoing]],
+            [received, [count * width for count in incoming]],
         )
-        return np.split(received, np.cumsum(lengths)[:-1])
+        return received
 
     def abort(self, code: int) -> NoReturn:
         """End all ranks at once, because this one cannot go on."""

@@ -35,6 +35,20 @@ class Ranks:
         agree in type and in the length of a row."""
         raise NotImplementedError
 
+    def swap(
+        self, sent: np.ndarray, outgoing: Sequence[int], incoming: Sequence[int]
+    ) -> np.ndarray:
+        """Exchange rows where all lengths are known.
+
+        :param sent: the rows for each rank, one after the other.
+        :param outgoing: how many go to each.
+        :param incoming: how many come from each.
+        :returns: the rows from each rank, one after the other.
+        """
+        parts = self.exchange(np.split(sent, np.cumsum(outgoing)[:-1]))
+        assert [len(part) for part in parts] == list(incoming)
+        return np.concatenate(parts)
+
     def total(self, value: Any) -> Any:
         """The sum of the values (numbers or arrays) of all ranks, the same on every rank."""
         return sum(self.gather(value))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Iterator, List, Tuple
+from typing import Iterator, List, Tuple, Type
 
 import numpy as np
 from scipy import sparse
@@ -22,6 +22,31 @@ from gspn_framework_package.analysis.watch import Watch
 _Rates = Tuple[Words, Indices, Indices, Floats]
 """Packed markings; for each rate the number of its source, the position of its target in them, and
 its value."""
+
+_BLOCK = 1 << 20
+"""Rates that are renumbered at once."""
+
+
+class _Arcs:
+    """Rates as they come in: the target, source and value of each."""
+
+    def __init__(self, source_type: Type[np.generic]) -> None:
+        self.sources = Growing(source_type)
+        self._targets, self._values = Growing(np.int32), Growing(np.float64)
+
+    def extend(self, targets: Indices, sources: Indices, values: Floats) -> None:
+        """Append some."""
+        self._targets.extend(targets)
+        self.sources.extend(sources)
+        self._values.extend(values)
+
+    def matrix(self, rows: int, columns: int) -> Matrix:
+        """The matrix (CSR) of the rates from sources (columns) to targets (rows); they are
+        released."""
+        arrays = [part.finished() for part in (self._targets, self.sources, self._values)]
+        self._targets, self.sources, self._values = (Growing(a.dtype.type, 0, 0) for a in arrays)
+        targets, sources, values = arrays
+        return sparse.csr_matrix((values, (targets, sources)), (rows, columns))
 
 
 class RankChain:
@@ -47,7 +72,7 @@ class RankChain:
         self.first: Indices = np.concatenate([[0], np.cumsum(counts)])
         self.exit_rates: Floats = np.zeros(len(self.tangible))
         self.ranks.agreed(self._leave_the_initial_state)
-        self._into_matrices(*self._rates_into())
+        self._into_matrices(*self._receive_rates())
 
     def __len__(self) -> int:
         return len(self.tangible)
@@ -81,27 +106,31 @@ class RankChain:
         if self.states.has_initial and self.states.vanishing[0]:
             Chain(rate(self.states.window(np.zeros(1, dtype=np.int64))))
 
-    def _rates_into(self) -> Tuple[Indices, Indices, Floats]:
-        """The rates into the states of this rank: target (numbered here), source (in the numbering
-        of all ranks), rate."""
+    def _receive_rates(self) -> Tuple[_Arcs, _Arcs]:
+        """The rates into the states of this rank: those from its own states (numbered here), and
+        those from others (in the numbering of all ranks)."""
         ranks, states = self.ranks, self.states
-        number = np.cumsum(~states.vanishing) - 1
-        targets, sources, rates = Growing(np.int32), Growing(np.int64), Growing(np.float64)
+        number = np.cumsum(~states.vanishing, dtype=np.int32) - np.int32(1)
+        begin, end = self.first[ranks.rank], self.first[ranks.rank + 1]
+        near = _Arcs(np.int32)
+        far = _Arcs(np.int32 if self.total < 2**31 else np.int64)
         windows = self.windows()
         left = True
         while left:
             found: List[_Rates] = []
             left = any(ranks.agreed(functools.partial(self._next_rates, windows, found)))
-            words, rows, columns, values = found[0]
+            words, rows, columns, values = found.pop()
             owners, there = states.numbers_anywhere(words)
             parts = divided(
                 owners[columns], ranks.size, there[columns], rows + self.first[ranks.rank], values
             )
-            received = [ranks.exchange(part) for part in parts]
-            targets.extend(number[np.concatenate(received[0])])
-            sources.extend(np.concatenate(received[1]))
-            rates.extend(np.concatenate(received[2]))
-        return targets.finished(), sources.finished(), rates.finished()
+            targets, sources, rates = (np.concatenate(ranks.exchange(part)) for part in parts)
+            targets = number[targets]
+            own = (sources >= begin) & (sources < end)
+            near.extend(targets[own], sources[own] - begin, rates[own])
+            own = ~own
+            far.extend(targets[own], sources[own], rates[own])
+        return near, far
 
     def _next_rates(self, windows: Iterator[Tuple[slice, Chain]], found: List[_Rates]) -> bool:
         """The rates out of some more states; returns whether there were any left."""
@@ -122,30 +151,35 @@ class RankChain:
         self._watch.step("states of the chain on each rank", part.stop)
         return True
 
-    def _into_matrices(self, targets: Indices, sources: Indices, rates: Floats) -> None:
-        ranks = self.ranks
-        begin, end = self.first[ranks.rank], self.first[ranks.rank + 1]
-        own = (sources >= begin) & (sources < end)
-        size = len(self)
-        self.near: Matrix = sparse.csr_matrix(
-            (rates[own], (targets[own], sources[own] - begin)), shape=(size, size)
-        )
-        others = ~own
-        outside, column = np.unique(sources[others], return_inverse=True)
-        self.far: Matrix = sparse.csr_matrix(
-            (rates[others], (targets[others], column.reshape(-1))), shape=(size, len(outside))
-        )
+    def _into_matrices(self, near: _Arcs, far: _Arcs) -> None:
+        """Make the matrices, one after the other, so that the arcs of one are released before those
+        of the other are sorted."""
+        ranks, size = self.ranks, len(self)
+        self.near: Matrix = near.matrix(size, size)
+        leads_here = np.zeros(self.total, dtype=bool)
+        leads_here[far.sources.finished()] = True
+        outside = np.flatnonzero(leads_here).astype(far.sources.array.dtype)
+        del leads_here
+        for begin in range(0, far.sources.used, _BLOCK):  # in place, since there may be very many
+            part = far.sources.array[begin : begin + _BLOCK]
+            part[:] = np.searchsorted(outside, part)
+        self.far: Matrix = far.matrix(size, len(outside))
         cuts = np.searchsorted(outside, self.first[1:-1])
-        asked = [part - at for part, at in zip(np.split(outside, cuts), self.first)]
+        asked = [
+            (part - at).astype(np.int32) for part, at in zip(np.split(outside, cuts), self.first)
+        ]
+        wanted = ranks.exchange(asked)
         self._cuts = cuts
-        self._sent: List[Indices] = ranks.exchange(asked)
+        self._sent: Indices = np.concatenate(wanted)
+        self._outgoing = [len(part) for part in wanted]
+        self._incoming = [len(part) for part in asked]
 
     # -- values of the states of all ranks ---------------------------------------------------------
 
     def fetch(self, values: np.ndarray) -> np.ndarray:
         """The values of the states of other ranks that lead here, in the order of the columns of
         ``far``, from the ``values`` of the states of each rank."""
-        return np.concatenate(self.ranks.exchange([values[part] for part in self._sent]))
+        return self.ranks.swap(values[self._sent], self._outgoing, self._incoming)
 
     def reaching(self, state: int) -> Booleans:
         """The states of this rank from which a state can be reached.
@@ -168,7 +202,7 @@ class RankChain:
             received = self.ranks.exchange(np.split(news, self._cuts))
             if not any(self.ranks.gather(bool(news.any()))):
                 return seen
-            entered = np.concatenate([s[flags] for s, flags in zip(self._sent, received)])
+            entered = self._sent[np.concatenate(received)]
             frontier = np.unique(entered[~seen[entered]])
             seen[frontier] = True
 

@@ -89,7 +89,7 @@ def _solved_together(
     chain: RankChain, recurs: Booleans, recurrent: int, watch: Watch
 ) -> LinearSolution:
     ranks = chain.ranks
-    reduction = Reduction(ranks.total, lambda number: max(ranks.gather(number)))
+    reduction = Reduction(ranks.total, lambda numbers: np.max(ranks.gather(numbers), axis=0))
     inflow = np.zeros(len(chain))
     near_sweep = sweeper(chain.near, chain.exit_rates, inflow, False) if len(chain) else None
 
@@ -101,9 +101,8 @@ def _solved_together(
     def residual_of(values: Floats) -> float:
         terms = chain.exit_rates * values
         imbalance = terms - chain.near @ values - chain.far @ chain.fetch(values)
-        wrong, scale = (
-            reduction.largest(float(np.abs(part).max(initial=0.0))) for part in (imbalance, terms)
-        )
+        extremes = [np.abs(part).max(initial=0.0) for part in (imbalance, terms)]
+        wrong, scale = reduction.largest(np.array(extremes)).tolist()
         return wrong / scale if scale > 0 else wrong
 
     found = iterate(

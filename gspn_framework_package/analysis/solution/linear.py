@@ -221,15 +221,15 @@ def _swept(
 
 
 class Reduction(NamedTuple):
-    """How the numbers of all processes that solve one system, each with a part of the unknowns,
+    """How float arrays of a fixed shape, one of each process that solves a part of the system,
     become one. By default there is one process.
 
-    :ivar total: adds up float arrays of a fixed length.
-    :ivar largest: the largest of a number of each.
+    :ivar total: their sum.
+    :ivar largest: the largest of each element.
     """
 
     total: Callable[[Floats], Floats] = lambda sums: sums
-    largest: Callable[[float], float] = lambda number: number
+    largest: Callable[[Floats], Floats] = lambda numbers: numbers
 
 
 def iterate(
@@ -269,7 +269,8 @@ def iterate(
             image = sweep(image)
         unchecked += 1
         # The change made by the sweeps shows, at no cost, when to compute the residual.
-        largest, changed = (reduction.largest(v) for v in _largest_terms(diagonal, point, image))
+        extremes = np.array(_largest_terms(diagonal, point, image))
+        largest, changed = reduction.largest(extremes).tolist()
         tolerance = TOLERANCE
         if scale is None:
             changed /= largest or 1.0

@@ -20,10 +20,9 @@ from functools import lru_cache
 from typing import Any, List, NamedTuple, Tuple
 
 import numpy as np
-from numba import config
 
 from gspn_framework_package.analysis.arrays import Indices, Words
-from gspn_framework_package.analysis.compiling import Function, compiled
+from gspn_framework_package.analysis.compiling import Function, compiled, config
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
     Allowance,

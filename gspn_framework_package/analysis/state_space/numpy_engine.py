@@ -32,6 +32,10 @@ _SMALL_TABLE = 1 << 17
 """Tables of up to this many slots are at most a quarter full instead of half, which makes long
 searches rarer."""
 
+_BLOCK = 1 << 16
+"""States that are entered into a larger table at once; more would need more memory than they
+save time."""
+
 _ROWS = 1 << 15
 """Most states of one round."""
 
@@ -266,10 +270,11 @@ class StateTable:
             self._rebuild(capacity, states)
 
     def _rebuild(self, capacity: int, states: Growing) -> None:
+        self._slots = np.zeros(0, dtype=np.int32)  # the old ones are released first
         self._slots = np.full(capacity, _EMPTY, dtype=np.int32 if capacity < 2**31 else np.int64)
         mask = capacity - 1
-        for begin in range(0, states.used, 1 << 20):
-            keys = states.array[begin : min(begin + (1 << 20), states.used)]
+        for begin in range(0, states.used, _BLOCK):
+            keys = states.array[begin : min(begin + _BLOCK, states.used)]
             at = hashed(keys) & mask
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))

@@ -12,7 +12,7 @@ from gspn_framework_package.analysis.state_space.numpy_engine import StateTable,
 from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing
 from gspn_framework_package.analysis.state_space.space import StateSpace
 
-_ROWS = 1 << 15
+_ROWS = 1 << 13
 """Most states that are expanded at once."""
 
 _ROUND = 1 << 19

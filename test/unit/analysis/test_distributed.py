@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import pty
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from thread_ranks import on_ranks
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
 from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.benchmark import distributed as benchmark
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
@@ -297,3 +299,52 @@ def test_mpi4py_that_is_not_installed_is_named(net_file, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "mpi4py", None)
     assert main(["analyse", net_file, "--on", "mpi"]) == 2
     assert "apt install python3-mpi4py openmpi-bin" in capsys.readouterr().err
+
+
+def test_nothing_is_written_behind_the_output():
+    # the standard output of a rank is a terminal of mpiexec, where numba would reset the colours
+    pytest.importorskip("numba")
+    mine, theirs = pty.openpty()
+    code = "from %s import _load_libraries; _load_libraries()" % benchmark.__name__
+    subprocess.run([sys.executable, "-c", code], stdout=theirs, check=True, timeout=TIMEOUT)
+    os.close(theirs)
+    try:
+        written = os.read(mine, 100)
+    except OSError:  # how Linux tells that nothing comes any more
+        written = b""
+    os.close(mine)
+    assert written == b""
+
+
+# -- the benchmark ---------------------------------------------------------------------------------
+
+
+def test_the_benchmark_compares_ranks_with_one_process(capsys):
+    need_mpi()
+    assert benchmark.main(["--sizes", "1", "--ranks", "1", "2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [row["ranks"] for row in found["rows"]] == [0, 1, 2]
+    assert all(row["counts"][0] == 160 and row["same"] for row in found["rows"])
+    assert all(row["peak_mb"] >= 0 and row["steady_seconds"] > 0 for row in found["rows"])
+    assert "mpi4py" in found["machine"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"counts": [160, 617]}, {"answers": {"t:good1": 0.25 + 2e-9}}, {}]
+)
+def test_the_benchmark_fails_where_ranks_find_something_else(capsys, monkeypatch, wrong):
+    def measured(_, ranks):
+        found = {
+            "counts": [160, 616],
+            "answers": {"t:good1": 0.25},
+            "peak_mb": 90.0 / max(ranks, 1),
+        }
+        found.update(
+            seconds=1.0, cpu_seconds=1.0, explore_seconds=0.5, steady_seconds=0.5, empty_mb=80.0
+        )
+        return {**found, **(wrong if ranks == 2 else {})}
+
+    monkeypatch.setattr(benchmark, "measured", measured)
+    assert benchmark.main(["--sizes", "1", "--ranks", "1", "2"]) == (1 if wrong else 0)
+    table = capsys.readouterr().out
+    assert "| kanban 1 |     2 ranks |" in table
