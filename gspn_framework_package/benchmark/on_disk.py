@@ -34,7 +34,7 @@ from gspn_framework_package.model.net import Net
 MEMORY = 1e9
 """Bytes that the search and the chain on disk may use."""
 
-_BYTES_PER_ARC = 42
+_BYTES_PER_ARC = 40
 """What the chain takes in memory at its peak."""
 
 

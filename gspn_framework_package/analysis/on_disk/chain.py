@@ -188,6 +188,7 @@ class OnDiskChain:
             arcs["target"] = self._numbers(store.packed(chain.states))[leaving.col]
             arcs["source"], arcs["rate"] = leaving.row + part.start, leaving.data
             arcs = arcs[np.argsort(arcs["target"], kind="stable")]
+            space.scratch.require(arcs.nbytes)
             blocks = arcs["target"] // self._rows
             cuts = np.flatnonzero(np.diff(blocks)) + 1
             for block in np.split(arcs, cuts) if len(arcs) else ():
@@ -221,6 +222,7 @@ class OnDiskChain:
             self._put(begin, matrix.indptr, matrix.indices, matrix.data)
 
     def _put(self, first: int, offsets: Indices, columns: Indices, rates: Floats) -> None:
+        self.space.scratch.require(rates.nbytes + columns.nbytes + offsets.nbytes)
         position = self._file.append(offsets.astype(self._column_type))
         self._file.append(columns.astype(self._column_type, copy=False))
         self._file.append(rates)

@@ -5,6 +5,7 @@ import pytest
 from generated_nets import bounded_nets
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from steady_answers import assert_answers_of
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.on_disk import chain as chain_module
@@ -53,17 +54,7 @@ def assert_as_in_memory(net, direct, memory=MEMORY):
             steady_state(chain, Watch(), direct)
         return
     found = steady_state(chain, Watch(), direct)
-    measures = analysis.measures
-    assert found["throughput"] == pytest.approx(measures.throughput, abs=1e-9)
-    assert found["mean_tokens"] == pytest.approx(measures.mean_tokens, abs=1e-9)
-    waits = measures.mean_waiting_time
-    assert found["mean_waiting_time"] == pytest.approx(waits, rel=1e-7, nan_ok=True)
-    for place, counts in measures.token_distribution.items():
-        told = {int(n): value for n, value in found["token_distribution"][place].items()}
-        for n in {*counts, *told}:
-            assert told.get(n, 0.0) == pytest.approx(counts.get(n, 0.0), abs=1e-9)
-    (component,) = found["components"]
-    assert component["states"] == len(analysis.steady.components[0].states)
+    assert_answers_of(analysis, found)
 
 
 @settings(derandomize=True, deadline=None, max_examples=100)

@@ -15,6 +15,7 @@ import pytest
 from generated_nets import bounded_nets
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from steady_answers import assert_answers_of
 from thread_ranks import on_ranks
 
 from gspn_framework_package.analysis.analyse import Analysis
@@ -126,18 +127,7 @@ def steady_together(net, size, direct):
 def assert_steady_as_alone(net, size, direct):
     analysis = Analysis(net)
     found = steady_together(net, size, direct)
-    measures = analysis.measures
-    assert found["throughput"] == pytest.approx(measures.throughput, abs=1e-9)
-    assert found["mean_tokens"] == pytest.approx(measures.mean_tokens, abs=1e-9)
-    waits = measures.mean_waiting_time
-    assert found["mean_waiting_time"] == pytest.approx(waits, rel=1e-7, nan_ok=True)
-    for place, counts in measures.token_distribution.items():
-        told = {int(n): value for n, value in found["token_distribution"][place].items()}
-        # one process leaves out what it finds to be 0, the ranks what each of them does
-        for n in {*counts, *told}:
-            assert told.get(n, 0.0) == pytest.approx(counts.get(n, 0.0), abs=1e-9)
-    component = max(analysis.steady.components, key=lambda part: part.probability)
-    assert found["components"][0]["states"] == len(component.states)
+    assert_answers_of(analysis, found)
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
