@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Dict, Iterator, List, Tuple
 
 import numpy as np
@@ -91,9 +92,12 @@ def _solved(chain: OnDiskChain, recurs: Booleans, watch: Watch) -> LinearSolutio
         vectors.append(ScratchVector(scratch, size))
         return vectors[-1]
 
+    sweeps = itertools.count(1)
+
     def sweep(values: Floats) -> Floats:
+        what = "states in sweep %d" % next(sweeps)
         for part, rates in chain.blocks():
-            watch.step("states of this sweep", part.start)
+            watch.step(what, part.start)
             sweep_rows(rates, chain.exit_rates[part], values, part.start)
         return values
 

@@ -10,10 +10,12 @@ from generated_nets import bounded_nets
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.on_disk import answers
 from gspn_framework_package.analysis.on_disk import scratch as scratch_module
 from gspn_framework_package.analysis.on_disk.keys import KeyCode
-from gspn_framework_package.analysis.on_disk.reach import cover
+from gspn_framework_package.analysis.on_disk.reach import cover, reach
 from gspn_framework_package.analysis.on_disk.scratch import Scratch
 from gspn_framework_package.analysis.on_disk.search import LEAST_MEMORY, search
 from gspn_framework_package.analysis.on_disk.sorted_keys import (
@@ -21,6 +23,7 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
     Writer,
     by_ranges,
 )
+from gspn_framework_package.analysis.report import Questions
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.packing import Packing
 from gspn_framework_package.analysis.watch import Watch
@@ -44,6 +47,9 @@ def as_in_memory(net, found):
     assert list(counts.bounds.values()) == space.markings().max(axis=0).tolist()
     firings = np.bincount(space.transitions, minlength=len(net.transitions))
     assert list(counts.firings.values()) == firings.tolist()
+    assert reach(found, "deadlock", Watch()).number == counts.dead
+    some = "'%s' >= 1" % net.places[-1].name
+    assert reach(found, some, Watch()).number == space.holds(some).sum()
     dead = found.dead_marking()
     assert (dead is None) == (not counts.dead)
     if dead is not None:
@@ -161,6 +167,34 @@ def test_limits_and_cancel_stop_the_search():
         search(net, LEAST, scratch=scratch, cancel=lambda: scratch.used > 10_000)
     with pytest.raises(UsageError, match="give at least"):
         search(net, 100)
+    assert scratch.used == 0
+
+
+def test_a_chain_that_is_cancelled_leaves_nothing():
+    net, scratch = FAMILIES["kanban"](2), Scratch()
+
+    def report(cancel=None, questions=Questions(structure=False)):  # noqa: B008 (immutable)
+        _, data = answers.report_within(
+            1e5,
+            net,
+            questions,
+            scratch,
+            lambda limits: Analysis(net, limits=limits),
+            Limits(),
+            cancel=cancel,
+        )
+        assert scratch.used == 0
+        return data
+
+    report(questions=Questions(structure=False, timing=False))
+    counted = scratch.peak
+    with pytest.raises(CancelledError, match="states of the chain"):
+        report(lambda: scratch.used > counted + 100_000)
+    assert scratch.used == 0
+    report()
+    solved = scratch.peak
+    with pytest.raises(CancelledError, match="states in sweep"):
+        report(lambda: scratch.used == solved)
     assert scratch.used == 0
 
 
