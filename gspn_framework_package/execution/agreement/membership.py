@@ -24,7 +24,7 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Life
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.proposer import Proposer
-from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
+from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended
@@ -128,6 +128,7 @@ class Membership:
         self.robot.stop_acting()
         state.active = False
         state.amnesic = True
+        state.peers.unsure = set(state.peers.known)
         state.astray.clear()
         state.off.clear()
         if keep:
@@ -165,10 +166,13 @@ class Membership:
         elif kind == "reset":
             state.active = False
             state.amnesic = True
+            state.peers.unsure = set(state.peers.known)
             state.log_id = str(record.get("log", state.log_id))
             state.off.clear()
         elif kind == "peer":
-            state.peers.known[str(record["robot"])] = str(record["log"])
+            robot = str(record["robot"])
+            state.peers.known[robot] = str(record["log"])
+            (state.peers.unsure.add if "unsure" in record else state.peers.unsure.discard)(robot)
         elif kind == "forced":
             robots = record["robots"]
             if isinstance(robots, dict):  # older records do not name the incarnation
@@ -245,23 +249,33 @@ class Membership:
             self.proposals.withdraw_suspicion([sender])
         if sender in state.off:
             self._heard_though_off(sender)
+        self._note_log_of(message)
         counts = self._knows(message) and not state.ledger.is_cast_out(sender)
         peer.length = message.length
         return counts
 
+    def _note_log_of(self, message: Envelope) -> None:
+        """Note the log of a robot whose votes count: the first one that we hear of. Whoever lost
+        its log lost what it had noted, and may first hear another process of that name. The one
+        that takes part is the one that counts: all had to know it."""
+        sender, peers = message.sender, self.state.peers
+        known = self.electorate.known_log(sender)
+        if not known:
+            if len(peers.known) < MOST_ROBOTS:
+                self._note_log(sender, message.log, sure=not self.state.amnesic)
+        elif sender in peers.unsure and isinstance(message.body, Hello) and message.body.active:
+            self._note_log(sender, message.log, sure=True)
+
     def _knows(self, message: Envelope) -> bool:
-        """Note the log that a message speaks for; returns whether it is the one whose votes
-        count."""
+        """Whether the log that a message speaks for is the one whose votes count."""
         sender, peers = message.sender, self.state.peers
         peer = peers.get(sender)
         known = self.electorate.known_log(sender)
-        if not known and len(peers.known) < MOST_ROBOTS:
-            known = message.log
-            self._note_log(sender, known)
         peer.note_life(message)
         peer.surprise = None
         if known and message.log != known:
-            peer.surprise = Seen(known, 0, 0)
+            if sender not in peers.unsure or isinstance(message.body, Hello):
+                peer.surprise = Seen(known, 0, 0)
             return False
         if Life(message.incarnation, message.records) < peer.life:
             peer.surprise = Seen(known, *peer.life)
@@ -269,18 +283,16 @@ class Membership:
             peer.surprise = Seen(known, *peer.before)
         return True
 
-    def _note_log(self, robot: str, log: str) -> None:
-        self.state.peers.known[robot] = log
-        self.outbox.persist({"kind": "peer", "robot": robot, "log": log}, durable=True)
-
-    def note_proposer(self, ballot: Ballot) -> None:
-        """A slot was decided under that ballot, so its log is the one whose votes count for that
-        robot, even if we lost what we knew, and then heard of another process of its name first."""
-        robot, state = ballot.robot, self.state
-        if not ballot.log or robot == self.config.name or robot in state.ledger.logs:
-            return
-        if state.peers.known.get(robot) != ballot.log:
-            self._note_log(robot, ballot.log)
+    def _note_log(self, robot: str, log: str, *, sure: bool) -> None:
+        peers = self.state.peers
+        peers.known[robot] = log
+        record: Record = {"kind": "peer", "robot": robot, "log": log}
+        if sure:
+            peers.unsure.discard(robot)
+        else:
+            peers.unsure.add(robot)
+            record["unsure"] = True
+        self.outbox.persist(record, durable=True)
 
     def on_hello(self, message: Envelope, hello: Hello) -> None:
         """Another announces itself."""

@@ -74,10 +74,13 @@ class Peers:
     """All others that were heard of.
 
     :ivar known: robot -> id of the first log of it that we heard of; survives a restart.
+    :ivar unsure: the robots of which another process may have been heard first, because we lost
+        what we knew.
     :ivar since: when we began to listen.
     """
 
     known: Dict[str, str] = field(default_factory=dict)
+    unsure: Set[str] = field(default_factory=set)
     since: float = 0.0
     all: Dict[str, Peer] = field(default_factory=dict)
 

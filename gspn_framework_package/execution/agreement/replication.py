@@ -90,7 +90,6 @@ class Replication:
         kept = [i for i in batch.items if i.origin in fresh]
         all_kept = len(kept) == len(batch.items)
         state.recent.add(slot, ballot, batch if all_kept else Batch.of(kept), before)
-        self.membership.note_proposer(ballot)
         self.outbox.persist(record, durable=alone)  # then it is our vote as well
         if slot == 0:
             state.first_hash = state.ledger.hash
