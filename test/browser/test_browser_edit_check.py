@@ -144,6 +144,10 @@ def test_each_edit_is_checked_and_the_witness_plays(open_editor, axe, tmp_path):
     axe(page, "the editor with changes")
     page.click("#ed-tab-checks")
     axe(page, "the editor with findings")
+    resize(page, 1280, 720)
+    for part in ("#ed-tools .ed-group:not([hidden])", "#ed-tabs button"):  # each on one line
+        rows = "(elements) => new Set(elements.map((e) => e.getBoundingClientRect().top)).size"
+        assert page.locator(part).evaluate_all(rows) == 1, part
     page.click("#ed-tab-here")
     axe(page, "the editor with what happens")
 

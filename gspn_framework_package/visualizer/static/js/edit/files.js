@@ -60,12 +60,12 @@ export class Files {
     mode.button("file", { id: "ed-export", label: "Export…", onclick: () => this.exportDialog() });
     mode.button("file", {
       id: "ed-deploy",
-      label: "Deploy to the team…",
+      label: "Deploy…",
       title: "Have a running team go on under this plan, as it is saved",
       onclick: () => attempt(() => this.deploy()),
     });
     this.note = h("span", { id: "ed-draft-state", class: "muted" });
-    $("ed-group-file").append(this.note);
+    $("ed-foot").append(this.note);
     this.changed = () => this.later();
     mode.document.addEventListener("change", this.changed);
     mode.document.addEventListener("saved", this.changed);

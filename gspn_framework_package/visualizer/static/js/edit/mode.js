@@ -65,6 +65,13 @@ export class EditMode extends EventTarget {
     const trail = [...crumbs, [this.id, path]];
     $("ed-page").replaceChildren(
       h(
+        "div",
+        { id: "ed-tools", class: "tools", role: "toolbar", "aria-label": "Editing" },
+        GROUPS.map((group) =>
+          h("div", { class: "ed-group", id: `ed-group-${group}`, hidden: true }),
+        ),
+      ),
+      h(
         "section",
         { class: "left", "aria-label": "Places, transitions and arcs" },
         h("div", { class: "ed-list", id: "ed-list-box" }),
@@ -72,13 +79,6 @@ export class EditMode extends EventTarget {
       h(
         "section",
         { class: "centre", "aria-label": "Drawing" },
-        h(
-          "div",
-          { id: "ed-tools", class: "tools", role: "toolbar", "aria-label": "Editing" },
-          GROUPS.map((group) =>
-            h("div", { class: "ed-group", id: `ed-group-${group}`, hidden: true }),
-          ),
-        ),
         h(
           "nav",
           { id: "ed-crumbs", class: "ed-crumbs", "aria-label": "Files", hidden: !crumbs.length },
@@ -103,7 +103,11 @@ export class EditMode extends EventTarget {
           }),
           h("div", { id: "ed-zoom", class: "zoom", role: "group", "aria-label": "View" }),
         ),
-        h("p", { id: "ed-status", class: "ed-status", role: "status" }),
+        h(
+          "div",
+          { id: "ed-foot", class: "ed-foot" },
+          h("p", { id: "ed-status", class: "ed-status", role: "status" }),
+        ),
       ),
       h(
         "section",
@@ -277,7 +281,7 @@ export class EditMode extends EventTarget {
     change("ed-inhibit", "Inhibit", "Make the chosen arcs inhibitor arcs, and back", "H", () =>
       actions.toggleInhibitor(),
     );
-    change("ed-timed", "Timed ↔ immediate", "The other kind of transition", "X", () =>
+    change("ed-timed", "Other kind", "Timed or immediate: the other kind of transition", "X", () =>
       actions.toggleTimed(),
     );
     this.arrangeMenu();

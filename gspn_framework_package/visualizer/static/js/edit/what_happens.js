@@ -37,7 +37,7 @@ export class WhatHappens {
     );
     this.button = mode.button("look", {
       id: "ed-here-open",
-      label: "What happens here?",
+      label: "What happens",
       title: "Which row of the policy applies at the marking that is shown",
       onclick: () => {
         mode.showPanel("here");
