@@ -73,7 +73,12 @@ QUICK = (
 )
 
 
-@pytest.mark.parametrize("mutant", [m for m in MUTANTS if m.name in QUICK], ids=lambda m: m.name)
+TARGETED = [m.name for m in MUTANTS if m.seeds]  # with schedules of their own
+
+
+@pytest.mark.parametrize(
+    "mutant", [m for m in MUTANTS if m.name in (*QUICK, *TARGETED)], ids=lambda m: m.name
+)
 def test_a_seeded_fault_is_caught(mutant) -> None:
     caught = hunt(mutant, 400)
     assert caught.schedules is not None, caught.text

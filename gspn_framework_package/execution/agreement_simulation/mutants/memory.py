@@ -10,7 +10,7 @@ from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.membership import Membership
-from gspn_framework_package.execution.agreement.messages import Batch
+from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Seen
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.proposals import Proposals
@@ -170,6 +170,35 @@ def _asks_only_members() -> ContextManager[Any]:
         return [m for m in self.electorate.others() if m not in self.state.off]
 
     return mock.patch.object(Membership, "_witnesses_of_start", asked)
+
+
+def _believes_the_forgetful() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def hear(self: Membership, message: Envelope, seen: Seen) -> None:
+            original(self, message, seen)
+            state = self.state
+            other = seen.log not in (state.log_id, state.ledger.logs.get(self.config.name))
+            if state.active and other:
+                self.forget("%s knows an older one" % message.sender)
+
+        return hear
+
+    return wrap(Membership, "_hear_of_ourselves", make)
+
+
+def _keeps_to_the_first_heard() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def note(self: Membership, message: Envelope) -> None:
+            self.state.peers.unsure.clear()
+            original(self, message)
+
+        return note
+
+    return wrap(Membership, "_note_log_of", make)
+
+
+def _takes_sleep_for_delay() -> ContextManager[Any]:
+    return mock.patch.object(Consensus, "woke", lambda self, now: None)
 
 
 def _forgets_who_was_cast_out() -> ContextManager[Any]:
@@ -453,6 +482,35 @@ MUTANTS: List[Mutant] = [
         _drops_its_slots,
         robots=2,
         kinds=("stand-in",),
+        seeds=("14100411:2:full:stand-in",),
+    ),
+    Mutant(
+        "believes the forgetful",
+        "membership",
+        "a robot forgets slots by the word of one that lost its own log",
+        _believes_the_forgetful,
+        robots=2,
+        kinds=("double",),
+        seeds=("42010138:2:partial:react-double",),
+    ),
+    Mutant(
+        "first come",
+        "membership",
+        "who lost its log keeps to the process of a name that it hears first afterwards",
+        _keeps_to_the_first_heard,
+        robots=2,
+        kinds=("double",),
+        seeds=("42010138:2:partial:react-double",),
+    ),
+    Mutant(
+        "sleep is delay",
+        "consensus",
+        "a robot takes the time that it slept for the delay of the network",
+        _takes_sleep_for_delay,
+        robots=5,
+        partial=True,
+        kinds=("sleep",),
+        seeds=("26011010:5:partial:react-sleep",),
     ),
     Mutant(
         "shrunken start",
@@ -461,6 +519,7 @@ MUTANTS: List[Mutant] = [
         _asks_only_members,
         robots=2,
         kinds=("double",),
+        seeds=("14500011:2:partial:double",),
     ),
     Mutant(
         "forgets cast out",

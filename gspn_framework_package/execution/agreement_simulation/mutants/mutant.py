@@ -25,6 +25,8 @@ class Mutant(NamedTuple):
     """The number of robots in most of the teams."""
     kinds: Sequence[str] = ("",)
     """The kinds of schedules in which it shows."""
+    seeds: Sequence[str] = ()
+    """Schedules that are run before others: random ones would find it late."""
 
 
 class Caught(NamedTuple):
@@ -47,11 +49,10 @@ def hunt(
     """
     with mutant.apply():
         for i in range(limit):
-            seed = first_seed + i
-            source = random.Random("mutants|%d" % seed)
-            robots = source.choice([*sizes, mutant.robots, mutant.robots])
-            partial = source.random() < 0.5 if mutant.partial is None else mutant.partial
-            schedule = Schedule(seed, robots, partial, source.choice(list(mutant.kinds)))
+            if i < len(mutant.seeds):
+                schedule = Schedule.parse(mutant.seeds[i])
+            else:
+                schedule = _random_schedule(mutant, first_seed + i, sizes)
             try:
                 run_schedule(schedule)
             except ViolationError as error:
@@ -61,6 +62,13 @@ def hunt(
                     raise  # it is the mutant that no longer fits the program
                 return Caught(i + 1, str(schedule), "%s: %s" % (type(error).__name__, error))
     return Caught(None, "", "not caught in %d schedules" % limit)
+
+
+def _random_schedule(mutant: Mutant, seed: int, sizes: Sequence[int]) -> Schedule:
+    source = random.Random("mutants|%d" % seed)
+    robots = source.choice([*sizes, mutant.robots, mutant.robots])
+    partial = source.random() < 0.5 if mutant.partial is None else mutant.partial
+    return Schedule(seed, robots, partial, source.choice(list(mutant.kinds)))
 
 
 @contextlib.contextmanager
