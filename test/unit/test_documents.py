@@ -557,6 +557,11 @@ def test_the_readme_is_one_screen_with_a_film():
         assert pictures.n_frames > 50
 
 
+def test_the_program_that_films_the_readme_starts():
+    code, told = _help((sys.executable, "test/browser/film_demo.py"))
+    assert code == 0 and "FILM" in told, told
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
 def test_links(document):
     text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
