@@ -157,6 +157,9 @@ def session_config(access: TeamAccess) -> Dict[str, Any]:
     if mode == "client":
         config["connect"]["timeout_ms"] = int(1000 * access.patience)
     if mode == "router":
+        # by default its only thread would sleep for 1 ms before it drops a message, and could send
+        # nothing meanwhile: when a large team on a busy machine filled the queues, nothing passed
+        link["tx"]["queue"]["congestion_control"] = {"drop": {"wait_before_drop": 0}}
         config["low_pass_filter"] = [
             {
                 "flows": ["ingress"],

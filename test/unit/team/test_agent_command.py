@@ -246,6 +246,8 @@ def test_a_router_prints_a_configuration_that_zenoh_reads(tmp_path, capsys):
     zenoh.Config.from_json5(text)
     config = json.loads(text)
     assert config["mode"] == "router" and config["access_control"]["default_permission"] == "deny"
+    full = config["transport"]["link"]["tx"]["queue"]["congestion_control"]
+    assert full == {"drop": {"wait_before_drop": 0}}  # a router that sleeps passes nothing on
     assert main(["router", "--keys", own + "/../ann", "--print-config"]) == 2
     assert "not of a router" in capsys.readouterr().err
 
