@@ -58,7 +58,7 @@ from gspn_framework_package.model.plan_timing import PlanTiming
 _SEARCHED = 100_000
 """Number of markings to search for a given one in a net that has infinitely many."""
 
-_BEGINNING = 20_000
+BEGINNING = 20_000
 """Markings to visit before checking whether there are infinitely many; most nets have fewer. If
 there are infinitely many, no more are visited, since some questions would stay open anyway."""
 
@@ -223,10 +223,10 @@ class Analysis:
             return self._visit_plan(self.plan, self.limit)
         beginning = self._visit_within(
             self.net,
-            min(self.limit, _BEGINNING),
+            min(self.limit, BEGINNING),
             [place.capacity for place in self.net.places],
         )
-        if beginning.complete or len(beginning) <= min(self.limit, _BEGINNING):
+        if beginning.complete or len(beginning) <= min(self.limit, BEGINNING):
             return beginning  # everything was visited, or time or memory ran out
         bounds = self._invariant_bounds
         counters = [
@@ -239,7 +239,7 @@ class Analysis:
             fewer = self._visit(self.net.without_places(counters), self.limit) if counters else None
             # if even these are too many, so are the markings with counters
             if fewer is None or fewer.complete:
-                space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
+                space = self._visit(self.net, self.limit) if self.limit > BEGINNING else beginning
                 if fewer is None or space.complete:
                     return space
             self._counters = tuple(counters)
@@ -247,7 +247,7 @@ class Analysis:
         if unbounded and set(unbounded) <= set(counters):
             self._counters = tuple(counters)
             return self._visit(self.net.without_places(counters), self.limit)
-        if unbounded or self.limit <= _BEGINNING:
+        if unbounded or self.limit <= BEGINNING:
             return beginning
         return self._visit(self.net, self.limit)
 

@@ -9,7 +9,18 @@ from __future__ import annotations
 import enum
 import functools
 import math
-from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Tuple,
+)
 
 import numpy as np
 
@@ -462,10 +473,7 @@ class ReportWork:
             data["probability_of_other_components"] = max(
                 1.0 - sum(c.probability for c in told), 0.0
             ) * (len(steady.components) > len(told))
-            for place in self.analysis.left_out:
-                self.undecided["steady_state.mean_tokens.%s" % place] = (
-                    "only written; it was left out"
-                )
+            self.undecided.update(uncounted(self.analysis.left_out))
             if rewards:
                 data["reward"] = self._reward(measures, rewards)
             return data
@@ -588,6 +596,12 @@ def _reachability(what: str, found: Reachability) -> Dict[str, Any]:
         "witness": None if way is None else [step.transition for step in way],
         "marking": way[-1].marking if way and way[-1].marking else None,
     }
+
+
+def uncounted(left_out: Iterable[str]) -> Dict[str, str]:
+    """Why the tokens of places that were left out have no mean."""
+    reason = "only written; it was left out"
+    return dict.fromkeys(("steady_state.mean_tokens.%s" % place for place in left_out), reason)
 
 
 def plain(value: Any) -> Any:

@@ -10,10 +10,16 @@ import traceback
 from typing import Any, Dict, Iterator, List, Mapping, Tuple
 
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
+from gspn_framework_package.analysis.distributed.growth import NetToVisit, growth
 from gspn_framework_package.analysis.distributed.mpi_ranks import MpiRanks
-from gspn_framework_package.analysis.report import plain
+from gspn_framework_package.analysis.report import plain, uncounted
 from gspn_framework_package.analysis.watch import Cancel, Progress
-from gspn_framework_package.cli.analysis_text import subject_text, time_text
+from gspn_framework_package.cli.analysis_text import (
+    analysis_text,
+    bounds_text,
+    subject_text,
+    time_text,
+)
 from gspn_framework_package.cli.limits import limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import read_subject
@@ -69,13 +75,24 @@ def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
     read = ranks.agreed(lambda: [] if ranks.rank else [_net(args)])
     net, notes = read[0][0]
 
+    timing = not args.no_time
+
     def analyse(_: Progress, cancel: Cancel) -> Dict[str, Any]:
         told = None if ranks.rank else _Lines()
+
+        def begin() -> List[NetToVisit]:
+            if ranks.rank:
+                return []
+            return [growth(net, limits, timing=timing, progress=told, cancel=cancel)]
+
         try:
-            return _answers(
-                DistributedAnalysis(net, ranks, limits=limits, progress=told, cancel=cancel),
-                timing=not args.no_time,
+            grown = ranks.agreed(begin)[0][0]
+            if grown.report is not None:
+                return grown.report
+            analysis = DistributedAnalysis(
+                grown.net, ranks, bounds=grown.bounds, limits=limits, progress=told, cancel=cancel
             )
+            return _answers(net, analysis, grown, timing=timing)
         except MemoryError:
             print("gspn: error: %s" % ranks.too_little_memory(), file=sys.stderr, flush=True)
             ranks.abort(LimitError.exit_code)
@@ -85,11 +102,14 @@ def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
     if ranks.rank == 0:
         if args.json:
             if args.no_time:
+                data["steady_state"] = None
                 data["undecided"]["steady_state"] = "left out, as asked"
             print(json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False))
         else:
             print_notes(notes)
-            print("\n".join([*_text(data), *time_text(data)]))
+            # of an unbounded net, one process has answered what can be
+            lines = [*_text(data), *time_text(data)] if "ranks" in data else analysis_text(data)
+            print("\n".join(lines))
     return 0
 
 
@@ -117,8 +137,9 @@ class _Lines:
             )
 
 
-def _answers(analysis: DistributedAnalysis, *, timing: bool) -> Dict[str, Any]:
-    net = analysis.net
+def _answers(
+    net: Net, analysis: DistributedAnalysis, grown: NetToVisit, *, timing: bool
+) -> Dict[str, Any]:
     steady = None
     undecided = {}
     if timing:
@@ -126,6 +147,11 @@ def _answers(analysis: DistributedAnalysis, *, timing: bool) -> Dict[str, Any]:
             steady = plain(analysis.steady_state())
         except (LimitError, RefusedError) as error:  # all ranks have the same
             undecided["steady_state"] = str(error)
+        else:
+            undecided.update(uncounted(grown.left_out))
+    bounds = {**analysis.bounds(), **grown.left_out_bounds}
+    if grown.bounded is None:
+        undecided.update(bounded=grown.reason, bounds=grown.reason)
     return {
         "name": net.name,
         "kind": "net",
@@ -134,9 +160,10 @@ def _answers(analysis: DistributedAnalysis, *, timing: bool) -> Dict[str, Any]:
         "arcs": len(net.arcs),
         "tokens": sum(net.initial_marking),
         "states": analysis.counts(),
+        "left_out": list(grown.left_out),
         "engine": "mpi",
-        "bounded": True,
-        "bounds": analysis.bounds(),
+        "bounded": grown.bounded,
+        "bounds": {place.name: bounds[place.name] for place in net.places},
         "deadlocks": analysis.deadlocks(),
         "steady_state": steady,
         "ranks": analysis.shares(),
@@ -157,5 +184,6 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
             share["memory_bytes"] / 1e6,
             share["peak_bytes"] / 1e6,
         )
+    yield from bounds_text(data)
     dead = data["deadlocks"]
     yield "deadlocks: %s" % (dead["count"] or "none")

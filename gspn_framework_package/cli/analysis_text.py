@@ -146,9 +146,7 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
     if data["kind"] == "plan":
         yield from _timing_text(data["timing"])
     yield from scratch_text(data)
-    if data["left_out"]:
-        yield "left out, because only written: %s" % ", ".join(data["left_out"])
-    yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
+    yield from bounds_text(data)
     dead = data["deadlocks"]
     if dead and dead["witness"] is not None:
         yield "deadlocks: %s, e.g. (%s), reached by %s" % (
@@ -171,6 +169,13 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield "liveness: %s" % _map(data["liveness"])
     if home:
         yield "home states%s: %d" % (" without %s" % left_out if left_out else "", home["count"])
+
+
+def bounds_text(data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what was left out, and the bounds of the places."""
+    if data["left_out"]:
+        yield "left out, because only written: %s" % ", ".join(data["left_out"])
+    yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
 
 
 def _lumped_text(lumped: Mapping[str, Any], states: Optional[Mapping[str, int]]) -> Iterator[str]:

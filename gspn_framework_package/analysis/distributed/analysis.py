@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import resource
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -30,7 +30,9 @@ class DistributedAnalysis:
     """The analysis of a net by several ranks. Each of them makes one, and asks it the same, in the
     same order.
 
-    :param net: the net, the same on every rank.
+    :param net: the net, the same on every rank. It should be bounded (see :func:`~.growth.growth`).
+    :param bounds: for each place, the most tokens it can hold (None: unknown), the same on every
+        rank; None: rank 0 finds them out.
     :param limits: the states count on all ranks together, the memory on each.
     :param progress: called with the progress of long work.
     :param cancel: called at intervals; returns whether to stop.
@@ -43,6 +45,7 @@ class DistributedAnalysis:
         net: Net,
         ranks: Ranks,
         *,
+        bounds: Optional[Sequence[Optional[int]]] = None,
         limits: Limits = Limits(),  # noqa: B008 (immutable)
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
@@ -50,9 +53,10 @@ class DistributedAnalysis:
         self.net, self.ranks, self.limits = net, ranks, limits
         watch = functools.partial(Watch, progress, cancel, seconds=limits.seconds)
         self._watch = watch
-        bounds = ranks.agreed(
-            lambda: invariant_bounds(net, INVARIANT_EFFORT, watch()) if ranks.rank == 0 else []
-        )[0]
+        if bounds is None:
+            bounds = ranks.agreed(
+                lambda: invariant_bounds(net, INVARIANT_EFFORT, watch()) if ranks.rank == 0 else []
+            )[0]
         self.states: RankStates = explore(
             net,
             ranks,

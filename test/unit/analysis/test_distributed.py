@@ -20,7 +20,9 @@ from thread_ranks import on_ranks
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
+from gspn_framework_package.analysis.distributed.growth import growth
 from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.benchmark import distributed as benchmark
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.main import main
@@ -97,6 +99,42 @@ def test_fields_that_are_too_narrow_are_widened_by_all():
         .build()
     )
     assert counts_together(net, 2) == counts_alone(net)
+
+
+def counting_and_open():
+    """A net with a place that only counts, and one whose queue grows without end."""
+    counting = (
+        NetBuilder("counting")
+        .place("a", tokens=1)
+        .place("b")
+        .place("done")
+        .exponential("x", inputs="a", outputs=["b", "done"])
+        .exponential("y", rate=2.0, inputs="b", outputs="a")
+    )
+    growing = (
+        NetBuilder("open")
+        .place("on", tokens=1)
+        .place("queue")
+        .exponential("come", inputs="on", outputs=["on", "queue"])
+        .exponential("go", rate=2.0, inputs="queue")
+    )
+    return counting.build(), growing.build()
+
+
+def test_a_net_that_grows_is_judged_before_it_is_visited():
+    counting, growing = counting_and_open()
+    found = growth(counting, Limits())
+    assert (found.left_out, found.bounded, found.left_out_bounds) == (
+        ("done",),
+        False,
+        {"done": "infinite"},
+    )
+    assert [place.name for place in found.net.places] == ["a", "b"] and found.report is None
+    assert counts_together(found.net, 2)[0]["total"] == 2
+    found = growth(growing, Limits())
+    assert found.report["bounds"] == {"on": 1, "queue": "infinite"}
+    assert found.report == report(Analysis(growing, limit=20_000), Questions(structure=False))
+    assert growth(kanban(2), Limits()).net == kanban(2)
 
 
 def test_limits_end_all_ranks_with_one_error():
@@ -228,6 +266,26 @@ def test_mpiexec_answers_as_one_process_does(net_file, capsys):
     assert steady["mean_tokens"] == pytest.approx(expected["mean_tokens"], abs=1e-9)
     assert steady.keys() == expected.keys()
     assert [share["rank"] for share in data["ranks"]] == [0, 1]
+
+
+def test_mpiexec_answers_for_nets_that_grow_as_one_process_does(tmp_path, capsys):
+    for net in counting_and_open():
+        path = tmp_path / ("%s.pnml" % net.name)
+        write_net(net, path)
+        code, output, errors = by_mpiexec(2, str(path), "--json")
+        assert code == 0, errors
+        data = json.loads(output)
+        assert main(["analyse", str(path), "--json"]) == 0
+        alone = json.loads(capsys.readouterr().out)
+        for key in ("states", "bounded", "bounds", "left_out"):
+            assert data[key] == alone[key]
+        for key, reason in data["undecided"].items():
+            assert reason == alone["undecided"][key]
+        if net.name == "counting":
+            steady, expected = data["steady_state"], alone["steady_state"]
+            assert steady["throughput"] == pytest.approx(expected["throughput"], abs=1e-9)
+        else:
+            assert "queue can grow without end" in data["undecided"]["steady_state"]
 
 
 def test_a_rank_that_is_killed_ends_all(tmp_path):

@@ -53,7 +53,7 @@ def test_invariants_are_looked_for_once(monkeypatch, limits):
         return search(*args)
 
     monkeypatch.setattr(invariants, "_place_semiflows", count)
-    monkeypatch.setattr(analyse, "_BEGINNING", 10)  # so that bounds are asked for
+    monkeypatch.setattr(analyse, "BEGINNING", 10)  # so that bounds are asked for
     data = report(Analysis(ring(30), limits=limits), Questions())
     assert data["states"]["total"] == 30
     assert len(searches) == 1
