@@ -209,6 +209,7 @@ class Proposals:
         waiting = self.in_order(frozen or not self.config.partial)
         items = [*accepted, *(i for i in waiting if i.origin not in held)]
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
+        items = self._without_lost_lives(items, unasked or {})
         most = self.config.limits.batch
         if len(items) > most and unasked:
             needed = self._up_to_those_who_end(items, unasked)
@@ -242,6 +243,26 @@ class Proposals:
                 self.propose(eviction)
         batch = self.batch(frozen, dict.fromkeys(off, False), accepted)
         return None if self.electorate.not_cast_out(voters, batch.items) else batch
+
+    def _without_lost_lives(self, items: List[Item], unasked: Mapping[str, bool]) -> List[Item]:
+        """A process that lacks the memory of its robot may return with the incarnation that this
+        memory had, too. What the latter announced is left out, or the return would never be news:
+        if it still exists, it begins another life, and announces it again."""
+        returns: Dict[str, Origin] = {}
+        for item in items:
+            entry = item.entry
+            if isinstance(entry, log_entries.Join) and self.electorate.ends_life(entry, unasked):
+                returns.setdefault(item.origin.robot, item.origin)
+
+        def is_lost(origin: Origin) -> bool:
+            back = returns.get(origin.robot)
+            return (
+                back is not None
+                and origin.incarnation == back.incarnation
+                and origin.log != back.log
+            )
+
+        return [item for item in items if not is_lost(item.origin)] if returns else items
 
     def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, bool]) -> Set[int]:
         """The numbers of the proposals that end the lives of unasked members, of those of their

@@ -197,6 +197,12 @@ def _keeps_to_the_first_heard() -> ContextManager[Any]:
     return wrap(Membership, "_note_log_of", make)
 
 
+def _lets_lost_lives_stand() -> ContextManager[Any]:
+    return mock.patch.object(
+        Proposals, "_without_lost_lives", lambda self, items, unasked: list(items)
+    )
+
+
 def _takes_sleep_for_delay() -> ContextManager[Any]:
     return mock.patch.object(Consensus, "woke", lambda self, now: None)
 
@@ -501,6 +507,15 @@ MUTANTS: List[Mutant] = [
         robots=2,
         kinds=("double",),
         seeds=("42010138:2:partial:react-double",),
+    ),
+    Mutant(
+        "lost lives stand",
+        "memory",
+        "what a lost memory announced stands before the return of its robot",
+        _lets_lost_lives_stand,
+        partial=True,
+        kinds=("tight",),
+        seeds=("52017322:3:partial:react-tight",),
     ),
     Mutant(
         "sleep is delay",
