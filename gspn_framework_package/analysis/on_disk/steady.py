@@ -60,7 +60,7 @@ def long_run(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) -> Lon
         dead[part] = exits == 0
     recurs = recurrent_states(Alone(), dead, chain.initial, chain.reaching, chain.reached)
     if recurs is None:
-        raise RefusedError(SEVERAL_CLASSES, hint="give it the memory to be solved without files")
+        raise RefusedError(SEVERAL_CLASSES, hint="raise --memory until all of it fits")
     recurrent = int(recurs.sum())
     if recurrent == 1:
         return LongRun(recurs.astype(np.float64), 1, bool(dead.any()), 0.0, "LU")
