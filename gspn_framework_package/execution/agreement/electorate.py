@@ -204,6 +204,12 @@ class Electorate:
             incarnation == state.incarnation and tag == state.log_id[:8] and number > state.number
         )
 
+    def acted_before(self) -> bool:
+        """Whether the team's log holds entries of our robot from another log than ours. Then ours
+        was lost, even if nobody who can be reached knew it."""
+        tag = self.state.ledger.seen.get(self.config.name, (-1, 0, ""))[2]
+        return tag not in ("", self.state.log_id[:8])
+
     # -- whose word counts -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:

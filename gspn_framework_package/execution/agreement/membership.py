@@ -411,6 +411,9 @@ class Membership:
             for peer in state.peers.all.values()
         ):
             return  # do not act before we know where the team is
+        if self.electorate.acted_before():
+            self.forget("the team's log holds entries of ours that it does not")
+            return
         self.become_active()
         team = self.electorate.members()
         fresh = state.incarnation == 0 and state.ledger.length == 1

@@ -203,6 +203,10 @@ def _lets_lost_lives_stand() -> ContextManager[Any]:
     )
 
 
+def _does_not_know_itself() -> ContextManager[Any]:
+    return mock.patch.object(Electorate, "acted_before", lambda self: False)
+
+
 def _takes_sleep_for_delay() -> ContextManager[Any]:
     return mock.patch.object(Consensus, "woke", lambda self, now: None)
 
@@ -516,6 +520,15 @@ MUTANTS: List[Mutant] = [
         partial=True,
         kinds=("tight",),
         seeds=("52017322:3:partial:react-tight",),
+    ),
+    Mutant(
+        "not itself",
+        "membership",
+        "a robot without its log takes part, though the team's log holds entries of it",
+        _does_not_know_itself,
+        robots=2,
+        kinds=("stand-in", "double"),
+        seeds=("62014120:2:full:react-stand-in",),
     ),
     Mutant(
         "sleep is delay",
