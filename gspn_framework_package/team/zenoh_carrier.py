@@ -23,6 +23,7 @@ from gspn_framework_package.team.carrier import (
 from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
 from gspn_framework_package.team.lanes import Lanes
 from gspn_framework_package.team.tcp_patience import limit_silence, ports_of
+from gspn_framework_package.team.zenoh_body import is_compressed, unwrapped, wrapped
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
@@ -166,7 +167,7 @@ class ZenohCarrier:
         lane, wait = self._lanes[channel[0]].take(time.monotonic())
         if wait > 0:
             time.sleep(wait)
-        self._put(body, *channel, str(lane))
+        self._put(wrapped(body), *channel, str(lane))
 
     def tell_firing(self, fields: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
@@ -230,7 +231,16 @@ class ZenohCarrier:
         payload = sample.payload
         if not self._gate.admits(robot, len(payload), time.monotonic(), channel):
             return
-        for message in self._gate.read(robot, bytes(payload)):
+        body = bytes(payload)
+        if is_compressed(body):
+            grown = unwrapped(body, LARGEST_MESSAGE)
+            if grown is None:
+                self._gate.refuse(robot, "cannot be decompressed")
+                return
+            if not self._gate.admits(robot, len(grown), time.monotonic(), channel):
+                return
+            body = grown
+        for message in self._gate.read(robot, body):
             self._handlers.received(message)
 
     def _on_asked(self, query: zenoh.Query) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import zlib
 
 import pytest
 from zenoh_team import Hub, free_port, make_keys, wait_for
@@ -14,6 +15,7 @@ from zenoh_team import Hub, free_port, make_keys, wait_for
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer
+from gspn_framework_package.team.gate import LARGEST_MESSAGE
 from gspn_framework_package.team.lanes import LANES, PASSED_BY_ROUTER, PAUSE
 from gspn_framework_package.team.zenoh_carrier import LARGEST_PACK, MOST_WAITING, ZenohCarrier
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
@@ -223,6 +225,40 @@ def test_another_run_is_not_heard(hub):
     one.send(EVERYBODY, "this run")
     wait_for(lambda: "this run" in two.numbers())
     assert "other run" not in two.numbers()
+
+
+def test_a_message_that_fills_the_routers_queue_passes(hub):
+    one, two = Robot(hub, "robot_1"), Robot(hub, "robot_2")
+    connect(one, two)
+    tasks = [
+        {"id": "task %d" % n, "transition": "order", "data": {"x": n / 7}} for n in range(30000)
+    ]
+
+    def taught():
+        one.send("robot_2", tasks)
+        return tasks in [message["number"] for message in two.got]
+
+    wait_for(taught)
+    assert 1_500_000 < len(json.dumps(tasks)) < LARGEST_MESSAGE
+
+
+def test_what_was_compressed_too_much_or_not_at_all_is_refused(secure):
+    one, two = Robot(secure, "robot_1"), Robot(secure, "robot_2")
+    connect(one, two)
+    attacker = secure.session("robot_3")
+    keys = [key_of("run", "robot_3", "to", "robot_2", str(lane)) for lane in range(4)]
+    huge = zlib.compress(b'{"from": "robot_3", "number": "%s"}' % (b"0" * LARGEST_MESSAGE), 9)
+    reason = ("robot_3", "cannot be decompressed")
+
+    def refused():
+        for key, body in zip(keys, (huge, b"\x78nonsense", huge[:100], b"x")):
+            attacker.put(key, body)
+        return sum(r.times for r in two.carrier.refusals() if (r.robot, r.why) == reason) >= 4
+
+    wait_for(refused)
+    one.send("robot_2", "true")
+    wait_for(lambda: "true" in two.numbers())
+    assert two.numbers() <= {"true", "ready", "ready alone"}
 
 
 def test_nonsense_is_refused_and_its_sender_is_named(secure):
