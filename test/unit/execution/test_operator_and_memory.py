@@ -647,11 +647,12 @@ def test_of_two_processes_of_the_only_robot_that_begin_apart_one_halts() -> None
     assert not world.nodes["r1"].halted
 
 
-def two_of_the_first(partial: bool) -> Any:
+def two_of_the_first(partial: bool, *, acting: bool = True) -> Any:
     """A team of two, known to the second robot with a spare of the first, which began out of
     reach."""
     world = Team(make_plan(TOUR, 2, partial, 0.0, 0.0, False), 1)
     world.mishaps = False
+    world.acting = acting
     spare = world.add_spare(world.nodes["r1"])
     world.blocked |= {(a, b) for a in world.nodes for b in world.nodes if a != b and "r1" in (a, b)}
     for node in world.nodes.values():
@@ -673,10 +674,11 @@ def test_the_slot_that_lets_another_log_in_is_not_forgotten(partial: bool) -> No
 
 
 def test_a_robot_begins_only_if_no_robot_that_is_gone_knew_another_log_of_it() -> None:
-    world, spare = two_of_the_first(False)
+    """The log has no entry of r1 that would tell, since no action has ended."""
+    world, spare = two_of_the_first(False, acting=False)
     world.blocked = {("r1", spare.key), (spare.key, "r1")}
     world.deaf = {"r1"}  # it learns the slots before anybody can tell it of the spare
-    spare.give(interface.Order("evict", log_entries.Evict("r2", -1)))
+    world.nodes["r2"].give(interface.Order("evict", log_entries.Evict("r2", -1)))
     while world.replica("r2").members() != ["r1"]:
         world.run(world.now + 0.0005)
         assert world.now < 3.0

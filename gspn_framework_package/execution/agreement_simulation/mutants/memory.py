@@ -547,7 +547,7 @@ MUTANTS: List[Mutant] = [
         _asks_only_members,
         robots=2,
         kinds=("double",),
-        seeds=("14500011:2:partial:double",),
+        seeds=("101956:2:full:react-double",),
     ),
     Mutant(
         "forgets cast out",
