@@ -12,8 +12,10 @@ from typing import Any, Dict, Iterable, List, Sequence
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.table import aligned
 
-SHOWN = 200
+SHOWN = 1000
 """Rows of an answer that are shown as a table."""
+
+_MORE = "only the first %d rows are shown; --csv and --json print all" % SHOWN
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +128,9 @@ def _report(args: argparse.Namespace) -> int:
     if not rows:
         print("nothing is in the store for this")
         return 0
-    _print_table([_HEADS.get(name, name) for name in columns], [_shown(row) for row in rows])
+    _print_table([_HEADS.get(name, name) for name in columns], map(_shown, rows[:SHOWN]))
+    if len(rows) > SHOWN:
+        print(_MORE)
     return 0
 
 
@@ -165,7 +169,7 @@ def _sql(args: argparse.Namespace) -> int:
         shown = list(itertools.islice(answer.rows, SHOWN))
         _print_table(answer.columns, [["" if v is None else str(v) for v in r] for r in shown])
         if next(answer.rows, None) is not None:
-            print("only the first %d rows are shown; --csv and --json print all" % SHOWN)
+            print(_MORE)
     return 0
 
 
@@ -175,5 +179,5 @@ def _print_csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     writer.writerows(rows)
 
 
-def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def _print_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     print("\n".join(aligned([columns, *rows])))

@@ -13,6 +13,7 @@ from typing import Any, Dict, List
 import pytest
 from logged_runs import Story, ring, save_logs
 
+from gspn_framework_package.cli import history
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan as team_plan
@@ -268,7 +269,9 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
 # -- the command line ------------------------------------------------------------------------------
 
 
-def test_the_verb_ingests_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verb_ingests_and_reports(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     log, store = patrol_story().save(tmp_path / "log.jsonl"), str(tmp_path / "store")
     assert main(["history", "ingest", log, "--store", store]) == 0
     assert "6 slots new" in capsys.readouterr().out
@@ -278,6 +281,10 @@ def test_the_verb_ingests_and_reports(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["history", "report", "--store", store, "--by", "place", "--csv"]) == 0
     rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
     assert [(row["place"], row["visits"]) for row in rows] == [("A", "3"), ("B", "1")]
+    monkeypatch.setattr(history, "SHOWN", 1)
+    assert main(["history", "report", "--store", store, "--by", "place"]) == 0
+    _, shown, more = capsys.readouterr().out.splitlines()
+    assert shown.startswith("A") and "--csv and --json print all" in more
     assert main(["history", "report", "--store", store, "--since", "2020-01-01"]) == 0
     assert "nothing is in the store for this" in capsys.readouterr().out
     (tmp_path / "log.jsonl").write_text("no log\n")
