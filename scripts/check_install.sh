@@ -5,6 +5,8 @@
 . "$(dirname "${BASH_SOURCE[0]}")/prepare.sh"
 
 INSTALLED=$CATKIN_WS/install
+# rosrun looks everywhere in a package but there, and would find a second gspn.
+ASIDE=$ROOT/build/check_install
 SITE=$INSTALLED/lib/python3/dist-packages
 SHARE=$INSTALLED/share/$PACKAGE
 
@@ -58,12 +60,12 @@ echo "gspn check of $count plans: as in the checkout"
 
 # The Debian package holds the same files (where it can be built: Debian 12).
 if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
-    rm -rf "$WORKSPACE/deb"
-    deb=$("$ROOT/scripts/make_deb" "$WORKSPACE/deb") || die "scripts/make_deb fails"
-    dpkg-deb -x "$deb" "$WORKSPACE/deb/root"
-    same_files "deb: $PACKAGE" "$ROOT/$PACKAGE" "$WORKSPACE/deb/root/usr/lib/python3/dist-packages/$PACKAGE"
+    rm -rf "$ASIDE/deb"
+    deb=$("$ROOT/scripts/make_deb" "$ASIDE/deb") || die "scripts/make_deb fails"
+    dpkg-deb -x "$deb" "$ASIDE/deb/root"
+    same_files "deb: $PACKAGE" "$ROOT/$PACKAGE" "$ASIDE/deb/root/usr/lib/python3/dist-packages/$PACKAGE"
     for folder in launch plans; do
-        same_files "deb: $folder" "$ROOT/$folder" "$WORKSPACE/deb/root/usr/share/$PACKAGE/$folder"
+        same_files "deb: $folder" "$ROOT/$folder" "$ASIDE/deb/root/usr/share/$PACKAGE/$folder"
     done
     cmp <(dpkg-deb -f "$deb" Version) <(echo "$(cd "$ROOT" && /usr/bin/python3 setup.py --version)-1") || die "another version"
 fi
@@ -74,7 +76,7 @@ install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PA
 installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'" || die "the room does not run"
 
 # Without ROS, by pip: a wheel built from the files of a checkout, in a separate venv on the system's libraries.
-CHECKOUT=$WORKSPACE/pip_checkout SEPARATE=$WORKSPACE/pip_venv
+CHECKOUT=$ASIDE/pip_checkout SEPARATE=$ASIDE/pip_venv
 rm -rf "$CHECKOUT" "$SEPARATE"
 mkdir -p "$CHECKOUT"
 cp -r "$ROOT/$PACKAGE" "$ROOT"/{msg,setup.py,package.xml,pyproject.toml,LICENSE} "$CHECKOUT"
