@@ -26,7 +26,7 @@ from gspn_framework_package.execution.agreement_simulation.world import (
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import Plan, Synchronisation
 
 FAULTS_END = 0.6
 """Seconds of simulated time in which faults are injected."""
@@ -724,15 +724,20 @@ class _Run:
                 )
 
     def _is_blocked(self) -> bool:
-        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum, or
-        a spare of the team that could let it in."""
+        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum or,
+        with partial synchronisation, of an answer that only an operator can do without; or a spare
+        of the team that could let it in."""
         nodes = self.world.alive()
         if any(self.world.stands_by(node) for node in nodes):
             return True
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
-        lost = self.lost_logs or (self.left and self.kind != "leave")
-        return bool(lost) and not is_quorum(voters, best.state.members())
+        if not self.lost_logs and (not self.left or self.kind == "leave"):
+            return False
+        plan, members = self.world.plan, best.state.members()
+        asks_all = plan.synchronisation is Synchronisation.PARTIAL and not plan.timing.evict_after
+        gone = set(self.left).intersection(members) - {node.name for node in nodes}
+        return not is_quorum(voters, members) or (asks_all and bool(gone))
 
     def _why(self) -> str:
         return "; ".join(
