@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import pathlib
 import time
 
 import pytest
 
+from gspn_framework_package import execution
 from gspn_framework_package.benchmark.agreement import draw_schedules
 from gspn_framework_package.execution.agreement import config
 from gspn_framework_package.execution.agreement_simulation.schedule import Schedule, run_schedule
 from gspn_framework_package.execution.agreement_simulation.world import ViolationError
 
-SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "2500"))
-SECONDS = float(os.environ.get("GSPN_SCHEDULE_SECONDS", "35"))
+SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "600"))
 FAILED = os.path.join(os.path.dirname(__file__), "failed_seeds.txt")
 
 
@@ -27,9 +29,17 @@ def test_a_schedule_that_once_failed(schedule: str) -> None:
     run_schedule(Schedule.parse(schedule))
 
 
+def _first_seed() -> int:
+    """Other schedules for every other version of the code, and the same ones for the same code:
+    whoever runs these tests again finds the same."""
+    digest = hashlib.sha256()
+    for path in sorted(pathlib.Path(execution.__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return int.from_bytes(digest.digest()[:5], "big")
+
+
 def test_fresh_seeds(capsys: pytest.CaptureFixture) -> None:
-    """As many as fit into the time; at least 100, however slow the machine is."""
-    first = time.time_ns() // 1000 % 10**12
+    first = _first_seed()
     failures = []
     number = blocked = 0
     begin = time.monotonic()
@@ -39,8 +49,6 @@ def test_fresh_seeds(capsys: pytest.CaptureFixture) -> None:
         except ViolationError as error:
             failures.append("%s: %s" % (schedule, error))
         number += 1
-        if time.monotonic() - begin > SECONDS and number >= 100:
-            break
     with capsys.disabled():
         rate = number / (time.monotonic() - begin) * 60
         print(
@@ -56,9 +64,8 @@ def test_teams_that_keep_the_ways_of_large_ones(monkeypatch: pytest.MonkeyPatch)
     that are gathered, no votes for those who are not the leader), tested with few, which are
     faster."""
     monkeypatch.setattr(config, "SMALL_TEAM", 2)
-    first = time.time_ns() // 1000 % 10**12
     failures = []
-    for schedule in draw_schedules(first, 60, [3, 5]):
+    for schedule in draw_schedules(_first_seed(), 60, [3, 5]):
         try:
             run_schedule(schedule)
         except ViolationError as error:

@@ -210,6 +210,17 @@ class Electorate:
         tag = self.state.ledger.seen.get(self.config.name, (-1, 0, ""))[2]
         return tag not in ("", self.state.log_id[:8])
 
+    def witnesses_of_start(self) -> List[str]:
+        """The robots that must not know another log of ours when we begin: the other members. Where
+        the team, as the log says, has shrunk to our robot, perhaps by votes of another process of
+        its name, it is the whole first team."""
+        state, plan = self.state, self.config.plan
+        others = self.others()
+        if not others and state.ledger.length > 1:
+            first = [*(r.name for r in plan.robots), *plan.witness]
+            others = [m for m in first if m != self.config.name]
+        return [m for m in others if m not in state.off]
+
     # -- whose word counts -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:

@@ -404,7 +404,10 @@ class Membership:
             or self.electorate.has_namesake()
         ):
             return
-        if any(state.peers.get(m).welcomes != state.log_id for m in self._witnesses_of_start()):
+        if any(
+            state.peers.get(m).welcomes != state.log_id
+            for m in self.electorate.witnesses_of_start()
+        ):
             return
         if any(
             peer.length > state.ledger.length and peer.heard is not None
@@ -420,17 +423,6 @@ class Membership:
         if team and team[0] == self.config.name and fresh and not self.config.partial:
             self.proposer.lead_from_the_start(set(team) - set(state.off))
         self.robot.act({})
-
-    def _witnesses_of_start(self) -> List[str]:
-        """The robots that must not know another log of ours when we begin: the other members. Where
-        the team, as the log says, has shrunk to our robot, perhaps by votes of another process of
-        its name, it is the whole first team."""
-        state, plan = self.state, self.config.plan
-        others = self.electorate.others()
-        if not others and state.ledger.length > 1:
-            first = [*(r.name for r in plan.robots), *plan.witness]
-            others = [m for m in first if m != self.config.name]
-        return [m for m in others if m not in state.off]
 
     # -- logs that differ --------------------------------------------------------------------------
 

@@ -60,11 +60,8 @@ class Status:
         if state.ledger.length == 0:
             return "waits for somebody of the team"
         if not state.active and not state.joining and not state.amnesic:
-            missing = [
-                m
-                for m in electorate.others()
-                if m not in state.off and state.peers.get(m).welcomes != state.log_id
-            ]
+            witnesses = electorate.witnesses_of_start()
+            missing = [m for m in witnesses if state.peers.get(m).welcomes != state.log_id]
             return "waits for %s to start" % ", ".join(missing)
         if state.ledger.state.ended is not None:
             return ""

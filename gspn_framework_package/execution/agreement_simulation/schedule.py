@@ -730,6 +730,8 @@ class _Run:
         nodes = self.world.alive()
         if any(self.world.stands_by(node) for node in nodes):
             return True
+        if any(self._waits_for_who_left(node) for node in nodes):
+            return True
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
         if not self.lost_logs and (not self.left or self.kind == "leave"):
@@ -738,6 +740,13 @@ class _Run:
         asks_all = plan.synchronisation is Synchronisation.PARTIAL and not plan.timing.evict_after
         gone = set(self.left).intersection(members) - {node.name for node in nodes}
         return not is_quorum(voters, members) or (asks_all and bool(gone))
+
+    def _waits_for_who_left(self, node: SimulatedNode) -> bool:
+        """Whether a robot that never took part needs the word of others that left for good."""
+        replica = node.replica
+        if replica is None or replica.active or replica.state.joining or replica.state.amnesic:
+            return False
+        return not set(self.left).isdisjoint(replica.electorate.witnesses_of_start())
 
     def _why(self) -> str:
         return "; ".join(

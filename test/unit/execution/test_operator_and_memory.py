@@ -686,6 +686,7 @@ def test_a_robot_begins_only_if_no_robot_that_is_gone_knew_another_log_of_it() -
     world.run(world.now + 2)
     assert world.replica("r1").members() == ["r1"]
     assert not world.replica("r1").active
+    assert world.replica("r1").waits_for() == "waits for r2 to start"
 
 
 def test_a_robot_that_lost_its_log_is_no_witness_of_a_start() -> None:

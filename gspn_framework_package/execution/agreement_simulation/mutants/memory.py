@@ -166,10 +166,10 @@ def _drops_its_slots() -> ContextManager[Any]:
 
 
 def _asks_only_members() -> ContextManager[Any]:
-    def asked(self: Membership) -> List[str]:
-        return [m for m in self.electorate.others() if m not in self.state.off]
+    def asked(self: Electorate) -> List[str]:
+        return [m for m in self.others() if m not in self.state.off]
 
-    return mock.patch.object(Membership, "_witnesses_of_start", asked)
+    return mock.patch.object(Electorate, "witnesses_of_start", asked)
 
 
 def _believes_the_forgetful() -> ContextManager[Any]:
