@@ -145,6 +145,7 @@ class Navigator:
         self.rank = (round(time, 3), float(self._index))
         self._turn_at_goal = turn
         self._field = None
+        self._field_key = ()
         self._best = math.inf
         self._progress_time = time
         self._in_vain = 0.0

@@ -215,6 +215,21 @@ def test_a_cancelled_goal_stops_the_robot():
     assert navigator.step(seen, 0.1) == (0.0, 0.0)
 
 
+def test_who_gets_the_same_goal_again_drives_on_past_a_robot_that_stands():
+    team = DrivingTeam(OPEN, ["r0", "r1"], [Pose(-1.5, 0, 0), Pose(1.0, 1.5, 0)])
+    navigator, goal = team.navigators["r0"], Pose(1.5, 0, 0)
+    navigator.go(goal, team.time)
+    while team.time < 2:
+        team.step()
+    navigator.cancel()
+    team.step()
+    navigator.go(goal, team.time)
+    while team.time < 30 and navigator.active:
+        team.step()
+    team.close()
+    assert navigator.status is NavigationStatus.REACHED
+
+
 def test_the_older_goal_has_the_right_of_way_whatever_the_index():
     first, second = Navigator(Grid(OPEN), 5), Navigator(Grid(OPEN), 0)
     first.go(Pose(1, 0), 1.0)
