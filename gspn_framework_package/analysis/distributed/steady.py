@@ -20,17 +20,17 @@ from gspn_framework_package.analysis.distributed.long_run import (
 from gspn_framework_package.analysis.distributed.ranks import AgreedWatch
 from gspn_framework_package.analysis.distributed.rates import RankChain
 from gspn_framework_package.analysis.solution.linear import (
-    ACCEPTED,
     DIRECT_SIZE,
     LinearSolution,
     Reduction,
+    demand,
     iterate,
     solve,
     sweeper,
 )
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.errors import RefusedError
 
 _STEP = 0.9
 """A sweep goes this share of its way. A whole one would only pass values around where the ranks are
@@ -113,12 +113,7 @@ def _solved_together(
         AgreedWatch(ranks, watch),
         reduction=reduction,
     )
-    if not found.residual <= ACCEPTED:
-        raise LimitError(
-            "the linear system was not solved: it came to a residual of %.1e after %d sweeps"
-            % (found.residual, found.sweeps)
-        )
-    return found
+    return demand(found)
 
 
 def measured(chain: RankChain, shares: Floats) -> Tuple[List[float], List[float]]:

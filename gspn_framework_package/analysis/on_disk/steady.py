@@ -19,9 +19,9 @@ from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
 from gspn_framework_package.analysis.on_disk.scratch import ScratchVector
 from gspn_framework_package.analysis.solution.anderson import DEPTH
 from gspn_framework_package.analysis.solution.linear import (
-    ACCEPTED,
     DIRECT_SIZE,
     LinearSolution,
+    demand,
     iterate,
     solve,
     sweep_rows,
@@ -31,7 +31,7 @@ from gspn_framework_package.analysis.state_space.marking_store import PackedStor
 from gspn_framework_package.analysis.state_space.numpy_engine import enabled
 from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.errors import RefusedError
 
 _VECTORS = 2 * DEPTH + 4
 """Vectors on disk while the system is solved."""
@@ -115,12 +115,7 @@ def _solved(chain: OnDiskChain, recurs: Booleans, watch: Watch) -> LinearSolutio
     finally:
         for used in vectors:
             used.close()
-    if not found.residual <= ACCEPTED:
-        raise LimitError(
-            "the linear system was not solved: it came to a residual of %.1e after %d sweeps"
-            % (found.residual, found.sweeps)
-        )
-    return found
+    return demand(found)
 
 
 def _measured(

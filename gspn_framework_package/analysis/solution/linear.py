@@ -115,12 +115,20 @@ def solve(
         )
     if not best.residual <= accepted and direct < size <= FALLBACK_SIZE:
         best = _better(best, _direct(matrix, diagonal, rhs))
-    if not best.residual <= accepted:
+    return demand(best, accepted)
+
+
+def demand(found: LinearSolution, accepted: float = ACCEPTED) -> LinearSolution:
+    """The solution, if its residual is small enough.
+
+    :raises LimitError: it is not.
+    """
+    if not found.residual <= accepted:
         raise LimitError(
             "the linear system was not solved: %s came to a residual of %.1e after %d sweeps"
-            % (best.method, best.residual, best.sweeps)
+            % (found.method, found.residual, found.sweeps)
         )
-    return best
+    return found
 
 
 def residual(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats], values: Floats) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Words
 from gspn_framework_package.analysis.state_space.exploration import Growing, RawGraph, label_type
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
-from gspn_framework_package.analysis.state_space.numpy_engine import StateTable, enabled
+from gspn_framework_package.analysis.state_space.numpy_engine import StateTable, enabled, fire
 from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing
 from gspn_framework_package.analysis.state_space.space import StateSpace
 
@@ -54,8 +54,7 @@ def window(packed: PackedNet, words: Words) -> StateSpace:
         if not first:
             at_once = ~timed[fired]
             sources, fired = sources[at_once], fired[at_once]
-        successors = block[sources] + packed.change[fired]
-        targets.extend(table.insert(successors, found))
+        targets.extend(table.insert(fire(packed, block, sources, fired), found))
         labels.extend(fired)
         counts.append(np.bincount(sources, minlength=len(block)))
         explored = stop

@@ -52,9 +52,11 @@ class Team(World):
         assert verdict.violation is None, verdict.violation
 
 
-def team(kind: int, robots: int, partial: bool = False, **how: Any) -> Team:
+def team(
+    kind: int, robots: int, partial: bool = False, weather: Optional[Weather] = None, **how: Any
+) -> Team:
     fields = {"evict_after": 0.0, "fence_after": 0.0, "witness": False, **how}
-    world = Team(make_plan(kind, robots, partial, **fields), 1)
+    world = Team(make_plan(kind, robots, partial, **fields), 1, weather)
     world.mishaps = False
     for node in world.nodes.values():
         node.start()
@@ -436,10 +438,7 @@ def test_a_robot_that_waits_for_hours_still_waits() -> None:
 
 
 def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
-    world = Team(make_plan(TOKENS, 2, True, 0.0, 0.0, False), 1, Weather(0.001, 0.001))
-    world.mishaps = False
-    for node in world.nodes.values():
-        node.start()
+    world = team(TOKENS, 2, True, Weather(0.001, 0.001))
     world.run(0.5)
     carry = world._carry
     asked = set()
@@ -460,10 +459,7 @@ def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
 
 
 def test_sleep_is_not_taken_for_a_slow_network() -> None:
-    world = Team(make_plan(TOKENS, 3, True, 0.0, 0.0, False), 1, Weather(0.001, 0.001))
-    world.mishaps = False
-    for node in world.nodes.values():
-        node.start()
+    world = team(TOKENS, 3, True, Weather(0.001, 0.001))
     world.run(0.5)
     first = world.nodes["r1"]
     assert first.replica is not None
