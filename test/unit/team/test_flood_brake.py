@@ -103,12 +103,36 @@ def _pair():
 
 
 def send(here, there, size):
-    """Send so many bytes and take them."""
+    """Send so many bytes and take them.
+
+    They are taken without waiting for them: who waits in ``recv`` at a braked connection is woken
+    only by a whole piece or by a look, and here nobody looks meanwhile.
+    """
     sender = threading.Thread(target=here.sendall, args=(b"x" * size,))
     sender.start()
-    while size:
-        size -= len(there.recv(min(size, 65536)))
+    left = size
+
+    def took_all():
+        nonlocal left
+        with contextlib.suppress(BlockingIOError):
+            while left:
+                left -= len(there.recv(min(left, 65536), socket.MSG_DONTWAIT))
+        return not left
+
+    wait_for(took_all, 60, "%d bytes" % size)
     sender.join()
+
+
+def flood(here, there, brake):
+    """Send too much too fast, until the connection is braked."""
+
+    def braked():
+        send(here, there, 3_000_000)
+        brake.look()
+        return least(there) == PIECE
+
+    brake.look()
+    wait_for(braked, 60, "a braked connection")
 
 
 def least(end):
@@ -119,12 +143,10 @@ def least(end):
 def test_a_braked_connection_is_read_in_pieces_and_at_each_look(pair, monkeypatch):
     here, there, port = pair
     monkeypatch.setattr(flood_brake, "LOOK", 3600.0)  # the test looks
+    monkeypatch.setattr(flood_brake, "HOLDS", 3600.0)
     brake = FloodBrake([port])
     try:
-        for _ in range(3):
-            brake.look()
-            send(here, there, 3_000_000)
-        brake.look()
+        flood(here, there, brake)
         assert least(there) == PIECE and least(here) == 1
         name = "%s:%d" % here.getsockname()
         assert brake.news() == ["%s sends more than a robot: it is heard in pieces" % name]
@@ -135,9 +157,8 @@ def test_a_braked_connection_is_read_in_pieces_and_at_each_look(pair, monkeypatc
         came.start()
         wait_for(lambda: brake.look() or not came.is_alive(), 30, "what waits, at a look")
         assert there.recv(len(b"a little")) == b"a little"
-        monkeypatch.setattr(flood_brake, "HOLDS", 0.0)
         send(here, there, 3_000_000)
-        brake.look()
+        brake._watch = FloodWatch()  # as if all were quiet for long
         brake.look()
         assert least(there) == 1
         assert brake.news() == ["%s is heard as before, or is gone" % name]
@@ -150,10 +171,6 @@ def test_who_is_braked_is_let_go_when_the_brake_is_closed(pair, monkeypatch):
     here, there, port = pair
     monkeypatch.setattr(flood_brake, "LOOK", 3600.0)
     brake = FloodBrake([port])
-    for _ in range(3):
-        brake.look()
-        send(here, there, 3_000_000)
-    brake.look()
-    assert least(there) == PIECE
+    flood(here, there, brake)
     brake.close()
     assert least(there) == 1
