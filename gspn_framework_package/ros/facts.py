@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Dict
+from typing import Any, Dict, List
 
 import rospy
 from std_msgs.msg import String
@@ -39,9 +39,10 @@ class RosFacts:
         self._marking = latched("marking", Marking)
         self._team = latched("team_state", TeamState)
 
-    def tell_firing(self, fields: Dict[str, Any]) -> None:
+    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`Carrier`."""
-        self._fired.publish(fired_message(fields))
+        for fields in firings:
+            self._fired.publish(fired_message(fields))
 
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""

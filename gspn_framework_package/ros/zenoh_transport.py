@@ -35,10 +35,10 @@ class ToldOnRos(RosFacts):
         """See :class:`Carrier`."""
         self._carrier.send(sends)
 
-    def tell_firing(self, fields: Dict[str, Any]) -> None:
+    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`Carrier`."""
-        super().tell_firing(fields)
-        self._carrier.tell_firing(fields)
+        super().tell_firings(firings)
+        self._carrier.tell_firings(firings)
 
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""

@@ -75,10 +75,10 @@ class Carrier(Protocol):
     def send(self, sends: List[Send]) -> None:
         """Send protocol messages to the robots that they name; does not wait for anybody."""
 
-    def tell_firing(self, fields: Dict[str, Any]) -> None:
-        """Publish a firing that this robot decided, or a local transition of its own.
+    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
+        """Publish firings that this robot decided in one slot, or local transitions of its own.
 
-        :param fields: see
+        :param firings: the fields of each, see
             :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
         """
 

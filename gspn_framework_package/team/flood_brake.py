@@ -17,7 +17,7 @@ import threading
 import time
 from typing import Deque, Dict, Iterable, List, Mapping, NamedTuple, Set, Tuple
 
-from gspn_framework_package.team.own_sockets import CONNECTED, own_sockets
+from gspn_framework_package.team.own_sockets import CONNECTED, OwnSockets
 
 MOST_SEGMENTS = 3000.0
 """TCP segments a second that a connection may bring, about as many as messages. A robot sends at
@@ -95,7 +95,8 @@ class FloodBrake:
     """
 
     def __init__(self, ports: Iterable[int]) -> None:
-        self._ports = set(ports)
+        at = set(ports)
+        self._sockets = OwnSockets(lambda state, here, there: state == CONNECTED and here in at)
         self._watch = FloodWatch()
         self._braked: Dict[str, str] = {}  # number of the socket -> who is at its other end
         self._news: Deque[str] = collections.deque(maxlen=_NEWS)
@@ -138,14 +139,11 @@ class FloodBrake:
             self._over.wait(_LETS_IN)
             self._set(set(self._braked), PIECE)
 
-    def _connected(self, state: str, local: int, remote: int) -> bool:
-        return state == CONNECTED and local in self._ports
-
     def _received(self) -> Tuple[Dict[str, Brought], Dict[str, str]]:
         """What the connections have brought, and who is at their other ends."""
         received: Dict[str, Brought] = {}
         ends: Dict[str, str] = {}
-        for number, same in own_sockets(self._connected):
+        for number, same in self._sockets:
             with contextlib.suppress(OSError):  # closed meanwhile
                 info = same.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
                 if len(info) == _INFO_SIZE:
@@ -159,7 +157,7 @@ class FloodBrake:
     def _set(self, numbers: Set[str], least: int) -> None:
         """Have connections handed over from so many bytes on."""
         if numbers:
-            for number, same in own_sockets(self._connected):
+            for number, same in self._sockets:
                 if number in numbers:
                     with contextlib.suppress(OSError):
                         same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, least)

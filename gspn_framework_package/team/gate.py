@@ -115,6 +115,13 @@ def json_object(body: Union[str, bytes]) -> Optional[Dict[str, Any]]:
     return value if isinstance(value, dict) else None
 
 
+def json_objects(body: Union[str, bytes]) -> List[Dict[str, Any]]:
+    """The JSON objects in a text of an untrusted sender, which is one or a list of several."""
+    value = _json_value(body)
+    found = value if isinstance(value, list) else [value]
+    return [one for one in found if isinstance(one, dict)]
+
+
 def _json_value(body: Union[str, bytes]) -> Any:
     try:
         return _DECODER.decode(body if isinstance(body, str) else body.decode("utf-8"))

@@ -383,6 +383,9 @@ class ReplicaHost(Worker):
         for effect in effects:
             if isinstance(effect, interface.Reply):
                 self._reply(effect)
+        told = [e for e in effects if isinstance(e, interface.Fired) and (e.publish or e.private)]
+        if told:
+            self._carrier.tell_firings([firing_fields(effect, self.run) for effect in told])
         for effect in effects:
             carry_out = self._effects.get(type(effect))
             if carry_out is not None:
@@ -399,8 +402,6 @@ class ReplicaHost(Worker):
             answer(effect)
 
     def _on_fired(self, effect: interface.Fired) -> None:
-        if effect.publish or effect.private:
-            self._carrier.tell_firing(firing_fields(effect, self.run))
         for move in effect.firing.moves:
             # a local transition is reported a second time when it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:

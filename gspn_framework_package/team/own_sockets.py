@@ -6,27 +6,52 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from typing import Callable, Dict, Iterator, Tuple
+from typing import Callable, Dict, Iterator, Set, Tuple
 
 LISTENS, CONNECTED = "0A", "01"
 """States of a socket in ``/proc/net/tcp``."""
 
 
-def own_sockets(wanted: Callable[[str, int, int], bool]) -> Iterator[Tuple[str, socket.socket]]:
-    """The sockets that are wanted: the number of each, and another descriptor of it, which is
-    closed before the next one comes.
+class OwnSockets:
+    """The sockets that are wanted, again and again.
+
+    The table of all sockets of the network namespace may be long, so it is read only after this
+    process has opened or closed one, and once more after that: a socket that was just opened may
+    not be in the table yet.
 
     :param wanted: says so of a state (see :data:`LISTENS`), the port here and the one elsewhere.
     """
-    numbers = _numbers(wanted)
-    if not numbers:
-        return
-    for name in os.listdir("/proc/self/fd"):
-        with contextlib.suppress(OSError, ValueError):  # closed meanwhile
-            number = numbers.pop(os.readlink("/proc/self/fd/" + name), "")
-            if number:
-                with socket.socket(fileno=os.dup(int(name))) as same:
-                    yield number, same
+
+    def __init__(self, wanted: Callable[[str, int, int], bool]) -> None:
+        self._wanted = wanted
+        self._open: Set[str] = set()
+        self._is_known = False
+        self._numbers: Dict[str, str] = {}
+
+    def __iter__(self) -> Iterator[Tuple[str, socket.socket]]:
+        """The number of each, and another descriptor of it, which is closed before the next one
+        comes."""
+        descriptors = _descriptors()
+        if not self._is_known or self._open != set(descriptors):
+            self._is_known = self._open == set(descriptors)
+            self._open = set(descriptors)
+            self._numbers = _numbers(self._wanted)
+        for link, descriptor in descriptors.items():
+            if link in self._numbers:
+                with contextlib.suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as same:
+                    yield self._numbers[link], same
+
+
+def _descriptors() -> Dict[str, int]:
+    """The sockets of this process: what a descriptor links to -> the descriptor."""
+    found: Dict[str, int] = {}
+    with contextlib.suppress(OSError):
+        for name in os.listdir("/proc/self/fd"):
+            with contextlib.suppress(OSError):  # closed meanwhile
+                link = os.readlink("/proc/self/fd/" + name)
+                if link.startswith("socket:"):
+                    found[link] = int(name)
+    return found
 
 
 def _numbers(wanted: Callable[[str, int, int], bool]) -> Dict[str, str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.team.flood_brake import FloodBrake
 from gspn_framework_package.team.keys import KeyFolder, read_keys
-from gspn_framework_package.team.tcp_patience import limit_silence, ports_of
+from gspn_framework_package.team.tcp_patience import SilenceLimit, ports_of
 from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ class Router:
         self._listen, self._connect = tuple(listen), tuple(connect)
         self._folder = keys_folder
         self._seen = self._stamp()
+        self._limit = SilenceLimit(ports_of(listen), ports_of(connect))
         self._brake: Optional[FloodBrake] = None
         self._session = self._open()
 
@@ -49,7 +50,7 @@ class Router:
         access = router_access(self._listen, self._connect, self._folder, self._limited)
         self.members = len(access.keys.members) if access.keys else None
         session = open_session(access)
-        limit_silence(ports_of(self._listen), ports_of(self._connect))
+        self._limit.apply()
         if access.limited:
             self._brake = FloodBrake(ports_of(self._listen))
         return session
@@ -71,7 +72,7 @@ class Router:
         :returns: what was done, for people; "" if nothing.
         """
         if self._connect:  # there may be a new connection
-            limit_silence(connects=ports_of(self._connect))
+            self._limit.apply()
         stamp = self._stamp()
         if stamp == self._seen:
             return ""

@@ -12,29 +12,36 @@ import contextlib
 import socket
 from typing import Iterable, Set
 
-from gspn_framework_package.team.own_sockets import LISTENS, own_sockets
+from gspn_framework_package.team.own_sockets import LISTENS, OwnSockets
 
 GIVES_UP = 6.0
 """Seconds for which sent data may stay unacknowledged. On a bad link TCP repeats itself five times
 in that time."""
 
 
-def limit_silence(listens: Iterable[int] = (), connects: Iterable[int] = ()) -> int:
-    """Set the option for this process's sockets that listen at one of these ports, which those that
-    they accept inherit, or that connect or are connected to one. Returns how many there are.
+class SilenceLimit:
+    """Sets the option for this process's sockets that listen at one of these ports, which those
+    that they accept inherit, or that connect or are connected to one.
 
     :param listens: ports here.
     :param connects: ports elsewhere.
     """
-    here, there = set(listens), set(connects)
-    done = 0
-    for _, same in own_sockets(
-        lambda state, local, remote: (state == LISTENS and local in here) or remote in there
-    ):
-        with contextlib.suppress(OSError):  # closed meanwhile
-            same.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * GIVES_UP))
-            done += 1
-    return done
+
+    def __init__(self, listens: Iterable[int] = (), connects: Iterable[int] = ()) -> None:
+        here, there = set(listens), set(connects)
+        self._sockets = OwnSockets(
+            lambda state, local, remote: (state == LISTENS and local in here) or remote in there
+        )
+
+    def apply(self) -> int:
+        """Set it; again and again, because connections are made anew. Returns how many sockets have
+        it."""
+        done = 0
+        for _, same in self._sockets:
+            with contextlib.suppress(OSError):  # closed meanwhile
+                same.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * GIVES_UP))
+                done += 1
+        return done
 
 
 def ports_of(endpoints: Iterable[str]) -> Set[int]:

@@ -22,7 +22,7 @@ from gspn_framework_package.team.carrier import (
 )
 from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
 from gspn_framework_package.team.lanes import Lanes
-from gspn_framework_package.team.tcp_patience import limit_silence, ports_of
+from gspn_framework_package.team.tcp_patience import SilenceLimit, ports_of
 from gspn_framework_package.team.zenoh_body import is_compressed, unwrapped, wrapped
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
@@ -98,9 +98,9 @@ class ZenohCarrier:
         self._publishers: Dict[Tuple[str, ...], zenoh.Publisher] = {}
         self._zenoh = zenoh_library()
         self._session = open_session(access)
-        self._ports = ports_of(access.connect)
+        self._limit = SilenceLimit(ports_of(access.listen), ports_of(access.connect))
+        self._limit.apply()  # those that are accepted inherit it
         self._limited_at = -math.inf
-        limit_silence(ports_of(access.listen))
         try:
             self._refuse_namesake()
             self._declared: List[Any] = self._declare()
@@ -140,9 +140,9 @@ class ZenohCarrier:
     def send(self, sends: List[Send]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         now = time.monotonic()
-        if self._ports and now >= self._limited_at + _LOOK:  # there may be a new connection
+        if now >= self._limited_at + _LOOK:  # there may be a new connection
             self._limited_at = now
-            limit_silence(connects=self._ports)
+            self._limit.apply()
         alone = MOST_ALONE if self._partial else 1
         packs: Dict[Tuple[str, ...], List[bytes]] = {}
         while sends:
@@ -169,10 +169,11 @@ class ZenohCarrier:
             time.sleep(wait)
         self._put(wrapped(body), *channel, str(lane))
 
-    def tell_firing(self, fields: Dict[str, Any]) -> None:
+    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         # without asking for listeners: just after the start or a cut, those are not known yet
-        self._put(_json(fields), "fired")
+        for pack in _packs([_json(fields) for fields in firings]):
+            self._put(pack, "fired")
 
     def tell_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""

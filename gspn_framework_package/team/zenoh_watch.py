@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Any, Callable, Dict, NamedTuple
 
-from gspn_framework_package.team.gate import LARGEST_MESSAGE, json_object
+from gspn_framework_package.team.gate import LARGEST_MESSAGE, json_objects
 from gspn_framework_package.team.zenoh_operator import ZenohOperator
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
@@ -84,8 +84,8 @@ class ZenohWatch:
 
     def _pass_on(self, sample: zenoh.Sample, to: Callable[[str, Dict[str, Any]], None]) -> None:
         run, robot = names_in(str(sample.key_expr))[:2]
-        fields = None
-        if len(sample.payload) <= LARGEST_MESSAGE:
-            fields = json_object(bytes(sample.payload))
-        if fields is not None and fields.setdefault("run", run) == run:
-            to(robot, fields)
+        if len(sample.payload) > LARGEST_MESSAGE:
+            return
+        for fields in json_objects(bytes(sample.payload)):
+            if fields.setdefault("run", run) == run:
+                to(robot, fields)

@@ -301,7 +301,10 @@ class _Run:
 
     def _can_lose(self, node: SimulatedNode) -> bool:
         """Whether the others are still a quorum without this robot's vote; otherwise the team would
-        (rightly) block permanently."""
+        (rightly) block permanently. And whether somebody else remembers which of two processes of a
+        name takes part."""
+        if not self._is_remembered_without(node):
+            return False
         ledgers = [n.replica.ledger for n in self.world.alive() if n.replica]
         if not ledgers:
             return False
@@ -315,6 +318,20 @@ class _Run:
             and n.replica.may_vote()
         }
         return is_quorum(voters, members)
+
+    def _is_remembered_without(self, node: SimulatedNode) -> bool:
+        """Whether, of two processes of one robot, another robot than this one knows the one that
+        takes part. If all forget it while it is out of reach, they and the second process are a
+        fresh team in every respect, and nobody can tell that it has begun before."""
+        nodes = self.world.nodes.values()
+        for one in nodes:
+            twins = [n for n in nodes if n.name == one.name and n.disk is not None]
+            if one.replica is None or not one.replica.active or len(twins) < 2:
+                continue
+            others = [n for n in nodes if n.name not in (one.name, node.name)]
+            if node.name != one.name and not any(_remembers(n, one) for n in others):
+                return False
+        return True
 
     def _suspend(self) -> None:
         up = self._up()
@@ -762,6 +779,15 @@ class _Run:
             for n in self.world.alive()
             if n.replica is not None
         )
+
+
+def _remembers(node: SimulatedNode, other: SimulatedNode) -> bool:
+    """Whether the log of a node, which may be down, says that the votes of another count."""
+    if node.replica is not None:
+        return node.replica.known_log(other.name) == other.log_id
+    records = node.disk.records() if node.disk is not None else []
+    logs = [r["log"] for r in records if r["kind"] == "peer" and r["robot"] == other.name]
+    return logs[-1:] == [other.log_id]
 
 
 def check_logs(outcome: ScheduleResult) -> None:

@@ -103,8 +103,8 @@ class InMemory:
     def refusals(self):
         return self.wire.refused
 
-    def tell_firing(self, fields):
-        self.wire.firings.append(json.loads(json.dumps(fields)))
+    def tell_firings(self, firings):
+        self.wire.firings += json.loads(json.dumps(firings))
 
     def is_team_watched(self):
         return True

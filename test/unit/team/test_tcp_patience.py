@@ -6,7 +6,8 @@ import socket
 
 import pytest
 
-from gspn_framework_package.team.tcp_patience import GIVES_UP, limit_silence, ports_of
+from gspn_framework_package.team import own_sockets
+from gspn_framework_package.team.tcp_patience import GIVES_UP, SilenceLimit, ports_of
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/net/tcp"), reason="no /proc")
 
@@ -25,7 +26,7 @@ def server():
 
 def test_what_a_listening_socket_accepts_inherits_the_limit(server):
     port = server.getsockname()[1]
-    assert limit_silence(listens=[port]) == 1
+    assert SilenceLimit(listens=[port]).apply() == 1
     with socket.create_connection(("127.0.0.1", port)) as here:
         there, _ = server.accept()
         with there:
@@ -36,13 +37,37 @@ def test_what_a_listening_socket_accepts_inherits_the_limit(server):
 def test_connections_to_a_port_are_limited_and_no_others(server):
     port = server.getsockname()[1]
     with socket.create_connection(("127.0.0.1", port)) as here, socket.socket() as other:
-        assert limit_silence(connects=[port]) == 1
+        assert SilenceLimit(connects=[port]).apply() == 1
         assert patience(here) == GIVES_UP
         assert patience(server) == patience(other) == 0.0
         here.sendall(b"it still works")
         there, _ = server.accept()
         with there:
             assert there.recv(14) == b"it still works"
+
+
+def test_connections_that_are_made_later_are_limited(server):
+    port = server.getsockname()[1]
+    limit = SilenceLimit(connects=[port])
+    for _ in range(3):
+        assert limit.apply() == 0
+    with socket.create_connection(("127.0.0.1", port)) as here:
+        assert limit.apply() == 1
+        assert patience(here) == GIVES_UP
+        assert limit.apply() == limit.apply() == 1
+    assert limit.apply() == 0
+
+
+def test_the_table_is_read_only_after_a_change(monkeypatch):
+    descriptors, reads = {"socket:[1]": 3}, []
+    monkeypatch.setattr(own_sockets, "_descriptors", lambda: dict(descriptors))
+    monkeypatch.setattr(own_sockets, "_numbers", lambda wanted: reads.append(wanted) or {})
+    sockets = own_sockets.OwnSockets(lambda *_: True)
+    for times in (2, 4):
+        for _ in range(5):
+            assert list(sockets) == []
+        assert len(reads) == times
+        descriptors["socket:[2]"] = 4
 
 
 def test_a_connection_that_is_being_made_is_limited():
@@ -53,7 +78,7 @@ def test_a_connection_that_is_being_made_is_limited():
         with contextlib.suppress(OSError):
             trying.getpeername()
             pytest.skip("it is answered, or refused, here")
-        if limit_silence(connects=[9]):
+        if SilenceLimit(connects=[9]).apply():
             assert patience(trying) == GIVES_UP
 
 

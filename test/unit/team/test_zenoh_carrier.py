@@ -370,9 +370,13 @@ def test_a_watch_sees_what_fires_and_what_robots_did_before_it_began(hub):
     wait_for(lambda: watch.ask_activity() or done)
     assert done[0] == ("robot_1", {"robot": "robot_1", "phase": "Executing", "run": "run"})
     wait_for(one.carrier.is_watched)
-    one.carrier.tell_firing({"slot": 3})  # the first one, too
+    one.carrier.tell_firings([{"slot": 3}])  # the first one, too
     wait_for(lambda: fired)
-    assert fired[0] == ("robot_1", {"slot": 3, "run": "run"})
+    assert fired == [("robot_1", {"slot": 3, "run": "run"})]
+    forged = {"slot": 5, "run": "another"}
+    one.carrier.tell_firings([{"slot": 4, "number": n} for n in range(2)] + [forged])
+    wait_for(lambda: len(fired) == 3)
+    assert fired[1:] == [("robot_1", {"slot": 4, "number": n, "run": "run"}) for n in range(2)]
     one.carrier.tell_activity({"phase": "Forged", "run": "another"})
     one.carrier.tell_activity({"phase": "Waiting"})
     wait_for(lambda: ("robot_1", {"phase": "Waiting", "run": "run"}) in done)
