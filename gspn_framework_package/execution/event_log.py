@@ -98,6 +98,7 @@ origin of the entry in the agreed log says which robot that is."""
 Record = Dict[str, Any]
 
 _WITH_PLANS = ("slot", "snapshot", "accepted", "invoked")
+_HOLDS_PLAN = '"plan":{'
 """The kinds of records that can hold a plan that was staged."""
 
 
@@ -227,11 +228,12 @@ class EventLogWriter:
     def _line(self, record: Record) -> str:
         if record["kind"] == "life":
             record = {**record, "host": self._host, "fsync": self._fsync}
-        elif record["kind"] in _WITH_PLANS:
-            record = without_large_policies(record, self.path, self._fsync)
+        text = compact(record)
+        if _HOLDS_PLAN in text and record["kind"] in _WITH_PLANS:
+            text = compact(without_large_policies(record, self.path, self._fsync))
         if self._sum is None:
-            return compact(record) + "\n"
-        text, self._sum = line_of(record, self._sum)
+            return text + "\n"
+        text, self._sum = _summed(text, self._sum)
         return text
 
     def close(self) -> None:
@@ -244,7 +246,10 @@ def line_of(record: Record, previous: str) -> Tuple[str, str]:
 
     :param previous: the running hash before it ("" for the first line).
     """
-    text = compact(record)
+    return _summed(compact(record), previous)
+
+
+def _summed(text: str, previous: str) -> Tuple[str, str]:
     chain = next_sum(previous, text.encode())
     return '%s,"sum":"%s"}\n' % (text[:-1], chain), chain
 

@@ -373,23 +373,33 @@ class ReplicaHost(Worker):
         """Carry out the effects of a step. All records are written at once, before anything leaves
         the process; then the messages and replies go out, because others wait for them, and only
         then does this robot act."""
-        records = [e for e in effects if isinstance(e, interface.Persist)]
+        records: List[interface.Persist] = []
+        sends: List[interface.Send] = []
+        replies: List[interface.Reply] = []
+        told: List[interface.Fired] = []
+        others: List[interface.Effect] = []
+        for effect in effects:
+            if isinstance(effect, interface.Persist):
+                records.append(effect)
+            elif isinstance(effect, interface.Send):
+                sends.append(effect)
+            elif isinstance(effect, interface.Reply):
+                replies.append(effect)
+            else:
+                others.append(effect)
+                if isinstance(effect, interface.Fired) and (effect.publish or effect.private):
+                    told.append(effect)
         if records:
             durable = any(e.durable for e in records)
             self._log.writer.append(*(e.record for e in records), durable=durable)
-        sends = [e for e in effects if isinstance(e, interface.Send)]
         if sends:
             self._carrier.send(sends)
-        for effect in effects:
-            if isinstance(effect, interface.Reply):
-                self._reply(effect)
-        told = [e for e in effects if isinstance(e, interface.Fired) and (e.publish or e.private)]
+        for reply in replies:
+            self._reply(reply)
         if told:
-            self._carrier.tell_firings([firing_fields(effect, self.run) for effect in told])
-        for effect in effects:
-            carry_out = self._effects.get(type(effect))
-            if carry_out is not None:
-                carry_out(self, effect)
+            self._carrier.tell_firings([firing_fields(fired, self.run) for fired in told])
+        for effect in others:
+            self._effects[type(effect)](self, effect)
 
     def _reply(self, effect: interface.Reply) -> None:
         answer = self._answers.pop(effect.request_id, None)
