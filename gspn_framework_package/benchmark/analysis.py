@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -29,6 +28,7 @@ from gspn_framework_package.benchmark.machine import (
     table,
 )
 from gspn_framework_package.benchmark.nets import FAMILIES
+from gspn_framework_package.benchmark.processes import peak_mb
 from gspn_framework_package.model.net import Net
 
 SPACES = (
@@ -134,10 +134,6 @@ def _measure(work: str, engine: str, family: str, size: int) -> Optional[Measure
     return result
 
 
-def _peak() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
 def _space(engine: str, net: Net) -> Measurement:
     """Time (s) and additional memory (MB) needed to find the state space."""
     if engine == "storm":
@@ -162,11 +158,15 @@ def _space(engine: str, net: Net) -> Measurement:
     build(nets.kanban(1))[0]()  # loads all code
     build(nets.philosophers(12))[0]()
     run, count = build(net)
-    before = _peak()
+    before = peak_mb()
     start = time.perf_counter()
     result = run()
     seconds = time.perf_counter() - start
-    return {"states": int(count(result)), "seconds": seconds, "peak_mb": max(_peak() - before, 0.0)}
+    return {
+        "states": int(count(result)),
+        "seconds": seconds,
+        "peak_mb": max(peak_mb() - before, 0.0),
+    }
 
 
 def _chain(engine: str, net: Net) -> Measurement:
@@ -183,7 +183,7 @@ def _chain(engine: str, net: Net) -> Measurement:
 
     for small in (nets.kanban(2), nets.philosophers(12)):  # loads all code
         steady_state(Chain.of(explore(small, engine=engine)))
-    before = _peak()
+    before = peak_mb()
     start = time.perf_counter()
     chain = Chain.of(explore(net, engine=engine))
     built = time.perf_counter()
@@ -196,7 +196,7 @@ def _chain(engine: str, net: Net) -> Measurement:
         "value": value,
         "residual": steady.residual,
         "method": steady.method,
-        "peak_mb": max(_peak() - before, 0.0),
+        "peak_mb": max(peak_mb() - before, 0.0),
     }
 
 
@@ -211,7 +211,7 @@ def _storm_chain(net: Net, place: str) -> Measurement:
     properties = list(stormpy.parse_properties(formula, jani))
     options = stormpy.BuilderOptions(properties, jani)
     options.set_apply_maximal_progress_assumption(True)
-    before = _peak()
+    before = peak_mb()
     start = time.perf_counter()
     model = stormpy.build_model(jani, options=options)
     built = time.perf_counter()
@@ -226,7 +226,7 @@ def _storm_chain(net: Net, place: str) -> Measurement:
         "value": value,
         "plain_seconds": plainly,
         "plain_value": plain_value,
-        "peak_mb": max(_peak() - before, 0.0),
+        "peak_mb": max(peak_mb() - before, 0.0),
     }
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -40,6 +39,7 @@ from gspn_framework_package.benchmark.machine import (
     machine_line,
     table,
 )
+from gspn_framework_package.benchmark.processes import peak_mb
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
@@ -313,7 +313,7 @@ def _ours(case: Case) -> Measurement:
         "upper": solved.upper,
         "value": 0.5 * (solved.lower + solved.upper),
         "method": "%s, %d rounds" % (solved.method, solved.rounds),
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_mb": peak_mb(),
     }
 
 
@@ -347,7 +347,7 @@ def _storm(case: Case, sound: bool) -> Measurement:
         "solve": done - built,
         "total": done - start,
         "value": float(result.get_value(model.initial_states[0])),
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_mb": peak_mb(),
     }
 
 

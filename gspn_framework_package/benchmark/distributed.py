@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -32,6 +31,7 @@ from gspn_framework_package.benchmark.machine import (
     table,
 )
 from gspn_framework_package.benchmark.nets import FAMILIES
+from gspn_framework_package.benchmark.processes import peak_mb
 from gspn_framework_package.model.net import Net
 
 TOLERANCE = 1e-9
@@ -135,7 +135,7 @@ def _work(net: Net, smallest: Net, size: int, timing: bool) -> int:
     ranks = MpiRanks() if size else None
     if ranks is not None:
         DistributedAnalysis(smallest, ranks)  # an empty rank has its buffers for messages
-    before = _peak_mb()
+    before = peak_mb()
     begin, begin_cpu = time.monotonic(), time.process_time()
     limits = Limits(states=_STATES, memory=1 << 50, seconds=1e9)
     answers: Dict[str, float] = {}
@@ -155,7 +155,7 @@ def _work(net: Net, smallest: Net, size: int, timing: bool) -> int:
             steady = together.steady_state()
             answers = _answers(steady["throughput"], steady["mean_tokens"])
     end = time.monotonic()
-    mine = (_peak_mb() - before, before, time.process_time() - begin_cpu)
+    mine = (peak_mb() - before, before, time.process_time() - begin_cpu)
     peak, empty, cpu = np.max([mine] if ranks is None else ranks.gather(mine), axis=0).tolist()
     if ranks is None or ranks.rank == 0:
         found = {
@@ -184,10 +184,6 @@ def _load_libraries() -> None:
         return
     one = np.ones(1)
     sweeper(sparse.csr_matrix((1, 1)), one, one, False)(one)
-
-
-def _peak_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def _who(ranks: int) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Dict
 
 from gspn_framework_package.benchmark.large_nets import LARGE
+from gspn_framework_package.benchmark.processes import peak_mb
 from gspn_framework_package.formats import write_net
 
 
@@ -63,7 +64,7 @@ def _measure(name: str) -> None:
             format(states["total"], ",") if states else "-",
             usage.ru_utime + usage.ru_stime,
             wall,
-            usage.ru_maxrss / 1024,
+            peak_mb(usage),
             ", ".join(key.replace("_", " ") for key in answers["undecided"]) or "-",
         ),
         flush=True,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -29,6 +28,7 @@ from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.nets import FAMILIES
+from gspn_framework_package.benchmark.processes import peak_mb
 from gspn_framework_package.model.net import Net
 
 MEMORY = 1e9
@@ -140,7 +140,7 @@ class _Clock:
             **self._laps,
             "seconds": sum(self._laps.values()),
             "cpu_seconds": time.process_time(),
-            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+            "peak_mb": peak_mb(),
         }
 
 

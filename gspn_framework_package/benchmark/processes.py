@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import resource
 import signal
 import threading
 import time
 from multiprocessing.connection import wait
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional
 
 import psutil
 
@@ -33,6 +34,15 @@ class ProcessCost(NamedTuple):
     pss_mb: float
     threads: int
     descriptors: int
+
+
+def peak_mb(usage: Optional[resource.struct_rusage] = None) -> float:
+    """The most memory that a process had, in MB of 10^6 bytes.
+
+    :param usage: of which process; of this one if not given.
+    """
+    used = usage or resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_maxrss * 1024 / 1e6
 
 
 def machine_load(period: float) -> MachineLoad:

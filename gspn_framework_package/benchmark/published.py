@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ import psutil
 from gspn_framework_package.analysis.state_space import ENGINES, explore
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.nets import FAMILIES
+from gspn_framework_package.benchmark.processes import peak_mb
 from gspn_framework_package.model.net import Net
 
 
@@ -130,9 +130,13 @@ def _explore(net: Net, engine: str) -> Dict[str, Any]:
     space = explore(net, engine=engine, limit=10**9)
     seconds = time.perf_counter() - start
     found = {"states": len(space), "arcs": space.arcs, "engine": space.engine, "seconds": seconds}
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     vanishing = int(space.is_vanishing.sum()) if any(not t.timed for t in net.transitions) else 0
-    return {**found, "tangible": len(space) - vanishing, "mb": space.memory / 1e6, "peak_mb": peak}
+    return {
+        **found,
+        "tangible": len(space) - vanishing,
+        "mb": space.memory / 1e6,
+        "peak_mb": peak_mb(),
+    }
 
 
 def _text(rows: Sequence[Mapping[str, Any]]) -> str:
