@@ -529,7 +529,10 @@ class _Run:
                 asked = any(r["kind"] == "invoked" for r in records)
                 # a log is lost that counts for somebody who heard of it first, or that may yet be
                 # let in, because it asked to be
-                self.lost_logs = self.lost_logs or asked or spare.log_id in known
+                ids = {spare.log_id, *(str(r["log"]) for r in records if r["kind"] == "reset")}
+                if spare.disk is not None:
+                    ids.add(str(spare.disk.header["log"]))
+                self.lost_logs = self.lost_logs or asked or not ids.isdisjoint(known)
                 world.remove(spare)
                 first.superseded = False
             world.come_back()
