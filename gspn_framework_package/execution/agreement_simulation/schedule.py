@@ -321,15 +321,18 @@ class _Run:
 
     def _is_remembered_without(self, node: SimulatedNode) -> bool:
         """Whether, of two processes of one robot, another robot than this one knows the one that
-        takes part. If all forget it while it is out of reach, they and the second process are a
-        fresh team in every respect, and nobody can tell that it has begun before."""
+        takes part, or this one hears it. If all forget it while it is out of reach, they and the
+        second process are a fresh team in every respect, and nobody can tell that it has begun
+        before."""
         nodes = self.world.nodes.values()
         for one in nodes:
             twins = [n for n in nodes if n.name == one.name and n.disk is not None]
             if one.replica is None or not one.replica.active or len(twins) < 2:
                 continue
+            if node.name == one.name or (one.key, node.key) not in self.world.blocked:
+                continue
             others = [n for n in nodes if n.name not in (one.name, node.name)]
-            if node.name != one.name and not any(_remembers(n, one) for n in others):
+            if not any(_remembers(n, one) for n in others):
                 return False
         return True
 
