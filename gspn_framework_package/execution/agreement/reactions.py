@@ -166,6 +166,8 @@ class Reactions:
             del state.offered[key]
             self._answer(key, self._orders.pop(key, []))
         for key in [key for key in state.offered if state.ledger.entrance(key[0]) is None]:
+            if not state.active:
+                break  # who forgot its log does not know yet by which plan the task came
             del state.offered[key]
             why = "no tasks come in by '%s' any more" % key[0]
             self.outbox.fault("task %s is not taken: %s" % (key[1], why))

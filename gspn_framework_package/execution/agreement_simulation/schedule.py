@@ -326,7 +326,7 @@ class _Run:
         before."""
         nodes = self.world.nodes.values()
         for one in nodes:
-            twins = [n for n in nodes if n.name == one.name and n.disk is not None]
+            twins = [n for n in nodes if n.name == one.name]  # one of them may begin later
             if one.replica is None or not one.replica.active or len(twins) < 2:
                 continue
             if node.name == one.name or (one.key, node.key) not in self.world.blocked:

@@ -249,6 +249,21 @@ def _takes_tasks_for_known() -> ContextManager[Any]:
     return wrap(Reactions, "want_tasks", make)
 
 
+def _drops_tasks_of_later_plans() -> ContextManager[Any]:
+    """A robot that forgot its log drops tasks for which the plan that is left has no entrance."""
+
+    def make(original: Any) -> Any:
+        def want(self: Reactions) -> None:
+            entrance = self.state.ledger.entrance
+            for key in [key for key in self.state.offered if entrance(key[0]) is None]:
+                del self.state.offered[key]
+            original(self)
+
+        return want
+
+    return wrap(Reactions, "want_tasks", make)
+
+
 def _snapshot_of_state_without(key: str) -> Callable[[], ContextManager[Any]]:
     def apply() -> ContextManager[Any]:
         def make(original: Any) -> Any:
@@ -308,6 +323,14 @@ MUTANTS: List[Mutant] = [
     _reacting("forgotten task", "tasks are not read back", _reads_no_offers_back),
     _reacting("task of the first", "only the first member proposes", _leaves_tasks_to_the_first),
     _reacting("task let go", "a task is let go once it is proposed", _takes_tasks_for_known),
+    Mutant(
+        "task of a later plan",
+        "reactions",
+        "a robot that forgot its log drops tasks that came by a plan that it has yet to learn",
+        _drops_tasks_of_later_plans,
+        kinds=("deploy-stand-in",),
+        seeds=("111028062:3:full:deploy-stand-in",),
+    ),
     *(
         _reacting(
             "snapshot without " + key,
