@@ -528,7 +528,7 @@ MUTANTS: List[Mutant] = [
         _does_not_know_itself,
         robots=2,
         kinds=("stand-in", "double"),
-        seeds=("62014120:2:full:react-stand-in",),
+        seeds=("2000507:2:partial:double",),
     ),
     Mutant(
         "sleep is delay",
