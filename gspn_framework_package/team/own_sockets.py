@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from typing import Callable, Dict, Iterator, Set, Tuple
+from typing import Callable, Dict, Iterator, Optional, Set, Tuple
 
 LISTENS, CONNECTED = "0A", "01"
 """States of a socket in ``/proc/net/tcp``."""
@@ -38,8 +38,26 @@ class OwnSockets:
             self._numbers = _numbers(self._wanted)
         for link, descriptor in descriptors.items():
             if link in self._numbers:
-                with contextlib.suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as same:
-                    yield self._numbers[link], same
+                same = _duplicate(link, descriptor)
+                if same is not None:
+                    with same:
+                        yield self._numbers[link], same
+
+
+def _duplicate(link: str, descriptor: int) -> Optional[socket.socket]:
+    """Another descriptor of a socket; None if that was closed meanwhile. Its number may belong to
+    another file by now, which must not stay open here: it may be a lock."""
+    try:
+        copy = os.dup(descriptor)
+    except OSError:
+        return None
+    try:
+        if os.readlink("/proc/self/fd/%d" % copy) == link:
+            return socket.socket(fileno=copy)
+    except OSError:
+        pass
+    os.close(copy)
+    return None
 
 
 def _descriptors() -> Dict[str, int]:

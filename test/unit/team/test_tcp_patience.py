@@ -1,6 +1,7 @@
 """Connections over which nothing is acknowledged are given up by the operating system."""
 
 import contextlib
+import fcntl
 import os
 import socket
 
@@ -68,6 +69,16 @@ def test_the_table_is_read_only_after_a_change(monkeypatch):
             assert list(sockets) == []
         assert len(reads) == times
         descriptors["socket:[2]"] = 4
+
+
+def test_a_file_that_took_the_number_of_a_closed_socket_is_not_kept_open(tmp_path, monkeypatch):
+    with open(tmp_path / "lock", "wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        monkeypatch.setattr(own_sockets, "_descriptors", lambda: {"socket:[1]": lock.fileno()})
+        monkeypatch.setattr(own_sockets, "_numbers", lambda wanted: {"socket:[1]": "1"})
+        assert list(own_sockets.OwnSockets(lambda *_: True)) == []
+    with open(tmp_path / "lock", "wb") as again:
+        fcntl.flock(again, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def test_a_connection_that_is_being_made_is_limited():
