@@ -68,9 +68,7 @@ class MessageGate:
 
     def read(self, robot: str, body: bytes) -> List[Message]:
         """The messages in a body, which are one or a list of several; without what is refused."""
-        value = _json_value(body)
-        found = value if isinstance(value, list) else [value]
-        messages = [self._own(robot, message) for message in found]
+        messages = [self._own(robot, message) for message in _json_values(body)]
         return [message for message in messages if message is not None]
 
     def _own(self, robot: str, message: Any) -> Optional[Message]:
@@ -117,9 +115,12 @@ def json_object(body: Union[str, bytes]) -> Optional[Dict[str, Any]]:
 
 def json_objects(body: Union[str, bytes]) -> List[Dict[str, Any]]:
     """The JSON objects in a text of an untrusted sender, which is one or a list of several."""
+    return [value for value in _json_values(body) if isinstance(value, dict)]
+
+
+def _json_values(body: Union[str, bytes]) -> List[Any]:
     value = _json_value(body)
-    found = value if isinstance(value, list) else [value]
-    return [one for one in found if isinstance(one, dict)]
+    return value if isinstance(value, list) else [value]
 
 
 def _json_value(body: Union[str, bytes]) -> Any:

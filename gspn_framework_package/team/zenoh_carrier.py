@@ -100,7 +100,8 @@ class ZenohCarrier:
         self._session = open_session(access)
         self._limit = SilenceLimit(ports_of(access.listen), ports_of(access.connect))
         self._limit.apply()  # those that are accepted inherit it
-        self._limited_at = -math.inf
+        # what only listens makes no connections later
+        self._limited_at = -math.inf if access.connect else math.inf
         try:
             self._refuse_namesake()
             self._declared: List[Any] = self._declare()
