@@ -15,6 +15,7 @@ from gspn_framework_package.formats.format import Format, TextReader
 from gspn_framework_package.formats.net_equality import same_net
 from gspn_framework_package.formats.net_update import update_net
 from gspn_framework_package.formats.registry import FORMATS, read_net
+from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
 OPTIONS = ReadOptions()
@@ -149,6 +150,17 @@ def test_comments_annotations_and_colours_stay(tmp_path):
     text = update_net(text, "net.xml", OPTIONS, renamed)
     assert same_net(read(tmp_path, text), renamed)
     assert b'id="P0"' in text and b"<value>c</value>" in text and b"arcpath" in text
+
+
+@pytest.mark.parametrize("format", ["pipe", "pnml", "pnpro", "tina"])
+def test_a_place_and_a_transition_exchange_their_names(format, tmp_path):
+    """The arc between them has the same ends, and is another one."""
+    old = NetBuilder("m").place("a").immediate("b", inputs="a").immediate("c").build()
+    new = NetBuilder("m").place("b").place("c").immediate("a", outputs="b").build()
+    for before, after in [(old, new), (new, old)]:
+        data = FORMATS[format].to_bytes(before)
+        text = update_net(data, "net.xml", OPTIONS, after)
+        assert text is not None and same_net(read(tmp_path, text), after)
 
 
 @st.composite
