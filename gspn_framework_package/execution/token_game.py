@@ -332,10 +332,9 @@ class _Reducer(Turn):
 
     def _carry_over(self, robot: RobotState, names: plan_change.NewNames, game: TokenGame) -> None:
         """Give a robot the numbers that its place and events have in the new net."""
-        old = self._name(robot.place)
         place = names.place_number(robot.place)
         if robot.phase.gone and (
-            place is None or game.is_resource[place] or old in self.plan.on_evict
+            place is None or game.is_resource[place] or self._gave_back(robot)
         ):
             # it comes back as a new robot would: its place is no more, or what it held there was
             # given back

@@ -551,7 +551,9 @@ class World:
         """Let a task reach a robot; note the log in which it now has to be."""
         life, disk, replica = node.life, node.disk, node.replica
         awake = not (node.suspended or node.halted) and disk is not None and replica is not None
-        over = replica is not None and replica.ledger.state.ended is not None
+        over = replica is not None and (
+            replica.ledger.state.ended is not None or replica.halted is not None
+        )
         taken = replica is not None and replica.ledger.entrance(task.transition) is not None
         node.give(interface.TaskCame(task))
         if awake and not over and taken and node.life == life and disk is not None:

@@ -313,7 +313,7 @@ class LoggedTeam:
         place = called.get(robot.place, robot.place)
         if robot.here:
             self.marking[place] += 1
-        elif place not in self.plan.action_places or robot.place in old.on_evict:
+        elif place not in self.plan.action_places or old.on_evict.get(robot.place):
             place = starting_place(self.plan, robot.name)
         robot.place = place
         robot.held = {
@@ -439,7 +439,8 @@ class LoggedTeam:
             robot.incarnation = entry.incarnation
             if not robot.here:
                 robot.visit += 1
-                if robot.place in self.plan.on_evict and entry.place in self.plan.action_places:
+                gave_back = self.plan.on_evict.get(robot.place)  # an empty map gives nothing back
+                if gave_back and entry.place in self.plan.action_places:
                     robot.place = entry.place  # what it held there was given back
                 self.marking[robot.place] += 1
                 self._enter(robot)

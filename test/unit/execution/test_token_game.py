@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.execution.history.slot_check import SlotCheck
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
@@ -451,6 +452,22 @@ def test_on_lost_and_on_evict() -> None:
     run.done("a", "meet")
     run.feed(log_entries.Evict("b", 0))
     assert run.state.ended is not None and "waits for it" in run.state.ended
+
+
+@pytest.mark.parametrize(
+    ("on_evict", "place"), [({}, "P1"), ({"P1": {}}, "P1"), ({"P1": {"tool": 1}}, "P2")]
+)
+def test_only_a_robot_that_gave_something_back_returns_elsewhere(on_evict: Any, place: str) -> None:
+    net = line().with_place(line().places[0]._replace(name="tool"))
+    plan = make_plan(net, ["P1", "P1"], resources=["tool"], on_evict=on_evict)
+    run, check = Run(plan), SlotCheck(plan)
+    entries = [log_entries.Evict("b", 0), log_entries.Join("b", 1, "P2")]
+    for entry in entries:
+        run.feed(entry)
+    for entry in [run.game.start_entry(), *entries]:
+        check._apply(entry)
+    assert run.place("b") == check.robots["b"].place == place
+    assert run.marking() == {p: n for p, n in check.marking.items() if n}
 
 
 def test_until_ends_the_run() -> None:
