@@ -221,6 +221,11 @@ class Electorate:
             others = [m for m in first if m != self.config.name]
         return [m for m in others if m not in state.off]
 
+    def missing_at_start(self) -> List[str]:
+        """The witnesses of our start that have not said yet that they know our log as ours."""
+        state = self.state
+        return [m for m in self.witnesses_of_start() if state.peers.get(m).welcomes != state.log_id]
+
     # -- whose word counts -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:

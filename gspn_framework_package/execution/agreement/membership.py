@@ -404,10 +404,7 @@ class Membership:
             or self.electorate.has_namesake()
         ):
             return
-        if any(
-            state.peers.get(m).welcomes != state.log_id
-            for m in self.electorate.witnesses_of_start()
-        ):
+        if self.electorate.missing_at_start():
             return
         if any(
             peer.length > state.ledger.length and peer.heard is not None

@@ -60,8 +60,9 @@ class Status:
         if state.ledger.length == 0:
             return "waits for somebody of the team"
         if not state.active and not state.joining and not state.amnesic:
-            witnesses = electorate.witnesses_of_start()
-            missing = [m for m in witnesses if state.peers.get(m).welcomes != state.log_id]
+            missing = electorate.missing_at_start()
+            if not missing:
+                return "learns where the team is, before it starts"
             return "waits for %s to start" % ", ".join(missing)
         if state.ledger.state.ended is not None:
             return ""
