@@ -205,7 +205,7 @@ class Membership:
         return Hello(
             state.begin_records,
             state.active,
-            state.joining,
+            not state.active and (state.joining or state.amnesic),
             state.first_hash,
             tuple(sorted(silent)),
             {robot: state.off[robot] for robot in sorted(self.electorate.asserted_off())},
@@ -300,7 +300,7 @@ class Membership:
         peer = state.peers.get(sender)
         met = peer.met
         peer.met = True
-        peer.active = hello.active
+        peer.active, peer.joining = hello.active, hello.joining
         peer.silent = frozenset(hello.silent)
         peer.cast_out = hello.cast_out
         if hello.first and state.first_hash and hello.first != state.first_hash:
@@ -557,10 +557,11 @@ class Membership:
 
     def part(self) -> None:
         """We have left: end once a quorum of those who stay knows and the tasks that reached us are
-        in the log, or after a while."""
+        in the log, or after a while. What another process of a robot knows does not count."""
         state = self.state
         members = self.electorate.members()
-        know = [m for m in members if state.peers.get(m).length >= state.ledger.length]
+        heard = [m for m in members if state.peers.get(m).log == self.electorate.known_log(m)]
+        know = [m for m in heard if state.peers.get(m).length >= state.ledger.length]
         if state.leaving_since is None:
             state.leaving_since = state.now
         lingered = state.now - state.leaving_since

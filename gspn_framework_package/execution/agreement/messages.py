@@ -170,10 +170,11 @@ class Hello(NamedTuple):
     take part.
 
     ``begin``: how many records my log had when this incarnation began, which reveals a truncated
-    log. ``active``: whether I take part. ``joining``: I was not in the first team. ``first``: hash
-    of the first slot. ``silent``: the robots I do not hear. ``off``: robot -> incarnation of those
-    that an operator asserted to be off. ``cast_out``: robot -> slot of its last eviction by force.
-    ``greets``: what I know of the robots that wait for it, or would be surprised.
+    log. ``active``: whether I take part. ``joining``: whether I first have to be let into the team.
+    ``first``: hash of the first slot. ``silent``: the robots I do not hear. ``off``: robot ->
+    incarnation of those that an operator asserted to be off. ``cast_out``: robot -> slot of its
+    last eviction by force. ``greets``: what I know of the robots that wait for it, or would be
+    surprised.
     """
 
     begin: int

@@ -45,6 +45,8 @@ class Peer:
     active: bool = True
     """Whether it says that it takes part: a robot that lost its log does not until it is let
     in."""
+    joining: bool = False
+    """Whether it says that it has to be let in first."""
     answered: float = -math.inf
     """When we answered a hello of it last (s); two that wait must not answer each other's
     answers."""

@@ -110,13 +110,11 @@ class Status:
         members, peers = self.electorate.members(), state.peers
         here = [m for m in members if m == me or peers.get(m).heard is not None]
         silent = [m for m in members if m not in here]
-        voters = [m for m in here if (state.active if m == me else peers.get(m).active)]
-        started = any(peers.get(m).length > 1 for m in here) or state.ledger.length > 1
-        return (
-            started
-            and not is_quorum([*voters, *silent], members)
-            and not self.electorate.may_decide(voters)
-        )
+        if state.ledger.length > 1 or any(peers.get(m).length > 1 for m in here):
+            voters = [m for m in here if (state.active if m == me else peers.get(m).active)]
+        else:  # the team starts: who does not vote yet, is about to
+            voters = [m for m in here if not (state.amnesic if m == me else peers.get(m).joining)]
+        return not is_quorum([*voters, *silent], members) and not self.electorate.may_decide(voters)
 
     def _nobody_left(self) -> str:
         if not self.is_stuck():

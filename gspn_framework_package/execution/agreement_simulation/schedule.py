@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from typing import Callable, Dict, List, NamedTuple, Type
+from typing import Callable, Dict, List, NamedTuple, Set, Type
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
@@ -210,6 +210,8 @@ class _Run:
         )
         self.faults: Dict[str, int] = {}
         self.lost_logs = False
+        self.removed_logs: Set[str] = set()
+        """The ids of the logs of spares that were switched off before they were let in."""
         self.left: List[str] = []
 
     # -- faults ------------------------------------------------------------------------------------
@@ -525,17 +527,13 @@ class _Run:
             world.deaf.clear()
             records = spare.disk.records() if spare.disk is not None else []
             if not any(r["kind"] == "active" for r in records):  # it was not let in
-                known = {n.replica.known_log(first.name) for n in world.alive() if n.replica}
-                for node in world.nodes.values():
-                    if node.disk is not None:  # also who is down just now knows it afterwards
-                        known |= {str(r["log"]) for r in node.disk.records() if r["kind"] == "peer"}
+                # it may yet be let in, because it asked to be
                 asked = any(r["kind"] == "invoked" for r in records)
-                # a log is lost that counts for somebody who heard of it first, or that may yet be
-                # let in, because it asked to be
                 ids = {spare.log_id, *(str(r["log"]) for r in records if r["kind"] == "reset")}
                 if spare.disk is not None:
                     ids.add(str(spare.disk.header["log"]))
-                self.lost_logs = self.lost_logs or asked or not ids.isdisjoint(known)
+                self.removed_logs |= ids
+                self.lost_logs = self.lost_logs or asked or self._removed_log_counts()
                 world.remove(spare)
                 first.superseded = False
             world.come_back()
@@ -757,12 +755,28 @@ class _Run:
             return True
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
-        if not self.lost_logs and (not self.left or self.kind == "leave"):
+        lost_logs = self.lost_logs or self._removed_log_counts()
+        if not lost_logs and (not self.left or self.kind == "leave"):
             return False
         plan, members = self.world.plan, best.state.members()
         asks_all = plan.synchronisation is Synchronisation.PARTIAL and not plan.timing.evict_after
         gone = set(self.left).intersection(members) - {node.name for node in nodes}
-        return not is_quorum(voters, members) or (asks_all and bool(gone))
+        if is_quorum(voters, members):
+            return asks_all and bool(gone)
+        if not self.left and not any(n.replica.is_stuck() for n in nodes if n.replica):
+            raise ViolationError("too many lost their logs, and nobody says so: %s" % self._why())
+        return True
+
+    def _removed_log_counts(self) -> bool:
+        """Whether somebody heard of the log of a spare that was switched off before it heard of
+        that of its robot; also who was down or suspended then, and heard it afterwards."""
+        nodes = self.world.nodes.values()
+        names = {node.name for node in nodes}
+        known = {n.replica.known_log(name) for n in nodes if n.replica for name in names}
+        for node in nodes:
+            if node.disk is not None:
+                known |= {str(r["log"]) for r in node.disk.records() if r["kind"] == "peer"}
+        return not self.removed_logs.isdisjoint(known)
 
     def _waits_for_who_left(self, node: SimulatedNode) -> bool:
         """Whether a robot that never took part needs the word of others that left for good."""

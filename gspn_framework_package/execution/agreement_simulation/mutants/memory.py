@@ -19,6 +19,7 @@ from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
 from gspn_framework_package.execution.agreement.recovery import Recovery
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.agreement.replication import Replication
+from gspn_framework_package.execution.agreement.status import Status
 from gspn_framework_package.execution.agreement_simulation.mutants.mutant import (
     Mutant,
     all_patched,
@@ -163,6 +164,31 @@ def _drops_its_slots() -> ContextManager[Any]:
         return forget
 
     return wrap(Membership, "forget", make)
+
+
+def _lets_another_process_know() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def part(self: Membership) -> None:
+            def last_heard(electorate: Electorate, robot: str) -> str:
+                return electorate.state.peers.get(robot).log
+
+            with mock.patch.object(Electorate, "known_log", last_heard):
+                original(self)
+
+        return part
+
+    return wrap(Membership, "part", make)
+
+
+def _is_silent_before_it_starts() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def is_stuck(self: Status) -> bool:
+            lengths = [peer.length for peer in self.state.peers.all.values()]
+            return max([self.state.ledger.length, *lengths]) > 1 and bool(original(self))
+
+        return is_stuck
+
+    return wrap(Status, "is_stuck", make)
 
 
 def _asks_only_members() -> ContextManager[Any]:
@@ -539,6 +565,24 @@ MUTANTS: List[Mutant] = [
         partial=True,
         kinds=("sleep",),
         seeds=("26011010:5:partial:react-sleep",),
+    ),
+    Mutant(
+        "spare knows",
+        "membership",
+        "a robot that leaves ends when another process of a member knows, but not the member",
+        _lets_another_process_know,
+        robots=2,
+        kinds=("spare",),
+        seeds=("171056219:2:full:spare",),
+    ),
+    Mutant(
+        "silent start",
+        "memory",
+        "a team that cannot start, because too many forgot their logs, does not say so",
+        _is_silent_before_it_starts,
+        robots=2,
+        kinds=("stand-in",),
+        seeds=("161004100:2:partial:deploy-stand-in",),
     ),
     Mutant(
         "shrunken start",
