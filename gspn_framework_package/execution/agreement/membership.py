@@ -197,6 +197,9 @@ class Membership:
             pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting)
         )
         self.outbox.broadcast(self._hello())
+        if not self.config.is_small:  # until then, a busy namesake must not keep it from being told
+            for peer in state.peers.all.values():
+                peer.surprise = None
 
     def _hello(self) -> Hello:
         state = self.state
@@ -219,7 +222,7 @@ class Membership:
         greets = {}
         for robot, peer in self.state.peers.all.items():
             if peer.surprise is not None:
-                greets[robot] = peer.surprise
+                greets[robot] = Seen(self.electorate.known_log(robot), *peer.surprise)
             elif not peer.active and peer.log and len(greets) < MOST_ROBOTS:
                 greets[robot] = Seen(self.electorate.known_log(robot), *peer.life)
         return greets
@@ -272,16 +275,17 @@ class Membership:
         peer = peers.get(sender)
         known = self.electorate.known_log(sender)
         peer.note_life(message)
-        peer.surprise = None
-        if known and message.log != known:
+        surprise, counts = None, not known or message.log == known
+        if not counts:
             if sender not in peers.unsure or isinstance(message.body, Hello):
-                peer.surprise = Seen(known, 0, 0)
-            return False
-        if Life(message.incarnation, message.records) < peer.life:
-            peer.surprise = Seen(known, *peer.life)
+                surprise = Life(0, 0)
+        elif Life(message.incarnation, message.records) < peer.life:
+            surprise = peer.life
         elif isinstance(message.body, Hello) and message.body.begin < peer.before.records:
-            peer.surprise = Seen(known, *peer.before)
-        return True
+            surprise = peer.before
+        if surprise is not None or self.config.is_small:  # small teams answer each hello at once
+            peer.surprise = surprise
+        return counts
 
     def _note_log(self, robot: str, log: str, *, sure: bool) -> None:
         peers = self.state.peers

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set
 
-from gspn_framework_package.execution.agreement.messages import Envelope, Seen
+from gspn_framework_package.execution.agreement.messages import Envelope
 
 MEMORY = 60.0
 """Seconds after which half of a silence that a robot came back from is forgotten."""
@@ -57,8 +57,9 @@ class Peer:
     life: Life = Life(-1, 0)
     before: Life = Life(-1, 0)
     """Its newest incarnation, and the one before, in that log."""
-    surprise: Optional[Seen] = None
-    """What it should hear: that we know it under another log, or a longer one."""
+    surprise: Optional[Life] = None
+    """What our next hello should tell it: that we know its log as longer than it said, or (an empty
+    life) that we know it under another log."""
 
     def note_life(self, message: Envelope) -> None:
         """Note the log that it speaks for, and its length."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Callable, ContextManager, List
 from unittest import mock
 
+from gspn_framework_package.execution.agreement import config
 from gspn_framework_package.execution.agreement import membership as membership_module
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
@@ -260,6 +261,21 @@ def _counts_any_log() -> ContextManager[Any]:
     return all_patched(
         wrap(Membership, "_knows", make),
         mock.patch.object(Electorate, "is_our_name", lambda self: True),
+    )
+
+
+def _lets_a_namesake_hush_it() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def knows(self: Membership, message: Envelope) -> bool:
+            self.state.peers.get(message.sender).surprise = None
+            return bool(original(self, message))
+
+        return knows
+
+    return all_patched(
+        wrap(Membership, "_knows", make),
+        # small teams answer each hello at once, and do not need the next one
+        mock.patch.object(config, "SMALL_TEAM", 2),
     )
 
 
@@ -574,6 +590,15 @@ MUTANTS: List[Mutant] = [
         robots=2,
         kinds=("spare",),
         seeds=("171056219:2:full:spare",),
+    ),
+    Mutant(
+        "hushed",
+        "membership",
+        "in a large team, a process that counts keeps a second one of its name from being told",
+        _lets_a_namesake_hush_it,
+        robots=3,
+        kinds=("double",),
+        seeds=("489723877200:3:full:react-double",),
     ),
     Mutant(
         "silent start",
