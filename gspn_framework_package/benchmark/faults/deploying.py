@@ -11,7 +11,7 @@ import json
 import time
 from collections import Counter
 from dataclasses import replace
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from gspn_framework_package.benchmark.faults.dying_node import Death
 from gspn_framework_package.benchmark.faults.each_in_turn import MOVES, Tell
@@ -102,14 +102,21 @@ class Deploying:
         argument = {"plan": entry.plan, "map": mapping, "folder": ""}
         death = Death(team.death_file(dying))
         death.order(step.kind, step.entry, step.cut)
-        team.wait_until(
-            lambda: team.order("stage", "", at, json.dumps(argument)), "the stage of a plan"
+        died = self._wait_reviving(
+            dying,
+            lambda: (
+                self._staged(at, entry.digest) is not None
+                or team.order("stage", "", at, json.dumps(argument))
+            ),
+            "the stage of a plan",
         )
-        died = step.entry != "adopt" and self._revived(death, dying)
+        died = died or (step.entry != "adopt" and self._revived(death, dying))
         team.wait_until(lambda: self._all_voted(at, entry.digest), "all votes")
         # the check takes too long on a busy machine, or a robot that just died has to vote again
-        team.wait_until(
-            lambda: self._follows(at, plan.name) or team.order("adopt", "", at), "the new plan"
+        died |= self._wait_reviving(
+            dying,
+            lambda: self._follows(at, plan.name) or team.order("adopt", "", at),
+            "the new plan",
         )
         died = died or self._revived(death, dying)
         team.wait_until(
@@ -134,9 +141,29 @@ class Deploying:
         self.team.start(name)
         return True
 
-    def _all_voted(self, at: str, digest: str) -> bool:
+    def _wait_reviving(self, name: str, condition: Callable[[], bool], what: str) -> bool:
+        """Wait for a condition; returns whether a robot died meanwhile. It is restarted at once: a
+        team of two may need its answer."""
+        died = False
+
+        def holds() -> bool:
+            nonlocal died
+            if name not in self.team.alive():
+                died = True
+                self.team.start(name)
+            return condition()
+
+        self.team.wait_until(holds, what)
+        return died
+
+    def _staged(self, at: str, digest: str) -> Optional[Dict[str, Any]]:
+        """What a robot knows of the plan with that digest, if that is staged."""
         staged: Optional[Dict[str, Any]] = self.team.statuses()[at]["staged"]
-        if staged is None or staged["digest"] != digest:
+        return staged if staged is not None and staged["digest"] == digest else None
+
+    def _all_voted(self, at: str, digest: str) -> bool:
+        staged = self._staged(at, digest)
+        if staged is None:
             return False
         refused: List[str] = [why for why in staged["votes"].values() if why]
         require(not refused, "a robot cannot follow the plan: %s" % "; ".join(refused))
