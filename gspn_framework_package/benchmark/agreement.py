@@ -18,6 +18,7 @@ import time
 from typing import Any, Dict, Iterator, List, Optional
 
 from gspn_framework_package.benchmark.processes import end_cleanly_when_told
+from gspn_framework_package.execution.agreement import config
 from gspn_framework_package.execution.agreement_simulation.schedule import (
     KINDS,
     Schedule,
@@ -130,6 +131,13 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser.add_argument(
         "--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full:power"
     )
+    parser.add_argument(
+        "--small-team",
+        type=int,
+        metavar="N",
+        help="what is done otherwise in large teams, is done in teams of more than N (default: %d)"
+        % config.SMALL_TEAM,
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after that time")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     args = parser.parse_args(arguments)
@@ -139,6 +147,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     else:
         first = args.seed if args.seed is not None else int(time.time()) % 10**8 * 1000
         schedules = draw_schedules(first, args.schedules, args.robots, args.kinds)
+    if args.small_team is not None:
+        config.SMALL_TEAM = args.small_team
     end_cleanly_when_told()
     result = run(schedules, args.schedules, args.seconds)
     if args.json:

@@ -18,6 +18,14 @@ from gspn_framework_package.execution.agreement_simulation.world import Violatio
 SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "600"))
 FAILED = os.path.join(os.path.dirname(__file__), "failed_seeds.txt")
 
+FAILED_AS_LARGE = [
+    "489723877200:3:full:react-double",
+    # a busy process kept a second one of its name from being told
+    "221036329:4:full:react-double",
+    # no fault: the log of a process that had ended was taken for that of its robot
+]
+"""Schedules of teams with the ways of large ones that ever failed, each with what it showed."""
+
 
 def _failed():
     with open(FAILED, encoding="utf-8") as file:
@@ -65,7 +73,8 @@ def test_teams_that_keep_the_ways_of_large_ones(monkeypatch: pytest.MonkeyPatch)
     faster."""
     monkeypatch.setattr(config, "SMALL_TEAM", 2)
     failures = []
-    for schedule in draw_schedules(_first_seed(), 60, [3, 5]):
+    failed = [Schedule.parse(text) for text in FAILED_AS_LARGE]
+    for schedule in [*failed, *draw_schedules(_first_seed(), 60, [3, 5])]:
         try:
             run_schedule(schedule)
         except ViolationError as error:
