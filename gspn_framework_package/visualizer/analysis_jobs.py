@@ -99,7 +99,7 @@ class _Job:
             self._listen()
         except Exception as error:
             self.error = self.error or "its answer cannot be read (%s)" % type(error).__name__
-            process.kill()
+            self._kill()
         code = process.wait()
         self._timer.cancel()
         self.ended = time.monotonic()
@@ -141,13 +141,17 @@ class _Job:
         if self.state == "running":
             self.error = "not decided within %g s" % self.seconds
             self.state = "failed"
-            self._process.kill()
+            self._kill()
 
     def kill(self) -> None:
         if self.state == "running":
             self.state = "cancelled"
         self._timer.cancel()
-        self._process.kill()
+        self._kill()
+
+    def _kill(self) -> None:
+        with contextlib.suppress(ProcessLookupError):  # ended meanwhile: Python 3.8 raises that
+            self._process.kill()
 
     @property
     def running(self) -> bool:

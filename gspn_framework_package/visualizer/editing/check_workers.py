@@ -156,7 +156,8 @@ class CheckWorkers:
         self._news.notify_all()
 
     def _kill(self, worker: _Worker) -> None:
-        worker.process.kill()
+        with contextlib.suppress(ProcessLookupError):  # ended meanwhile: Python 3.8 raises that
+            worker.process.kill()
         if worker in self._workers:
             self._workers.remove(worker)
         self._news.notify_all()

@@ -5,6 +5,7 @@ import json
 import resource
 import subprocess
 import sys
+from unittest import mock
 
 import pytest
 from page_client import PageClient, small_net
@@ -233,6 +234,18 @@ def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, wor
 
     wait_for(lambda: report()["state"] != "running", what="the end of the analysis")
     assert report()["state"] == "failed" and told in report()["error"]
+
+
+def test_a_process_that_ends_while_it_is_cancelled_is_no_error(ask, monkeypatch):
+    """Python 3.8 raises that of a process that another thread has just waited for."""
+    worker = "import sys, time; sys.stdin.close(); sys.stdout.close(); time.sleep(0.5)"
+    monkeypatch.setattr(analysis_jobs, "WORKER", [sys.executable, "-c", worker])
+    client = ask(small_net())
+    key = start(client, structure=True, seconds=100).get_json()["job"]
+    gone = mock.Mock(side_effect=ProcessLookupError)
+    with mock.patch.object(subprocess.Popen, "kill", gone):
+        assert client.post("/api/analysis/%s/cancel" % key).status_code == 200
+    assert gone.called
 
 
 def test_a_process_that_cannot_be_started_is_told(ask, monkeypatch):
