@@ -114,7 +114,8 @@ def run(args: argparse.Namespace) -> int:
     host.start(lambda robot: over.set())
     code = EXIT_INTERRUPTED
     try:
-        over.wait()
+        while not over.wait(1.0):
+            pass  # if a thread of Zenoh is given the signal, this one is not woken
         code = host.exit_code or 0
     finally:
         host.stop()

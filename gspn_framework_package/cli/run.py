@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import sys
 import threading
@@ -92,7 +93,10 @@ def _execute(
     executor.start()
     door = _door(executor)
     try:
-        if not printer.over.wait(_left(deadline)) and not executor.over:
+        # not at once: if another thread is given an interrupt, this one is not woken
+        while not printer.over.wait(min(1.0, _left(deadline))) and _left(deadline) > 0:
+            pass
+        if not printer.over.is_set() and not executor.over:
             executor.stop("the limit of %g seconds" % args.seconds)
         ended = executor.wait()
     except KeyboardInterrupt:
@@ -140,8 +144,8 @@ def _door(executor: StandaloneExecutor) -> Optional[RunDoor]:
         return None
 
 
-def _left(deadline: Optional[float]) -> Optional[float]:
-    return None if deadline is None else max(0.0, deadline - time.monotonic())
+def _left(deadline: Optional[float]) -> float:
+    return math.inf if deadline is None else max(0.0, deadline - time.monotonic())
 
 
 def _plan(args: argparse.Namespace) -> Plan:

@@ -111,7 +111,9 @@ class WebServer:
         """Serve until interrupted."""
         self.start()
         assert self._thread is not None
-        self._thread.join()
+        while self._thread.is_alive():
+            # if another thread, say one of Zenoh, is given the signal, this one is not woken
+            self._thread.join(1.0)
 
     def start(self) -> None:
         """Serve in a thread."""

@@ -157,6 +157,24 @@ def test_many_viewers_get_every_event(serve):
     assert results == [200] * 20
 
 
+def test_an_interrupt_that_another_thread_is_given_ends_it():
+    """The system chooses the thread of a signal; where it is not the main one, nothing wakes that."""
+    program = """
+import signal, sys, threading, time
+from gspn_framework_package.cli import main, serve
+
+def interrupt():
+    while all(thread.name != "web" for thread in threading.enumerate()):
+        time.sleep(0.01)
+    time.sleep(0.2)  # the main thread waits by then, or ends all the more easily
+    signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+
+threading.Thread(target=interrupt).start()
+sys.exit(main.main(["serve", "plans/tokens", "--port", "0"]))
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
 def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve, monkeypatch):
     monkeypatch.setattr("gspn_framework_package.visualizer.serving.LAST_REQUESTS", 0.1)
     under_way, go_on = threading.Event(), threading.Event()
