@@ -209,16 +209,13 @@ class XmlNet:
         ]
         if any(not c.old or not c.new or c.old.name != c.new.name for c in changes):
             self._name_by_id()
-        names = {c.old.name: c.new.name for c in changes if c.old and c.new}
-        gone = {c.old.name for c in changes if c.old and not c.new}
+        # nothing has the name "": the arcs of a node that goes are not those of who takes its name
+        names = {c.old.name: c.new.name if c.new else "" for c in changes if c.old}
         wanted: Dict[Tuple[str, str, int, bool], int] = {}
         for arc in self.new.arcs:
             wanted[arc_key(arc)] = wanted.get(arc_key(arc), 0) + 1
         spare: List[Tuple[Arc, Any]] = []
         for arc, element in self.arcs:
-            if gone.intersection(arc[:2]):  # a new node may have the name, but not the arc
-                remove_element(self._alone(element))
-                continue
             now = arc._replace(
                 source=names.get(arc.source, arc.source), target=names.get(arc.target, arc.target)
             )
