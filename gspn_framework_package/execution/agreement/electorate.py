@@ -193,6 +193,10 @@ class Electorate:
         limit = self.config.plan.timing.evict_after
         return limit <= 0 or is_quorum(self.heard_within(limit), self.members())
 
+    def has_to_join(self) -> bool:
+        """Whether we have no vote before the team lets us in."""
+        return not self.state.active and (self.state.joining or self.state.amnesic)
+
     def spoken_for(self) -> bool:
         """Whether the log holds an entry of ours that this life did not propose, so that its
         entries would count as old."""

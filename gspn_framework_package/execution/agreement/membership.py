@@ -208,7 +208,7 @@ class Membership:
         return Hello(
             state.begin_records,
             state.active,
-            not state.active and (state.joining or state.amnesic),
+            self.electorate.has_to_join(),
             state.first_hash,
             tuple(sorted(silent)),
             {robot: state.off[robot] for robot in sorted(self.electorate.asserted_off())},
@@ -382,7 +382,7 @@ class Membership:
         witness = not begun or message.log == self.electorate.known_log(sender)
         if witness:
             state.peers.get(sender).welcomes = seen.log
-        if state.amnesic or (state.joining and not state.active):
+        if self.electorate.has_to_join():
             return
         if seen.log != state.log_id:
             if witness and state.ledger.logs.get(self.config.name) != state.log_id:
@@ -564,8 +564,8 @@ class Membership:
         in the log, or after a while. What another process of a robot knows does not count."""
         state = self.state
         members = self.electorate.members()
-        heard = [m for m in members if state.peers.get(m).log == self.electorate.known_log(m)]
-        know = [m for m in heard if state.peers.get(m).length >= state.ledger.length]
+        themselves = [m for m in members if state.peers.get(m).log == self.electorate.known_log(m)]
+        know = [m for m in themselves if state.peers.get(m).length >= state.ledger.length]
         if state.leaving_since is None:
             state.leaving_since = state.now
         lingered = state.now - state.leaving_since

@@ -143,7 +143,7 @@ class Orders:
             return "%s cannot assert that it is off itself" % me
         if robot is None or robot.phase.gone:
             return "there is no robot '%s' in the team" % name
-        if state.amnesic or (state.joining and not state.active):
+        if self.electorate.has_to_join():
             return "%s has no vote; ask a robot that is in the team" % me
         if state.peers.get(name).heard is not None:
             silence = state.peers.silence(name, state.now)

@@ -533,7 +533,7 @@ class _Run:
                 if spare.disk is not None:
                     ids.add(str(spare.disk.header["log"]))
                 self.removed_logs |= ids
-                self.lost_logs = self.lost_logs or asked or self._removed_log_counts()
+                self.lost_logs = self.lost_logs or asked
                 world.remove(spare)
                 first.superseded = False
             world.come_back()
