@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Optional
 
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED
+from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, wait_for
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -114,8 +114,7 @@ def run(args: argparse.Namespace) -> int:
     host.start(lambda robot: over.set())
     code = EXIT_INTERRUPTED
     try:
-        while not over.wait(1.0):
-            pass  # if a thread of Zenoh is given the signal, this one is not woken
+        wait_for(over)
         code = host.exit_code or 0
     finally:
         host.stop()

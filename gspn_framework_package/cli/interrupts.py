@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
 import threading
-from typing import Any, Callable, List, NoReturn, TypeVar
+import time
+from typing import Any, Callable, List, NoReturn, Optional, TypeVar
 
 Result = TypeVar("Result")
 
@@ -59,6 +61,20 @@ class Interrupts:
         raise KeyboardInterrupt
 
 
+def wait_for(event: threading.Event, seconds: Optional[float] = None) -> bool:
+    """Wait on the main thread for an event, at most so many seconds; return whether it is set.
+
+    The system may give an interrupt to another thread. That does not wake this one, so it wakes by
+    itself once a second. Do not join a thread instead: if that is interrupted, Python considers the
+    thread finished (bpo-45274).
+    """
+    end = math.inf if seconds is None else time.monotonic() + seconds
+    while not event.wait(min(1.0, max(0.0, end - time.monotonic()))):
+        if time.monotonic() >= end:
+            return False
+    return True
+
+
 def interruptible(
     work: Callable[[], Result], interrupted: Callable[[threading.Event], None] = lambda done: None
 ) -> Result:
@@ -87,9 +103,7 @@ def interruptible(
     thread = threading.Thread(target=run, name="work", daemon=True)
     try:
         thread.start()
-        # not join(): if it is interrupted, Python considers the thread finished (bpo-45274)
-        while not done.wait(1.0):
-            pass
+        wait_for(done)
     except KeyboardInterrupt:
         interrupted(done)
         raise

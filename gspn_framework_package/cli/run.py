@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import os
 import sys
 import threading
@@ -17,6 +16,7 @@ from typing import Any, Dict, List, Optional, Sequence
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.while_running import why_refused
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.interrupts import wait_for
 from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
@@ -93,10 +93,7 @@ def _execute(
     executor.start()
     door = _door(executor)
     try:
-        # not at once: if another thread is given an interrupt, this one is not woken
-        while not printer.over.wait(min(1.0, _left(deadline))) and _left(deadline) > 0:
-            pass
-        if not printer.over.is_set() and not executor.over:
+        if not wait_for(printer.over, _left(deadline)) and not executor.over:
             executor.stop("the limit of %g seconds" % args.seconds)
         ended = executor.wait()
     except KeyboardInterrupt:
@@ -144,8 +141,8 @@ def _door(executor: StandaloneExecutor) -> Optional[RunDoor]:
         return None
 
 
-def _left(deadline: Optional[float]) -> float:
-    return math.inf if deadline is None else max(0.0, deadline - time.monotonic())
+def _left(deadline: Optional[float]) -> Optional[float]:
+    return None if deadline is None else max(0.0, deadline - time.monotonic())
 
 
 def _plan(args: argparse.Namespace) -> Plan:

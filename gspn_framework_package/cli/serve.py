@@ -9,6 +9,7 @@ import sys
 from typing import Optional
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.interrupts import wait_for
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -180,7 +181,8 @@ def serve(project: object, args: argparse.Namespace) -> int:
 
         webbrowser.open(invitations[OPERATOR])
     try:
-        server.run()
+        server.start()
+        wait_for(server.ended)
     except KeyboardInterrupt:
         pass
     finally:

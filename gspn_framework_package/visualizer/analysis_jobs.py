@@ -99,7 +99,7 @@ class _Job:
             self._listen()
         except Exception as error:
             self.error = self.error or "its answer cannot be read (%s)" % type(error).__name__
-            self._kill()
+            kill(process)
         code = process.wait()
         self._timer.cancel()
         self.ended = time.monotonic()
@@ -141,17 +141,13 @@ class _Job:
         if self.state == "running":
             self.error = "not decided within %g s" % self.seconds
             self.state = "failed"
-            self._kill()
+            kill(self._process)
 
     def kill(self) -> None:
         if self.state == "running":
             self.state = "cancelled"
         self._timer.cancel()
-        self._kill()
-
-    def _kill(self) -> None:
-        with contextlib.suppress(ProcessLookupError):  # ended meanwhile: Python 3.8 raises that
-            self._process.kill()
+        kill(self._process)
 
     @property
     def running(self) -> bool:
@@ -281,6 +277,12 @@ class AnalysisJobs:
         with self._lock:
             for job in self._jobs.values():
                 job.kill()
+
+
+def kill(worker: subprocess.Popen[bytes]) -> None:
+    """Kill a worker, for which another thread may just have waited: Python 3.8 raises that."""
+    with contextlib.suppress(ProcessLookupError):
+        worker.kill()
 
 
 def worker_environment() -> Dict[str, str]:

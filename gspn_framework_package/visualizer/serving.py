@@ -81,6 +81,7 @@ class WebServer:
         self._server.rules = RequestRules(self.guard, body_limit, too_large_text)
         self._app: Flask = create_app(project, self.guard, viewers)
         self._thread: Optional[threading.Thread] = None
+        self.ended = threading.Event()
 
     def _call(self, environ: Dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         return self._app(environ, start_response)
@@ -107,18 +108,16 @@ class WebServer:
             if token is not None
         }
 
-    def run(self) -> None:
-        """Serve until interrupted."""
-        self.start()
-        assert self._thread is not None
-        while self._thread.is_alive():
-            # if another thread, say one of Zenoh, is given the signal, this one is not woken
-            self._thread.join(1.0)
-
     def start(self) -> None:
         """Serve in a thread."""
-        self._thread = threading.Thread(target=self._server.run, name="web", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name="web", daemon=True)
         self._thread.start()
+
+    def _serve(self) -> None:
+        try:
+            self._server.run()
+        finally:
+            self.ended.set()
 
     def stop(self) -> None:
         """Stop serving, and close the project."""

@@ -17,7 +17,7 @@ import time
 from typing import Any, Dict, List, Optional
 
 from gspn_framework_package.model.errors import LimitError
-from gspn_framework_package.visualizer.analysis_jobs import worker_environment
+from gspn_framework_package.visualizer.analysis_jobs import kill, worker_environment
 
 WORKERS = 2
 """How many documents are checked at once. While only one is, the other process is a spare."""
@@ -156,8 +156,7 @@ class CheckWorkers:
         self._news.notify_all()
 
     def _kill(self, worker: _Worker) -> None:
-        with contextlib.suppress(ProcessLookupError):  # ended meanwhile: Python 3.8 raises that
-            worker.process.kill()
+        kill(worker.process)
         if worker in self._workers:
             self._workers.remove(worker)
         self._news.notify_all()

@@ -132,16 +132,16 @@ class AttacksTest(RobotTestCase):
         )
         forged = "not sealed with the key"
         wait_for(lambda: self.out.get_num_connections() >= 3, 30, "connections")
-        for news, *why in (
+        for news, why in (
             (self.news("robot_2", body, sealed=False), "without the key"),
             (self.news("robot_2", body), forged),  # the name of the run, and another key
-            # the second if robot_2 has sent many since
-            (recorded[0], "a message that came before", "too late"),
         ):
             self.out.publish(news)
-            if news is recorded[0]:  # if robot_1 had not heard robot_2 yet, it only came late
-                self.out.publish(news)
-            self.wait_until_refused("robot_2", *why)
+            self.wait_until_refused("robot_2", why)
+        for _ in range(2):  # if robot_1 had not heard robot_2 yet, the first only comes late
+            self.out.publish(recorded[0])
+        # the second if robot_2 has sent many since
+        self.wait_until_refused("robot_2", "a message that came before", "too late")
         changed = recorded[-1]
         changed.service_uri = "rosrpc://localhost:1"
         self.out.publish(changed)

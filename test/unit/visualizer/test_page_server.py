@@ -160,13 +160,16 @@ def test_many_viewers_get_every_event(serve):
 def test_an_interrupt_that_another_thread_is_given_ends_it():
     """The system chooses the thread of a signal; where it is not the main one, nothing wakes that."""
     program = """
-import signal, sys, threading, time
-from gspn_framework_package.cli import main, serve
+import signal, sys, threading, time, traceback
+from gspn_framework_package.cli import main
+
+def functions_of_main():
+    frame = sys._current_frames()[threading.main_thread().ident]
+    return [called.name for called in traceback.extract_stack(frame)]
 
 def interrupt():
-    while all(thread.name != "web" for thread in threading.enumerate()):
+    while functions_of_main()[-2:] != ["wait", "wait"] or "wait_for" not in functions_of_main():
         time.sleep(0.01)
-    time.sleep(0.2)  # the main thread waits by then, or ends all the more easily
     signal.pthread_kill(threading.get_ident(), signal.SIGINT)
 
 threading.Thread(target=interrupt).start()
@@ -289,7 +292,11 @@ def test_wrong_usage_is_one_message_and_exit_code_2(words, capsys):
 def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(
     tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(WebServer, "run", lambda server: print(server.address))
+    def start(server):
+        print(server.address)
+        server.ended.set()
+
+    monkeypatch.setattr(WebServer, "start", start)
     assert main(["serve", "plans", "--host", "0.0.0.0", "--port", "0"]) == 0
     first, second, address = capsys.readouterr().out.splitlines()
     assert len(first.split("#token=")[1].split()[0]) >= 20 and len(second.split("#token=")[1]) >= 20
