@@ -13,6 +13,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Tuple
 
 import jsonschema
 
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import (
@@ -262,7 +263,7 @@ class PlanTools:
                 _check_document(document)
                 os.mkdir(made)
                 with open(os.path.join(made, PLAN_FILE), "w", encoding="utf-8") as file:
-                    json.dump(document, file, indent=2, ensure_ascii=False)
+                    file.write(json_text(document))
             report = json.loads(run.run(["check", made, "--json"]))
             files = {name: _content(os.path.join(made, name)) for name in sorted(os.listdir(made))}
             if output:

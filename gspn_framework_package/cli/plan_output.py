@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from typing import Any, List, Mapping
 
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.action import FunctionAction
@@ -46,7 +46,7 @@ def write_plan(plan: Plan, data: Mapping[str, Any], output: str) -> List[str]:
     if as_folder:
         _make_folder(output)
     notes = _bring_functions(plan, folder, as_folder)
-    write_bytes(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+    write_bytes(path, json_text(data).encode())
     return notes
 
 

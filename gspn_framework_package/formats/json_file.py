@@ -1,4 +1,5 @@
-"""Reading of JSON files, with errors that name file and line."""
+"""Reading of JSON files, with errors that name file and line; and the text of those that people
+read."""
 
 from __future__ import annotations
 
@@ -14,6 +15,13 @@ Step = Union[str, int]
 """A step from an element to one inside it: a key or an index."""
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+')
+WIDTH = 100
+"""Longest value that is written in one line."""
+
+RECORD = 160
+"""Longest item of a list that is written in one line: a node, an arc, a row."""
+
+_ENCODE = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
 _UNUSUAL = re.compile(r"[0-9]{300}|[eE]\+?[0-9]{3}")  # a number may be too large
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
@@ -50,6 +58,68 @@ class JsonDocument(NamedTuple):
             if word in "{[":
                 inside.append([word == "{", None if word == "{" else 0])
         return None
+
+
+def json_text(data: Any) -> str:
+    """The text of a JSON file as people write one: see :func:`json_value`; the members of the whole
+    have lines of their own, however few they are."""
+    return (_lines(data, "", "  ", "\n") if data and is_container(data) else _ENCODE(data)) + "\n"
+
+
+def json_value(
+    value: Any, indent: str = "", unit: str = "  ", newline: str = "\n", width: int = WIDTH
+) -> str:
+    """The text of a JSON value: in one line if that fits, with lines for its members if not.
+
+    In a list of objects (nodes, arcs, rows, robots) each has a line of its own, so that a change of
+    one is a difference of one line. Lists of numbers are not broken.
+
+    :param indent: the space before the line that the value begins in.
+    :param unit: what members are indented by.
+    :param width: the longest line of a value in one line, with its indentation.
+    """
+    flat = _ENCODE(value)
+    if not value or not is_container(value):
+        return flat
+    if not has_records(value) and (len(indent) + len(flat) <= width or _is_row(value)):
+        return flat
+    return _lines(value, indent, unit, newline)
+
+
+def is_container(value: Any) -> bool:
+    """Whether a JSON value is an object or a list."""
+    return isinstance(value, (dict, list, tuple))
+
+
+def has_records(value: Any) -> bool:
+    """Whether there is a list of several objects in a JSON value."""
+    if isinstance(value, dict):
+        return any(map(has_records, value.values()))
+    if not isinstance(value, (list, tuple)):
+        return False
+    return sum(isinstance(item, dict) for item in value) > 1 or any(map(has_records, value))
+
+
+def _is_row(value: Any) -> bool:
+    """Whether a value is a list of numbers, such as a marking, which may have conditions (">=2")
+    and blanks ("-") too."""
+    return isinstance(value, (list, tuple)) and all(
+        isinstance(item, (int, float)) or isinstance(item, str) and len(item) <= 4 for item in value
+    )
+
+
+def _lines(value: Any, indent: str, unit: str, newline: str) -> str:
+    inside = indent + unit
+    if isinstance(value, dict):
+        ends = "{}"
+        members = [
+            "%s: %s" % (_ENCODE(str(key)), json_value(member, inside, unit, newline))
+            for key, member in value.items()
+        ]
+    else:
+        ends, members = "[]", [json_value(item, inside, unit, newline, RECORD) for item in value]
+    space = newline + inside
+    return ends[0] + space + ("," + space).join(members) + newline + indent + ends[1]
 
 
 def read_json(path: str) -> Any:

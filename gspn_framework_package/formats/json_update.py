@@ -1,7 +1,8 @@
 """Changing a JSON file without touching the rest of its text.
 
 What is equal before and after keeps its text: the order of keys, how numbers are spelt, line breaks
-and spaces. Only what differs is written anew.
+and spaces. Only what differs is written anew. What was in one line and does not fit there any more
+gets lines for its members.
 """
 
 from __future__ import annotations
@@ -10,9 +11,16 @@ import json
 import re
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
+from gspn_framework_package.formats.json_file import (
+    RECORD,
+    WIDTH,
+    has_records,
+    is_container,
+    json_value,
+)
+
 _SPACE = re.compile(r"[ \t\r\n]*")
 _SCAN = json.JSONDecoder().raw_decode
-_WIDTH = 100
 
 
 class _Part(NamedTuple):
@@ -72,21 +80,38 @@ class _Update:
         self.ordered = ordered
         self.line = "\r\n" if "\r\n" in text else "\n"
         found = re.match(r"\s*[{\[][ \t]*\r?\n([ \t]+)", text)
-        self.unit = found.group(1) if found else None if len(text.splitlines()) == 1 else "  "
-        if not text.strip("{}[] \t\r\n\ufeff"):
-            self.unit = "  "
+        self.unit = found.group(1) if found else "  "
 
-    def value(self, start: int, end: int, old: Any, new: Any, indent: str, depth: int) -> str:
-        """The text of a value that had the text from ``start`` to ``end``."""
+    def value(
+        self, start: int, end: int, old: Any, new: Any, indent: Optional[str], depth: int
+    ) -> str:
+        """The text of a value that had the text from ``start`` to ``end``.
+
+        :param indent: the space before its line; None: it stays in one line.
+        """
+        text = self.text[start:end]
         if same(old, new) and not (depth == 0 and self._reordered(old, new)):
-            return self.text[start:end]
-        if isinstance(old, dict) and isinstance(new, dict):
-            parts = list(self._parts(start, True))
-            return self._object(start, end, parts, new, indent, depth)
-        if isinstance(old, list) and isinstance(new, list):
-            parts = list(self._parts(start, False))
-            return self._array(start, end, parts, new, indent)
-        return self.written(new, indent)
+            return text
+        if type(old) is not type(new) or not is_container(old):
+            return self.written(new, indent)
+        broken = "\n" in text
+        inner = indent if broken else None
+        parts = list(self._parts(start, isinstance(old, dict)))
+        if isinstance(old, dict):
+            changed = self._object(start, end, parts, new, inner, depth)
+        else:
+            changed = self._array(start, end, parts, new, inner)
+        if indent is None or broken or self._stays(text, changed, old, new, indent):
+            return changed
+        return json_value(json.loads(changed), indent, self.unit, self.line)
+
+    @staticmethod
+    def _stays(text: str, changed: str, old: Any, new: Any, indent: str) -> bool:
+        """Whether what was in one line goes on in one line: if it fits, or if it never did and has
+        no parts that could have lines of their own."""
+        if len(indent) + len(changed) <= WIDTH:
+            return has_records(old) or not has_records(new)
+        return len(indent) + len(text) > WIDTH and not any(map(is_container, _members(new)))
 
     def _reordered(self, old: Any, new: Any) -> bool:
         return any(self._order_differs(old, new, key) for key in self.ordered)
@@ -122,7 +147,13 @@ class _Update:
             at = comma + 1
 
     def _object(
-        self, start: int, end: int, parts: List[_Part], new: Dict[str, Any], indent: str, depth: int
+        self,
+        start: int,
+        end: int,
+        parts: List[_Part],
+        new: Dict[str, Any],
+        indent: Optional[str],
+        depth: int,
     ) -> str:
         known = {part.key: part for part in parts}
         order = [part.key for part in parts if part.key in new]
@@ -155,23 +186,27 @@ class _Update:
             pieces.append((part, text))
         return "{%s}" % self._joined(start, end, parts, pieces, indent)
 
-    def _array(self, start: int, end: int, parts: List[_Part], new: List[Any], indent: str) -> str:
+    def _array(
+        self, start: int, end: int, parts: List[_Part], new: List[Any], indent: Optional[str]
+    ) -> str:
         if not new:
             return "[]"
         inside = self._inside(parts, indent)
         pieces: List[Tuple[Optional[_Part], str]] = []
         for part, value in zip(_partners(parts, new), new):
             if part is None:
-                pieces.append((part, self.written(value, inside)))
+                pieces.append((part, self.written(value, inside, RECORD)))
             else:
-                text = self.value(part.start, part.end, part.value, value, inside, 1)
+                # an item that is a line stays one: nodes, arcs, rows
+                deeper = inside if "\n" in self.text[part.start : part.end] else None
+                text = self.value(part.start, part.end, part.value, value, deeper, 1)
                 pieces.append((part, text))
         return "[%s]" % self._joined(start, end, parts, pieces, indent)
 
-    def _inside(self, parts: List[_Part], indent: str) -> str:
-        if parts and "\n" in parts[0].before:
+    def _inside(self, parts: List[_Part], indent: Optional[str]) -> Optional[str]:
+        if indent is not None and parts and "\n" in parts[0].before:
             return parts[0].before.rpartition("\n")[2]
-        return indent + (self.unit or "")
+        return None if indent is None else indent + self.unit
 
     def _joined(
         self,
@@ -179,17 +214,15 @@ class _Update:
         end: int,
         parts: List[_Part],
         pieces: Sequence[Tuple[Optional[_Part], str]],
-        indent: str,
+        indent: Optional[str],
     ) -> str:
         """The members with the space between them, as the file has it."""
         if parts:
             lead, tail = parts[0].before, self.text[parts[-1].end : end - 1]
             between = parts[1].before if len(parts) > 1 else lead if "\n" in lead else " "
         else:
-            texts = [text for _, text in pieces]
-            if self.unit is None or self._fits(texts, indent):
-                lead, between, tail = "", " ", ""
-            else:
+            lead, between, tail = "", " ", ""
+            if indent is not None:
                 lead = between = self.line + indent + self.unit
                 tail = self.line + indent
         found = []
@@ -202,32 +235,15 @@ class _Update:
             found.append(space + text + after)
         return ",".join(found) + tail
 
-    @staticmethod
-    def _fits(texts: List[str], indent: str) -> bool:
-        return (
-            sum(map(len, texts)) + 2 * len(texts) + len(indent) <= _WIDTH
-            and not any("\n" in text for text in texts)
-            and len(texts) < 12
-        )
+    def written(self, value: Any, indent: Optional[str], width: int = WIDTH) -> str:
+        """A new value."""
+        if indent is None:
+            return json.dumps(value, ensure_ascii=False, allow_nan=False)
+        return json_value(value, indent, self.unit, self.line, width)
 
-    def written(self, value: Any, indent: str) -> str:
-        """A new value: in one line if it fits, otherwise with a line for each member."""
-        flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-        if self.unit is None or not value or not isinstance(value, (dict, list)):
-            return flat
-        inside = indent + self.unit
-        if len(flat) + len(indent) <= _WIDTH:
-            return flat
-        if isinstance(value, dict):
-            texts = [
-                "%s: %s" % (json.dumps(key, ensure_ascii=False), self.written(member, inside))
-                for key, member in value.items()
-            ]
-        else:
-            texts = [self.written(member, inside) for member in value]
-        space = self.line + inside
-        around = "{%s}" if isinstance(value, dict) else "[%s]"
-        return around % (space + ("," + space).join(texts) + self.line + indent)
+
+def _members(value: Any) -> Sequence[Any]:
+    return list(value.values()) if isinstance(value, dict) else value
 
 
 def _partners(parts: List[_Part], new: List[Any]) -> List[Optional[_Part]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from typing import Any, Dict, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.formats import encode_net, format_named
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.net import Net
@@ -47,11 +47,11 @@ def write_plan_folder(
         whole["policy"] = POLICY_FILE
     whole.update((key, value) for key, value in plan.items() if key not in head)
     contents: Dict[str, bytes] = {
-        PLAN_FILE: _json(whole),
+        PLAN_FILE: json_text(whole).encode(),
         NET_FILE: encode_net(net, format_named("pipe"))[0],
     }
     if policy is not None:
-        contents[POLICY_FILE] = _json(policy)
+        contents[POLICY_FILE] = json_text(policy).encode()
     contents.update((name, text.encode()) for name, text in files.items())
     try:
         os.makedirs(folder)
@@ -70,7 +70,3 @@ def write_plan_folder(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return list(contents)
-
-
-def _json(data: Any) -> bytes:
-    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()

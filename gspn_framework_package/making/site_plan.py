@@ -8,9 +8,9 @@ drive on an edge, and ``Free_dock_NODE`` one for each free place at a dock.
 
 from __future__ import annotations
 
-import json
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, write_plan_folder
 from gspn_framework_package.making.site_drawing import Point, SiteDrawing
@@ -88,7 +88,7 @@ class SitePlan(NamedTuple):
             plan_ros["events"] = self.ros_events
         files = {
             "actions.py": _ACTIONS,
-            PLAN_ROS_FILE: json.dumps(plan_ros, indent=2, ensure_ascii=False) + "\n",
+            PLAN_ROS_FILE: json_text(plan_ros),
         }
         return write_plan_folder(
             folder, self.net, self.plan, self.policy, files, (PLAN_FILE, PLAN_ROS_FILE)

@@ -15,6 +15,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.decisions.report import MarkingChoice
 from gspn_framework_package.analysis.plan.rules import PlanRules
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
@@ -65,7 +66,7 @@ class Optimised:
         self, present: Plan, data: Mapping[str, Any], changed: List[int], same: List[int]
     ) -> None:
         self._present = present
-        self.text = json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+        self.text = json_text(data)
         self._places = data.get("policy", {}).get("places", [])
         self._rows = data.get("policy", {}).get("rows", [])
         self._states = {**dict.fromkeys(same, False), **dict.fromkeys(changed, True)}

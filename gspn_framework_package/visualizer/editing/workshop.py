@@ -7,12 +7,12 @@ import re
 import secrets
 import shutil
 import threading
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Dict, List, NamedTuple, Optional
 
 from gspn_framework_package.analysis.plan.completion import complete
 from gspn_framework_package.formats import pipe
 from gspn_framework_package.formats.draft import ReadOptions
-from gspn_framework_package.formats.json_update import update_json
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.net_equality import same_net
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
@@ -302,9 +302,9 @@ def contents_of(document: JsonObject) -> Dict[str, bytes]:
         many = len(policy["rows"]) > FEW_ROWS
         whole["policy"] = POLICY_FILE if many else policy
         if many:
-            contents[POLICY_FILE] = _json(policy)
+            contents[POLICY_FILE] = json_text(policy).encode()
     whole.update((key, value) for key, value in plan.items() if key not in whole)
-    contents[PLAN_FILE] = _json(whole)
+    contents[PLAN_FILE] = json_text(whole).encode()
     return contents
 
 
@@ -317,10 +317,6 @@ def _in_pipe(data: JsonObject) -> Optional[bytes]:
     except GspnError:
         return None
     return drawn if same_net(read, net) else None
-
-
-def _json(data: Any) -> bytes:
-    return (update_json("{\n  \n}", data) + "\n").encode()
 
 
 def _write(path: str, data: bytes) -> None:

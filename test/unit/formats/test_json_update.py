@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.json_update import same, update_json
 
 FILE = """\
@@ -121,3 +122,75 @@ def test_edits_of_shipped_files_come_and_go(path):
     assert json.loads(there) == edited
     assert set(text.splitlines()) - set(there.splitlines()) <= {text.splitlines()[-2]}
     assert update_json(there, data) == text
+
+
+NODES = 40
+
+
+def drawn(nodes=NODES):
+    """A plan as the page draws it."""
+    names = [("Place %d" % n, "Transition %d" % n) for n in range(nodes)]
+    return {
+        "plan": "drawn",
+        "net": {
+            "name": "drawn",
+            "places": [{"name": p, "position": [10.0 * n, 5.5]} for n, (p, _) in enumerate(names)],
+            "transitions": [{"name": t, "timed": True, "rate": 0.5} for _, t in names],
+            "arcs": [{"from": p, "to": t} for p, t in names],
+        },
+        "actions": {p: "actions.work" for p, _ in names},
+        "policy": {"places": [p for p, _ in names], "rows": []},
+    }
+
+
+def lines_apart(before, after):
+    """How many lines of a text another one lacks, and the other way round."""
+    old, new = before.splitlines(), after.splitlines()
+    return len([line for line in old if line not in new]), len([x for x in new if x not in old])
+
+
+def renamed(data):
+    return json.loads(json.dumps(data).replace('"Place 7"', '"Depot"'))
+
+
+@pytest.mark.parametrize("style", [{}, {"separators": (",", ":")}, {"indent": 2}])
+def test_a_rename_is_a_difference_of_a_few_lines(style):
+    text = update_json(json.dumps(drawn(), **style), drawn(NODES + 1))
+    assert json.loads(text) == drawn(NODES + 1)
+    again = update_json(text, renamed(drawn(NODES + 1)))
+    assert json.loads(again) == renamed(drawn(NODES + 1))
+    assert lines_apart(text, again) == (4, 4)  # the place, its arc, its action, in the policy
+
+
+def test_a_plan_that_grows_gets_lines_as_it_does():
+    text = '{"plan": "drawn", "net": {"places": [], "transitions": [], "arcs": []}}\n'
+    for count in (1, 2, 3, NODES):
+        text = update_json(text, drawn(count))
+    assert max(map(len, text.splitlines())) <= 120
+    assert '\n      {"name": "Place 3", "position": [30.0, 5.5]},\n' in text
+
+
+def test_a_row_that_was_a_long_line_stays_one():
+    row = '{"marking": [%s], "choose": {"t": 0.50}}' % ", ".join(["0"] * 60)
+    file = '{\n  "rows": [\n    %s\n  ]\n}\n' % row
+    data = json.loads(file)
+    data["rows"][0]["choose"]["t"] = 1
+    assert update_json(file, data) == file.replace("0.50", "1")
+
+
+def test_new_text_has_a_line_for_each_node_arc_and_row():
+    text = json_text(drawn())
+    assert json.loads(text) == drawn()
+    lines = [line.strip().rstrip(",") for line in text.splitlines()]
+    assert '{"from": "Place 5", "to": "Transition 5"}' in lines
+    assert lines_apart(text, json_text(renamed(drawn()))) == (4, 4)
+    assert json_text({"plan": "p", "net": "net.xml"}) == (
+        '{\n  "plan": "p",\n  "net": "net.xml"\n}\n'
+    )
+    assert json_text({}) == "{}\n" and json_text([]) == "[]\n"
+
+
+@given(VALUES)
+def test_new_text_says_the_value_and_needs_no_update(value):
+    text = json_text(value)
+    assert same(json.loads(text), value) and update_json(text, value) == text

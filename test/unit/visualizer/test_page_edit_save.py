@@ -674,3 +674,35 @@ def test_a_saved_plan_is_opened_anew_unless_it_runs(folder):
     editor.post("/api/open", {"path": "patrol"})
     wait_for(lambda: session.hub.closed is not None)
     assert editor.project.sessions.get(key).document.plan.seed == 9
+
+
+def test_a_plan_drawn_on_the_page_is_a_file_that_can_be_compared(folder, editor):
+    new = editor.post("/api/edit/new", {"template": "", "name": "drawn"}).get_json()
+    path = new["path"]
+    opened = editor.open(path)
+    document = opened["document"]
+    names = ["Place %d" % n for n in range(12)]
+    turns = ["Turn %d" % n for n in range(12)]
+    document["net"].update(
+        places=[{"name": p, "position": [90 * n, 0]} for n, p in enumerate(names)],
+        transitions=[{"name": t, "position": [90 * n, 90]} for n, t in enumerate(turns)],
+        arcs=[{"from": p, "to": t} for p, t in zip(names, turns)]
+        + [{"from": t, "to": p} for p, t in zip([*names[1:], names[0]], turns)],
+    )
+    document["plan"].update(actions=dict.fromkeys(names))
+    answer = editor.save(path, opened)
+    assert answer.status_code == 200, answer.get_json()
+    before = (folder / path).read_text().splitlines()
+    assert max(map(len, before)) <= 120
+    opened = editor.open(path)
+    renamed = json.loads(json.dumps(opened).replace('"Place 7"', '"Depot"'))
+    assert editor.save(path, renamed).status_code == 200
+    after = (folder / path).read_text().splitlines()
+    changed = [line.strip() for line in after if line not in before]
+    assert changed == [
+        '{"name": "Depot", "position": [630, 0]},',
+        '{"from": "Depot", "to": "Turn 7"},',
+        '{"from": "Turn 6", "to": "Depot"},',
+        '"Depot": null,',
+    ]
+    assert len(before) == len(after)
