@@ -72,11 +72,11 @@ def expand_place(
     for inner in subnet.places:
         if inner.name in shared:
             continue
-        tokens = inner.tokens + (replaced.tokens if inner.name == entry else 0)
+        tokens, position = inner.tokens, _moved(inner.position, shift)
+        if inner.name == entry:
+            tokens, position = tokens + replaced.tokens, replaced.position
         inner_places.append(
-            inner._replace(
-                name=inner_names[inner.name], tokens=tokens, position=_moved(inner.position, shift)
-            )
+            inner._replace(name=inner_names[inner.name], tokens=tokens, position=position)
         )
     places: List[Place] = []
     for outer in net.places:

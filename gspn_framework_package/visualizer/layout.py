@@ -3,6 +3,10 @@
 Positions in the file are used if every node has one. Otherwise Graphviz lays the net out: ``dot``
 in layers, with a deadline; ``sfdp`` if that takes too long. A grid is used if both fail, and if
 there are no arcs. A layout is computed once for a net and cached by its hash.
+
+A net with subnets is laid out as its plans are drawn: the plan around a subnet with one node for
+it, and the subnet by itself, with its entry where that node is. The page, which unfolds a subnet,
+moves aside what lies over it.
 """
 
 from __future__ import annotations
@@ -11,10 +15,11 @@ import hashlib
 import json
 import math
 import subprocess
-from typing import Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from gspn_framework_package.model.kept import Kept
-from gspn_framework_package.model.net import Net, Place, Transition
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
+from gspn_framework_package.model.subnet import Subnet
 
 Point = Tuple[float, float]
 
@@ -74,13 +79,95 @@ def net_hash(net: Net) -> str:
     return hashlib.sha256(json.dumps(essence).encode()).hexdigest()[:24]
 
 
-def lay_out(net: Net, *, anew: bool = False, deadline: float = DEADLINE) -> Layout:
+def lay_out(
+    net: Net,
+    *,
+    subnets: Mapping[str, Subnet] = {},
+    anew: bool = False,
+    deadline: float = DEADLINE,
+) -> Layout:
     """Return the layout of a net.
 
+    :param subnets: the subnets in it, by name.
     :param anew: ignore the positions of the file.
     :param deadline: deadline of each Graphviz run, in seconds.
     """
+    if subnets:
+        return _Parts(net, subnets).lay_out(anew, deadline)
     return _kept.get((net_hash(net), anew), lambda: _compute(net, anew, deadline))
+
+
+class _Parts:
+    """A net with subnets as the drawings that it is made of: that of the outermost plan, whose name
+    is "", and one of each subnet."""
+
+    def __init__(self, net: Net, subnets: Mapping[str, Subnet]) -> None:
+        self._net, self._subnets = net, subnets
+        self._owner: Dict[str, str] = {}
+        for name in sorted(subnets, key=self._depth):
+            self._owner.update(
+                dict.fromkeys((*subnets[name].places, *subnets[name].transitions), name)
+            )
+
+    def _depth(self, name: str) -> int:
+        parent = self._subnets[name].parent
+        return 1 + self._depth(parent) if parent else 0
+
+    def lay_out(self, anew: bool, deadline: float) -> Layout:
+        positions: Dict[str, Point] = {}
+        routes: Dict[int, List[Point]] = {}
+        engine = ""
+        for name in ["", *sorted(self._subnets, key=self._depth)]:
+            part, arcs = self._part(name)
+            layout = lay_out(part, anew=anew, deadline=deadline)
+            right = down = 0.0
+            if name:  # its entry is known: as the node of the subnet in the plan around it
+                entry = self._subnets[name].entry
+                x, y = layout.positions[self._node(entry, name) or entry]
+                right, down = positions[entry][0] - x, positions[entry][1] - y
+            else:
+                engine = layout.engine
+            for node, (x, y) in layout.positions.items():
+                found = self._subnets[node].entry if node in self._subnets else node
+                positions[found] = (x + right, y + down)
+            for number, curve in layout.routes.items():
+                moved = [(x + right, y + down) for x, y in curve]
+                routes.update((a, moved) for a in arcs[number])
+        return Layout(positions, routes, engine)
+
+    def _part(self, part: str) -> Tuple[Net, List[List[int]]]:
+        """The net of one drawing, and for each of its arcs those of the whole net."""
+        places: Dict[str, Place] = {}
+        for place in self._net.places:
+            node = self._node(place.name, part)
+            if node is not None and (node == place.name or node not in places):
+                entry = place.name if node == place.name else self._subnets[node].entry
+                places[node] = self._net.place(entry)._replace(name=node)
+        transitions = [t for t in self._net.transitions if self._owner.get(t.name, "") == part]
+        inside = {*places, *(t.name for t in transitions)}
+        arcs: Dict[Tuple[str, str, bool], List[int]] = {}
+        for a, arc in enumerate(self._net.arcs):
+            source, target = self._node(arc.source, part), self._node(arc.target, part)
+            if source in inside and target in inside and (source in places) != (target in places):
+                arcs.setdefault((str(source), str(target), arc.inhibitor), []).append(a)
+        return (
+            Net(
+                list(places.values()),
+                transitions,
+                [Arc(source, target, 1, inhibitor) for source, target, inhibitor in arcs],
+            ),
+            list(arcs.values()),
+        )
+
+    def _node(self, name: str, part: str) -> Optional[str]:
+        """The node of a drawing that a node of the net is, or that stands for it: the name of a
+        subnet; None if it is elsewhere."""
+        owner = self._owner.get(name, "")
+        while owner != part:
+            if not owner:
+                return None
+            name, owner = owner, self._subnets[owner].parent
+        return name
 
 
 def _compute(net: Net, anew: bool, deadline: float) -> Layout:

@@ -13,8 +13,7 @@ from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
 
 def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
     """The scene of a net, with the attributes from its plan."""
-    # the drawings of subnets would lie upon that of the net around them
-    layout = lay_out(net, anew=plan is not None and bool(plan.subnets))
+    layout = lay_out(net, subnets=plan.subnets if plan is not None else {})
     return {
         "name": (plan.name if plan is not None else net.name) or "net",
         "hash": net_hash(net),

@@ -132,7 +132,9 @@ class Session:
         if not self._layout.acquire(blocking=False):
             raise RefusedError("it is being laid out already", hint="wait for that")
         try:
-            return layout_to_json(self.document.net, lay_out(self.document.net, anew=True))
+            net, plan = self.document.net, self.document.plan
+            subnets = plan.subnets if plan is not None else {}
+            return layout_to_json(net, lay_out(net, subnets=subnets, anew=True))
         finally:
             self._layout.release()
 

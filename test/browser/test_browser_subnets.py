@@ -1,8 +1,13 @@
 """Subnets on the page: folded into one node with the robots inside, unfolded by mouse and keys."""
 
+import copy
+import itertools
 import json
+import math
 import re
 
+import pytest
+from page_reading import dots, settle
 from told_run import ToldRun
 
 from gspn_framework_package.execution.log_entries import Done
@@ -84,3 +89,62 @@ def test_a_subnet_folds_into_one_node(tmp_path, show_net, open_page, axe, pictur
     page.locator("#list li").filter(has_text=re.compile(r"Dock\.Turn\b")).first.click()
     page.wait_for_selector("[data-place='%d'].selected:not(.folded-away)" % turn)
     axe(page, "subnets", "right")
+
+
+def spots(page):
+    """Where nodes are drawn: name -> [x, y], in the units of the drawing."""
+    return page.evaluate(
+        "() => Object.fromEntries(window.gspn.page.view.nodes.map((n) => [n.name, [n.x, n.y]]))"
+    )
+
+
+DRAWN = {"Work": [100, 100], "Dock": [500, 160], "go": [300, 60], "leave": [300, 260]}
+STAIRS = ["Approach", "near", "Turn", "turned", "Docked"]
+
+
+@pytest.mark.parametrize("mode", ["SIMULATE", "LIVE"])
+def test_every_mode_shows_what_was_drawn(
+    tmp_path, mode, serve_folder, show_net, open_page, picture
+):
+    home, dock = copy.deepcopy(HOME), copy.deepcopy(DOCK)
+    for place in home["net"]["places"]:
+        place["tokens"] = 1
+    for node in home["net"]["places"] + home["net"]["transitions"]:
+        node["position"] = DRAWN[node["name"]]
+    for node in dock["net"]["places"] + dock["net"]["transitions"]:
+        node["position"] = [90 * STAIRS.index(node["name"]), -50 * STAIRS.index(node["name"])]
+    (tmp_path / "plan.json").write_text(json.dumps(home))
+    (tmp_path / "dock.json").write_text(json.dumps(dock))
+    if mode == "SIMULATE":
+        page = open_page(serve_folder(tmp_path).address + "#file-plan.json")
+    else:
+        plan = read_plan(str(tmp_path))
+        page = open_page(show_net(plan.net, plan, ToldRun(plan, {"run": "run_1"})).address)
+    page.wait_for_selector("body[data-mode='%s']" % mode)
+    settle(page)
+    folded = spots(page)
+    scale = (folded["go"][0] - folded["Work"][0]) / (DRAWN["go"][0] - DRAWN["Work"][0])
+    for name, (x, y) in DRAWN.items():
+        now = folded["Dock.Approach" if name == "Dock" else name]
+        assert abs(now[0] - folded["Work"][0] - (x - 100) * scale) < 1, name
+        assert abs(now[1] - folded["Work"][1] - (y - 100) * scale) < 1, name
+    picture(page, "subnet-drawn-" + mode.lower())
+    # the button says as many as the node shows
+    shown = dots(page)[page.evaluate("() => window.gspn.page.view.subnets.all[0].entry")]
+    assert page.text_content("#subnets button") == "Dock: 1 robot" and shown == 1
+
+    page.click("#subnets button")
+    page.wait_for_selector("#subnets button[aria-expanded='true']")
+    page.click("#fit")
+    settle(page)
+    inner = [spots(page)["Dock." + name] for name in STAIRS]
+    for i, step in enumerate(inner):  # as its own plan draws it
+        assert step == pytest.approx(
+            [a + (b - a) * i / 4 for a, b in zip(inner[0], inner[4])], 0.01
+        )
+    picture(page, "subnet-unfolded-" + mode.lower())
+    pairs = itertools.combinations(spots(page).values(), 2)
+    assert min(math.dist(a, b) for a, b in pairs) > 40  # the diameter of a place
+    page.click("#subnets button")
+    page.wait_for_selector("#subnets button[aria-expanded='false']")
+    assert spots(page) == folded

@@ -1,9 +1,15 @@
 """Where nodes are drawn: nothing over anything, the file's positions kept, an end in time."""
 
+import copy
 import itertools
+import json
 import math
 
+import pytest
+
 from gspn_framework_package.benchmark.nets import kanban, philosophers
+from gspn_framework_package.formats.net_json import net_from_json
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.visualizer import layout
 from gspn_framework_package.visualizer.layout import PLACE_RADIUS, lay_out
@@ -94,3 +100,88 @@ def test_places_without_arcs_fill_the_screen_instead_of_one_line():
     xs, ys = zip(*found.positions.values())
     assert nearest(found.positions) >= 2 * PLACE_RADIUS
     assert 0.5 < (max(xs) - min(xs)) / (max(ys) - min(ys)) < 4
+
+
+# -- subnets ---------------------------------------------------------------------------------------
+
+
+def plan_with_docks(folder, around_dock=(300.0, 200.0), inside=True, nested=False):
+    """A drawn plan whose places Dock and Bay stand for another drawn plan."""
+
+    def at(x, y):
+        return {"position": [x, y]} if inside else {}
+
+    dock = {
+        "net": {
+            "places": [{"name": "In", **at(0, 0)}, {"name": "Out", **at(0, 240)}],
+            "transitions": [{"name": "in", **at(40, 120)}],
+            "arcs": [{"from": "In", "to": "in"}, {"from": "in", "to": "Out"}],
+        },
+        "actions": {"In": "a.b", "Out": "a.b"},
+    }
+    link = {"plan": "dock.json", "entry": "In", "exit": "Out"}
+    if nested:
+        dock["actions"]["In"] = {"plan": "inner.json", "entry": "In", "exit": "Out"}
+        inner = copy.deepcopy(dock)
+        inner["actions"]["In"] = "a.b"
+        (folder / "inner.json").write_text(json.dumps(inner))
+    nodes = {"Work": (10.0, 20.0), "Dock": around_dock, "Bay": (300.0, 20.0)}
+    turns = {"go": (155.0, 110.0), "back": (155.0, 300.0), "park": (155.0, 20.0)}
+    arcs = [("Work", "go"), ("go", "Dock"), ("Dock", "back"), ("back", "Work")]
+    arcs += [("Work", "park"), ("park", "Bay"), ("Bay", "back")]
+    plan = {
+        "net": {
+            "places": [{"name": n, "position": at} for n, at in nodes.items() if at],
+            "transitions": [{"name": n, "position": at} for n, at in turns.items()],
+            "arcs": [{"from": a, "to": b} for a, b in arcs],
+        },
+        "actions": {"Work": "a.b", "Dock": link, "Bay": link},
+    }
+    (folder / "dock.json").write_text(json.dumps(dock))
+    (folder / "plan.json").write_text(json.dumps(plan))
+    return read_plan(str(folder)), net_from_json(plan["net"])
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_plan_with_subnets_is_laid_out_as_it_is_drawn(tmp_path, nested):
+    plan, drawn_net = plan_with_docks(tmp_path, nested=nested)
+    found, wanted = lay_out(plan.net, subnets=plan.subnets), lay_out(drawn_net)
+    assert found.engine == wanted.engine == "file"
+    assert found.positions.keys() == {
+        node.name for node in (*plan.net.places, *plan.net.transitions)
+    }
+    entries = {name: subnet.entry for name, subnet in plan.subnets.items()}
+    for name, where in wanted.positions.items():
+        assert found.positions[entries.get(name, name)] == pytest.approx(where)
+    entry, leaving = (found.positions[name] for name in (entries["Dock"], "Dock.Out"))
+    assert leaving[0] == pytest.approx(entry[0]) and leaving[1] > entry[1] + 2 * PLACE_RADIUS
+    folded = {**dict.fromkeys(plan.subnets["Dock"].places, "Dock"), "Bay.Out": "Bay"}
+    for a, arc in enumerate(plan.net.arcs):
+        if {arc.source, arc.target} & {"Work", "go", "back"}:
+            ends = [folded.get(node, node) for node in (arc.source, arc.target)]
+            for node, point in zip(ends, (found.routes[a][0], found.routes[a][-1])):
+                node = {"Bay.In": "Bay", "Bay.In.In": "Bay"}.get(node, node)
+                assert math.dist(point, found.positions[entries.get(node, node)]) < 3
+    assert len(found.routes) == len(plan.net.arcs)
+
+
+def test_a_subnet_without_a_drawing_leaves_that_of_its_plan(tmp_path):
+    plan, drawn_net = plan_with_docks(tmp_path, inside=False)
+    found, wanted = lay_out(plan.net, subnets=plan.subnets), lay_out(drawn_net)
+    for name in ("Work", "go", "back"):
+        assert found.positions[name] == pytest.approx(wanted.positions[name])
+    assert found.positions["Dock.In"] == pytest.approx(wanted.positions["Dock"])
+    parts = [
+        [found.positions["%s.%s" % (n, p)] for p in ("In", "in", "Out")] for n in ("Dock", "Bay")
+    ]
+    for part in parts:
+        assert nearest(dict(enumerate(part))) >= 2 * PLACE_RADIUS
+
+
+def test_anew_every_drawing_is_laid_out(tmp_path):
+    plan, drawn_net = plan_with_docks(tmp_path)
+    found = lay_out(plan.net, subnets=plan.subnets, anew=True)
+    wanted = lay_out(drawn_net, anew=True)
+    assert found.engine == wanted.engine == "dot"
+    assert found.positions["Dock.In"] == pytest.approx(wanted.positions["Dock"])
+    assert found.positions["go"] == pytest.approx(wanted.positions["go"])

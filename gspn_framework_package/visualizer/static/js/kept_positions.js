@@ -22,7 +22,7 @@ export class KeptPositions {
   write(nodes) {
     const moved = nodes
       .filter((node) => node.moved)
-      .map((node) => [node.name, (node.own || [node.x, node.y]).map(Math.round)]);
+      .map((node) => [node.name, node.home.map(Math.round)]);
     try {
       if (moved.length) localStorage.setItem(this.key, JSON.stringify(Object.fromEntries(moved)));
       else localStorage.removeItem(this.key);

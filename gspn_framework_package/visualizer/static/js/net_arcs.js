@@ -11,7 +11,18 @@ const KINDS = {
   circles: "circles",
 };
 export const SIZES = [1, 1.5, 2, 3, 4]; // enlargement of arrowheads, so that they stay visible when zoomed out
+const MEETS = 3; // px by which a route may miss the centre of a node
 export const BEND = 16; // px by which two arcs between the same nodes bend apart
+
+/** A route of the server, if it leads from one end of an arc to the other, possibly after both were pushed alike. */
+function routeBetween({ from, to }, route) {
+  if (!route) return null;
+  const [dx, dy] = [from.x - route[0], from.y - route[1]];
+  const [ex, ey] = [to.x - route.at(-2), to.y - route.at(-1)];
+  if (Math.hypot(ex - dx, ey - dy) > MEETS) return null;
+  if (Math.hypot(dx, dy) <= MEETS) return route;
+  return route.map((value, i) => value + (i % 2 ? dy : dx));
+}
 
 export class Arcs {
   /** `places` and `transitions`: the nodes, by index. */
@@ -37,13 +48,13 @@ export class Arcs {
     }));
   }
 
-  /** Compute the shapes of all arcs, or of one node's. `routes`: the server's, for nodes that were not moved. */
+  /** Compute the shapes of all arcs, or of one node's. `routes`: the server's, for nodes that are where it put them. */
   route(routes, only = null) {
     for (const arc of this.all) {
       if (only && arc.from !== only && arc.to !== only) continue;
       arc.hidden = Boolean(arc.from.folded) && arc.from.folded === arc.to.folded;
-      const home = ![arc.from, arc.to].some((node) => node.moved || node.folded);
-      arc.shape = arcShape(arc.from, arc.to, home ? routes[arc.index] : null, arc.both ? BEND : 0);
+      const route = routeBetween(arc, routes[arc.index]);
+      arc.shape = arcShape(arc.from, arc.to, route, arc.both ? BEND : 0);
       arc.line = arcLine(arc.shape, arc.inhibitor);
       Object.assign(arc, { middle: arc.shape.middle, points: arc.shape.points });
     }

@@ -63,7 +63,8 @@ export class NetView extends EventTarget {
         index,
         name,
       };
-      [node.x, node.y] = moved.get(name) || [x, y];
+      node.home = moved.get(name) || [x, y]; // [node.x, node.y], but for subnets
+      [node.x, node.y] = node.home;
       node.moved = moved.has(name);
       return node;
     };
@@ -280,9 +281,11 @@ export class NetView extends EventTarget {
 
   /** A node is being dragged; its arcs follow with the next frame. */
   moveNode(node, x, y) {
-    Object.assign(node, { x, y, moved: true });
-    if (node.own) node.own = [x, y];
-    for (const other of this.nodes) if (other.folded === node) Object.assign(other, { x, y });
+    const [dx, dy] = [x - node.x, y - node.y];
+    for (const other of node.folded ? this.nodes.filter((n) => n.folded === node) : [node]) {
+      other.home = [other.home[0] + dx, other.home[1] + dy];
+      Object.assign(other, { x, y, moved: true });
+    }
     node.element.setAttribute("transform", at(node));
     if (!this.routing)
       this.routing = requestAnimationFrame(() => {
@@ -301,7 +304,6 @@ export class NetView extends EventTarget {
   /** Use another layout from the server, and discard the dragged positions. */
   relayout(layout) {
     this.kept.forget();
-    for (const node of this.nodes) node.own = null;
     this.put(layout);
     this.subnets.apply();
     for (const node of this.nodes) node.element.setAttribute("transform", at(node));

@@ -1,8 +1,8 @@
 // Subnets of a plan: each folds into one node, which stands for all its places. That node is the subnet's entry, under
-// the name of the subnet; the others are hidden behind it. A list of buttons folds and unfolds, and counts the robots.
+// the name of the subnet; the others are hidden behind it. An unfolded subnet is drawn as in its own plan, around its
+// entry, and pushes what is around it aside. A list of buttons folds and unfolds, and counts the robots.
 
 import { h } from "./dom.js";
-import { told } from "./phases.js";
 
 export class Subnets {
   /** `list`: the element for the buttons. A subnet of more than one place is folded at first. */
@@ -11,9 +11,16 @@ export class Subnets {
     this.list = list;
     this.all = (view.scene.subnets || []).map((subnet) => ({
       ...subnet,
-      inside: new Set(subnet.places),
+      inside: new Set([
+        ...subnet.places.map((p) => view.places[p]),
+        ...subnet.transitions.map((t) => view.transitions[t]),
+      ]),
       folded: subnet.places.length > 1,
     }));
+    this.all.forEach((subnet, i) => {
+      const entry = view.places[subnet.entry];
+      subnet.around = this.all.slice(0, i).findLast((other) => other.inside.has(entry));
+    });
     this.standsFor = new Map(); // entry -> the folded subnet that it stands for
     this.behind = new Map(); // place -> entry of the folded subnet that it is in
     this.buttons = this.all.map((subnet) =>
@@ -23,12 +30,11 @@ export class Subnets {
     list.hidden = !this.all.length;
   }
 
-  /** Hide what is folded, and put it where its subnet is drawn. Before arcs are routed. */
+  /** Hide what is folded, and put every node where it is drawn. Before arcs are routed. */
   apply() {
     const { view } = this;
     for (const node of view.nodes) {
-      if (node.own) [node.x, node.y] = node.own;
-      node.own = null;
+      [node.x, node.y] = node.home;
       node.folded = null;
       node.title = node.name;
     }
@@ -38,20 +44,17 @@ export class Subnets {
     for (const subnet of this.all) {
       const entry = view.places[subnet.entry];
       if (!subnet.folded || hidden.has(entry)) continue; // inside another one
-      const within = [
-        ...subnet.places.map((p) => view.places[p]),
-        ...subnet.transitions.map((t) => view.transitions[t]),
-      ];
-      for (const node of within) {
+      for (const node of subnet.inside) {
         hidden.add(node);
-        node.own = [node.x, node.y];
         node.folded = entry;
-        [node.x, node.y] = [entry.x, entry.y];
       }
       for (const p of subnet.places) this.behind.set(p, subnet.entry);
       this.standsFor.set(subnet.entry, subnet);
       entry.title = subnet.name;
     }
+    for (const subnet of [...this.all].reverse()) this.makeRoom(subnet);
+    for (const node of view.nodes)
+      if (node.folded) [node.x, node.y] = [node.folded.x, node.folded.y];
     for (const node of view.nodes) {
       const away = Boolean(node.folded) && node.folded !== node;
       node.element.classList.toggle("folded-away", away);
@@ -64,6 +67,26 @@ export class Subnets {
     this.all.forEach((subnet, i) => {
       this.buttons[i].setAttribute("aria-expanded", String(!subnet.folded));
     });
+  }
+
+  /** Push the nodes of the drawing around an unfolded subnet as far as its own drawing reaches from its entry. */
+  makeRoom(subnet) {
+    const entry = this.view.places[subnet.entry];
+    if (entry.folded) return;
+    const beside = this.all.filter((other) => other !== subnet && other.around === subnet.around);
+    const around = [...(subnet.around?.inside || this.view.nodes)].filter(
+      (node) => !subnet.inside.has(node),
+    );
+    for (const axis of ["x", "y"]) {
+      const reach = [...subnet.inside].map((node) => node[axis] - entry[axis]);
+      const [low, high] = [Math.min(...reach), Math.max(...reach)];
+      const pushes = around.map((node) => {
+        const other = beside.find(({ inside }) => inside.has(node)); // it stays in one piece
+        const at = (other ? this.view.places[other.entry] : node)[axis] - entry[axis];
+        return at > 0 ? high : at < 0 ? low : 0;
+      });
+      around.forEach((node, i) => (node[axis] += pushes[i]));
+    }
   }
 
   fold(subnet, folded) {
@@ -85,13 +108,10 @@ export class Subnets {
     return subnet ? subnet.robots.reduce((sum, inner) => sum + count(inner), 0) : count(p);
   }
 
-  /** Write the number of robots on the buttons. */
+  /** Write the number of robots on the buttons, as many as their tokens, whether heard or not. */
   count(board) {
-    const robots = [...board.robots.values()].filter(
-      ({ place, phase }) => place >= 0 && told(phase).shown && !told(phase).gone,
-    );
     this.all.forEach((subnet, i) => {
-      const inside = robots.filter(({ place }) => subnet.inside.has(place)).length;
+      const inside = subnet.robots.reduce((sum, p) => sum + board.marking[p], 0);
       const text = `${subnet.name}: ${inside} ${inside === 1 ? "robot" : "robots"}`;
       if (this.buttons[i].textContent !== text) this.buttons[i].textContent = text;
     });
