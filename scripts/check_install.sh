@@ -5,8 +5,7 @@
 . "$(dirname "${BASH_SOURCE[0]}")/prepare.sh"
 
 INSTALLED=$CATKIN_WS/install
-# rosrun looks everywhere in a package but there, and would find a second gspn.
-ASIDE=$ROOT/build/check_install
+ASIDE=$ROOT/build/.check_install  # see CATKIN_WS in prepare.sh
 SITE=$INSTALLED/lib/python3/dist-packages
 SHARE=$INSTALLED/share/$PACKAGE
 
@@ -45,6 +44,17 @@ installed "
 import $PACKAGE.cli.main as main, $PACKAGE.msg, $PACKAGE.srv
 assert main.__file__.startswith(\"$SITE\"), main.__file__
 '" || die "the install space does not run"
+
+# In the user's own workspace, as docs/installing.md has it, ROS finds everything once, whatever else was built here.
+rm -rf "$ASIDE/src"
+mkdir -p "$ASIDE/src"
+ln -s "$ROOT" "$ASIDE/src/$PACKAGE"
+installed "
+    export ROS_PACKAGE_PATH='$ASIDE/src:/usr/share' CMAKE_PREFIX_PATH=
+    for file in '$ROOT'/launch/*.launch; do
+        roslaunch --files $PACKAGE \$(basename \$file) plan:=none | grep -q /\$(basename \$file)
+    done
+    rosrun $PACKAGE gspn --version" || die "roslaunch or rosrun does not find its files in a checkout that was built"
 
 count=0
 for plan in "$SHARE"/plans/*/plan.json; do

@@ -20,9 +20,9 @@ fi
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 WORKSPACE=$ROOT/.workspace
 VENV=$WORKSPACE/venv
-# Under build/, the only folder in which rosrun looks for no executables: if this checkout is in the user's
-# own catkin workspace, rosrun would otherwise find the executables of this workspace too.
-CATKIN_WS=$ROOT/build/catkin_ws
+# If this checkout is in the user's own catkin workspace, ROS must not find what this workspace holds: rosrun looks for
+# executables everywhere but under build/, roslaunch for launch files everywhere but in hidden folders.
+CATKIN_WS=$ROOT/build/.catkin_ws
 PACKAGE=gspn_framework_package
 
 # Every process that this run starts has this mark in its environment, even if it changes its process

@@ -17,8 +17,9 @@ import webbrowser
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.team_client import require_ros
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.errors import GspnError, UsageError
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
 LINES = 8
@@ -27,8 +28,8 @@ LINES = 8
 WORLD_SPEED = 3.0
 """Maximum speed of the simulated room relative to real time: a TurtleBot3 is slow to watch."""
 
-START_TIME = 60.0
-"""Seconds within which the first transition must fire, if ``--seconds`` does not end the demo."""
+START_TIME = 120.0
+"""Seconds within which the first transition must fire."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.seconds,
         default=0,
         metavar="S",
-        help="end after S seconds; 0: at Ctrl-C",
+        help="end S seconds after the first firing; 0: at Ctrl-C",
     )
     parser.add_argument(
         "--headless", action="store_true", help="open no window (the page is still served)"
@@ -74,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
         demo.start()
         demo.show()
     finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a second one ends it at once
         demo.end()
     return demo.summary()
 
@@ -126,6 +128,7 @@ class _Demo:
         self._room, self._port, self._open_browser = room, port, open_browser
         self._run = "demo_" + uuid.uuid4().hex[:8]
         self._ending = threading.Event()
+        self._interrupted = False
         self._died: List[str] = []
         self._launch: Any = None
         self._monitor: Any = None
@@ -135,6 +138,7 @@ class _Demo:
 
     def start(self) -> None:
         """Launch the team; from now on, signals end the demo."""
+        require_ros()
         import roslaunch
         import rospkg
         import rospy
@@ -166,7 +170,7 @@ class _Demo:
             )
             self._launch.start(auto_terminate=False)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, lambda *_: self._ending.set())
+            signal.signal(number, lambda *_: self._interrupt())
         where = ""
         if self._room:
             where = " in %s, up to %g times real time" % (
@@ -190,6 +194,10 @@ class _Demo:
                 ("world.launch", ["world:=" + self._room.world, "robots:=%d" % robots, speed])
             )
         return files
+
+    def _interrupt(self) -> None:
+        self._interrupted = True
+        self._ending.set()
 
     def _browse(self, address: str) -> None:
         """Open the browser as soon as the page responds."""
@@ -216,14 +224,14 @@ class _Demo:
     def show(self) -> None:
         """Show the run until the time is up, a signal arrives, or the run is over."""
         view = _Screen(self) if sys.stdout.isatty() else _Lines(self)
-        deadline = self._began + self._seconds if self._seconds else None
         while not self._ending.wait(0.25):
             now = time.monotonic()
             if self._first is None and self._monitor.firings:
                 self._first = now
-            if deadline is not None and now >= deadline:
-                break
-            if deadline is None and self._first is None and now > self._began + START_TIME:
+            if self._first is None:
+                if now > self._began + START_TIME:
+                    break
+            elif self._seconds and now >= self._first + self._seconds:
                 break
             view.draw(now)
         self._ended = time.monotonic()
@@ -262,8 +270,12 @@ class _Demo:
             print("  %-32s fired %d times" % (name, count))
         for name in self._died:
             print("error: the node %s died; see its log in %s" % (name, _log_folder()))
-        if not monitor.firings:
-            print("error: nothing fired; see the logs in %s" % _log_folder())
+        if not monitor.firings and self._interrupted:
+            print("interrupted before anything fired")
+        elif not monitor.firings:
+            print(
+                "error: nothing fired within %g s; see the logs in %s" % (START_TIME, _log_folder())
+            )
         return 1 if self._died or not monitor.firings else 0
 
     # -- for the views -----------------------------------------------------------------------------
@@ -362,20 +374,3 @@ def _log_folder() -> str:
     import rospkg
 
     return str(rospkg.get_log_dir())
-
-
-def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run only this verb; the entry point of ``run_demo``."""
-    from gspn_framework_package.cli.main import VERBS
-
-    parser = argparse.ArgumentParser(prog="gspn demo", description=VERBS["demo"].help)
-    add_arguments(parser)
-    try:
-        return run(parser.parse_args(arguments))
-    except GspnError as error:
-        print("gspn: error: %s" % error, file=sys.stderr)
-        return error.exit_code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -33,11 +33,13 @@ class Interrupts:
     exception while the modules of the verb are imported, when there is nothing to clean up yet.
     Later, ``seen`` shows whether an interrupt may have caused an ImportError.
 
+    :param then: the handler of interrupts afterwards.
     :ivar verb_has_begun: the caller sets it when the verb begins.
     :ivar seen: whether there was an interrupt after that.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, then: Any = signal.default_int_handler) -> None:
+        self._then = then
         self.seen = False
         self.verb_has_begun = False
         self._on = False
@@ -52,7 +54,7 @@ class Interrupts:
 
     def __exit__(self, *_: Any) -> None:
         if self._on:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.signal(signal.SIGINT, self._then)
 
     def _on_interrupt(self, *_: Any) -> None:
         if not self.verb_has_begun:

@@ -14,6 +14,7 @@ import argparse
 import importlib
 import io
 import os
+import signal
 import sys
 import traceback
 from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
@@ -116,7 +117,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         # a file name may have bytes that are not text
         sys.stdout.reconfigure(errors="backslashreplace")
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
-    interrupts = Interrupts()
+    # an interrupt of what libraries do when Python exits would print a traceback
+    interrupts = Interrupts(signal.SIG_DFL if arguments is None else signal.default_int_handler)
     try:
         with interrupts:
             code = _run(words, interrupts)

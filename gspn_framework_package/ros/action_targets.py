@@ -129,23 +129,20 @@ def target(place: str, action: Union[FunctionAction, ServerAction], namespace: s
         raise PlanError(
             "'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place
         )
-    if isinstance(action, FunctionAction) or action.type == EXEC_GSPN:
-        from gspn_framework_package.msg import ExecGSPNAction
-
-        goal = {"place": place}
-        if isinstance(action, FunctionAction):
-            return ActionTarget(place, name, ExecGSPNAction, goal, {}, False)
-        target = ActionTarget(place, name, ExecGSPNAction, goal, action.outcomes, True, action.keep)
-    else:
-        target = ActionTarget(
-            place,
-            name,
-            _action_type(place, action.type),
-            action.goal or {},
-            action.outcomes,
-            True,
-            action.keep,
+    if isinstance(action, FunctionAction):
+        return ActionTarget(
+            place, name, _action_type(place, EXEC_GSPN), {"place": place}, {}, False
         )
+    goal = {"place": place} if action.type == EXEC_GSPN else action.goal or {}
+    target = ActionTarget(
+        place,
+        name,
+        _action_type(place, action.type),
+        goal,
+        action.outcomes,
+        True,
+        action.keep,
+    )
     target.check()
     return target
 

@@ -15,6 +15,9 @@ from gspn_framework_package.ros.transport.registration import master_proxy
 from gspn_framework_package.team.log_file import check_run_name, log_path
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience
 
+ROOM = "/room"
+"""The parameter that names the file of the room in which the robots drive; empty without one."""
+
 
 class NodeOptions(NamedTuple):
     """The private parameters of an execution node, by name."""
@@ -49,6 +52,8 @@ class NodeOptions(NamedTuple):
     """Whether the plan may run programs on this computer (actions with ``command``)."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
+    room_plan: str = ""
+    """The plan to take instead while there is a room: while the parameter ``/room`` names one."""
     transport: str = ""
     """What carries the messages between the robots: ``ros``, or ``zenoh`` (see ``router``); "": as
     the plan says (see :meth:`for_plan`)."""
@@ -124,7 +129,7 @@ def read_options(name: str = "~") -> NodeOptions:
     given: Dict[str, Any] = rospy.get_param(name, {})
     if not isinstance(given, dict):
         raise UsageError("the private parameters are not a map", element=name)
-    return options_from(given)
+    return options_from(given, room=bool(rospy.get_param(ROOM, "")))
 
 
 def read_options_of(node: str) -> NodeOptions:
@@ -140,7 +145,8 @@ def read_options_of(node: str) -> NodeOptions:
     if code != 1 or not isinstance(given, dict):
         given = {}
     given.update(load_command_line_node_params(sys.argv))
-    return options_from(given)
+    code, _, room = master.getParam(node, ROOM)
+    return options_from(given, room=code == 1 and bool(room))
 
 
 def launched_file(given: str, parameter: str) -> str:
@@ -165,8 +171,12 @@ def launched_file(given: str, parameter: str) -> str:
     )
 
 
-def options_from(given: Dict[str, Any]) -> NodeOptions:
-    """The options in a map of parameters. :raises UsageError: see :func:`read_options`."""
+def options_from(given: Dict[str, Any], room: bool = False) -> NodeOptions:
+    """The options in a map of parameters.
+
+    :param room: whether there is a room, so that ``room_plan`` is the plan.
+    :raises UsageError: see :func:`read_options`.
+    """
     fields = {}
     for key, value in given.items():
         if key not in NodeOptions._fields:
@@ -184,6 +194,8 @@ def options_from(given: Dict[str, Any]) -> NodeOptions:
             raise UsageError("%r is not of type %s" % (value, wanted.__name__), element="~" + key)
         fields[key] = value
     options = NodeOptions(**fields)
+    if room and options.room_plan:
+        options = options._replace(plan=options.room_plan)
     if not options.plan:
         raise UsageError("no plan was given", element="~plan", hint="its folder, or its file")
     check_run_name(options.run, "~run")

@@ -29,6 +29,33 @@ def ended_demo(node: str, code: Optional[int], ended: str = "", fault: bool = Fa
     return demo
 
 
+class _Quiet:
+    """A monitor of a run that fires for the first time when it was asked five times."""
+
+    asked = 0
+
+    @property
+    def firings(self) -> int:
+        self.asked += 1
+        return int(self.asked > 5)
+
+    def rate(self) -> float:
+        return 0.0
+
+    def recent(self, since: float) -> list:
+        return []
+
+    def snapshot(self) -> dict:
+        return {}
+
+
+def test_the_seconds_count_from_the_first_firing() -> None:
+    demo = _Demo(read_plan("plans/patrol"), "plans/patrol", 0.3, None, 8090, False)
+    demo._monitor = _Quiet()
+    demo.show()
+    assert demo._first is not None and demo._ended >= demo._first + 0.3
+
+
 @pytest.mark.parametrize(
     ("code", "ended"),
     [(0, "every robot is in a place without output arcs"), (1, "stopped on the page")],

@@ -54,6 +54,15 @@ def test_what_is_wrong_is_said(given, message):
         options_from(given)
 
 
+def test_the_plan_of_the_room_is_taken_while_there_is_a_room():
+    given = {"plan": "plan.json", "room_plan": "room.json"}
+    assert [options_from(given, room=room).plan for room in (False, True)] == [
+        "plan.json",
+        "room.json",
+    ]
+    assert options_from({"plan": "plan.json"}, room=True).plan == "plan.json"
+
+
 def test_the_log_is_in_the_folder_of_the_run(monkeypatch):
     monkeypatch.setenv("ROS_HOME", "/home/of/ros")
     options = options_from({"plan": "p", "run": "monday"})

@@ -10,22 +10,40 @@ import pytest
 PROGRAM = Path(__file__).parents[3] / "scripts" / "world_node"
 
 
-def test_a_missing_pybullet_is_told_without_a_traceback(tmp_path):
-    pytest.importorskip("rospy")
-    (tmp_path / "pybullet.py").write_text(
-        "raise ModuleNotFoundError('No module named pybullet', name='pybullet')"
-    )
+@pytest.fixture(name="program")
+def _program(tmp_path):
+    """Runs the program in a Python that finds no PyBullet."""
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['pybullet'] = None\n")
     path = os.pathsep.join(
         [str(tmp_path), os.environ.get("PYTHONPATH", ""), str(PROGRAM.parents[1])]
     )
-    done = subprocess.run(
-        [sys.executable, str(PROGRAM)],
-        env={**os.environ, "PYTHONPATH": path},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 1
-    assert "no Python library 'pybullet'" in done.stdout and "world:=none" in done.stdout
-    assert "Traceback" not in done.stdout
+
+    def start(*arguments):
+        return subprocess.Popen(
+            [sys.executable, str(PROGRAM), *arguments],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    return start
+
+
+def test_without_pybullet_the_program_says_so_and_fails(program):
+    world = program()
+    said = world.communicate(timeout=60)[0]
+    assert world.returncode == 1
+    assert "'pybullet' is not installed" in said and said.count("\n") == 1
+
+
+def test_an_optional_world_says_in_one_line_that_there_is_no_room_and_waits(program):
+    world = program("--optional", "__name:=world")
+    assert "There is no simulated room" in world.stdout.readline()
+    world.send_signal(2)
+    assert world.communicate(timeout=60)[0] == "" and world.returncode == -2
+
+
+def test_a_launch_file_can_ask_whether_there_can_be_a_room(program):
+    assert program("--if-possible", "a room", "").communicate(timeout=60)[0] == ""
+    assert program("--if-possible", "true", "false").communicate(timeout=60)[0] == "false"
