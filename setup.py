@@ -56,14 +56,14 @@ EXTRAS = {
 that pip need not take the numba of Ubuntu 20.04's NumPy, with which the newest Pillow fails."""
 
 
-def data_files():
-    """Return every file of the package that is not Python code: schemas, the page, worlds."""
+def files_below(top, leave_out=()):
+    """Return the files below a folder, relative to it, but for those that end in ``leave_out``."""
     found = []
-    for folder, subfolders, names in os.walk(PACKAGE):
-        subfolders[:] = [name for name in subfolders if name != "__pycache__"]
+    for folder, subfolders, names in os.walk(top):
+        subfolders[:] = [name for name in subfolders if name not in ("__pycache__", "runs")]
         for name in names:
-            if not name.endswith((".py", ".pyc")):
-                found.append(os.path.relpath(os.path.join(folder, name), PACKAGE))
+            if not name.endswith(leave_out):
+                found.append(os.path.relpath(os.path.join(folder, name), top))
     return sorted(found)
 
 
@@ -72,6 +72,21 @@ def for_pip(manifest):
     is not needed for what the package does without it."""
     named = [element.text for element in manifest.findall("exec_depend")]
     return {
+        "long_description": open("README.md", encoding="utf-8").read(),
+        "long_description_content_type": "text/markdown",
+        "keywords": "petri-nets gspn robotics multi-robot ros planning model-checking",
+        "classifiers": [
+            "Development Status :: 4 - Beta",
+            "Intended Audience :: Science/Research",
+            "Intended Audience :: Developers",
+            "License :: OSI Approved :: BSD License",
+            "Operating System :: POSIX :: Linux",
+            "Programming Language :: Python :: 3",
+            "Programming Language :: Python :: 3.8",
+            "Programming Language :: Python :: 3.11",
+            "Topic :: Scientific/Engineering",
+            "Topic :: Scientific/Engineering :: Artificial Intelligence",
+        ],
         "python_requires": ">=3.8",
         "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
         "extras_require": EXTRAS,
@@ -82,17 +97,18 @@ def for_pip(manifest):
 
 
 def packages(by_catkin):
-    """Return what is installed. pip also installs the definitions of the messages, which catkin
-    installs as ROS does."""
+    """Return what is installed. pip also installs the definitions of the messages and the example
+    plans, which catkin installs as ROS does."""
     found = {
         "packages": find_packages(include=[PACKAGE, PACKAGE + ".*"]),
         "package_dir": {"": "."},
-        "package_data": {PACKAGE: data_files()},
+        "package_data": {PACKAGE: files_below(PACKAGE, (".py", ".pyc"))},
     }
     if not by_catkin:
-        found["packages"].append(PACKAGE + ".msg_files")
-        found["package_dir"][PACKAGE + ".msg_files"] = "msg"
-        found["package_data"][PACKAGE + ".msg_files"] = ["*.msg"]
+        for name, folder in (("msg_files", "msg"), ("plans", "plans")):
+            found["packages"].append(PACKAGE + "." + name)
+            found["package_dir"][PACKAGE + "." + name] = folder
+            found["package_data"][PACKAGE + "." + name] = files_below(folder)
     return found
 
 

@@ -45,17 +45,6 @@ import $PACKAGE.cli.main as main, $PACKAGE.msg, $PACKAGE.srv
 assert main.__file__.startswith(\"$SITE\"), main.__file__
 '" || die "the install space does not run"
 
-# In the user's own workspace, as docs/installing.md has it, ROS finds everything once, whatever else was built here.
-rm -rf "$ASIDE/src"
-mkdir -p "$ASIDE/src"
-ln -s "$ROOT" "$ASIDE/src/$PACKAGE"
-installed "
-    export ROS_PACKAGE_PATH='$ASIDE/src:/usr/share' CMAKE_PREFIX_PATH=
-    for file in '$ROOT'/launch/*.launch; do
-        roslaunch --files $PACKAGE \$(basename \$file) plan:=none | grep -q /\$(basename \$file)
-    done
-    rosrun $PACKAGE gspn --version" || die "roslaunch or rosrun does not find its files in a checkout that was built"
-
 count=0
 for plan in "$SHARE"/plans/*/plan.json; do
     here=$ROOT/${plan#"$SHARE/"}
@@ -85,20 +74,34 @@ fi
 install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PACKAGE/"
 installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'" || die "the room does not run"
 
-# Without ROS, by pip: a wheel built from the files of a checkout, in a separate venv on the system's libraries.
-CHECKOUT=$ASIDE/pip_checkout SEPARATE=$ASIDE/pip_venv
-rm -rf "$CHECKOUT" "$SEPARATE"
-mkdir -p "$CHECKOUT"
-cp -r "$ROOT/$PACKAGE" "$ROOT"/{msg,setup.py,package.xml,pyproject.toml,LICENSE} "$CHECKOUT"
+# Without ROS, by pip: a wheel built from the files of a checkout, in an empty environment. There the first three commands
+# of each page for beginners are typed, as they stand.
+CHECKOUT=$ASIDE/pip_checkout EMPTY=$ASIDE/pip_venv BEGINNER=$ASIDE/beginner
+rm -rf "$CHECKOUT" "$EMPTY" "$BEGINNER"
+mkdir -p "$CHECKOUT" "$BEGINNER"
+cp -r "$ROOT/$PACKAGE" "$ROOT"/{msg,plans,setup.py,package.xml,pyproject.toml,LICENSE,README.md} "$CHECKOUT"
 log=$WORKSPACE/pip_install.log
-{ /usr/bin/python3 -m venv --system-site-packages "$SEPARATE" \
-    && "$VENV/bin/python" -m pip --disable-pip-version-check wheel -q --no-deps -w "$CHECKOUT/dist" "$CHECKOUT" \
-    && "$SEPARATE/bin/python" -m pip --disable-pip-version-check install -q --no-deps "$CHECKOUT"/dist/*.whl; } \
+pip=("-m" pip --disable-pip-version-check)
+{ /usr/bin/python3 -m venv "$EMPTY" && "$EMPTY/bin/python" "${pip[@]}" install -q "pip>=21.3" \
+    && "$VENV/bin/python" "${pip[@]}" wheel -q --no-deps -w "$CHECKOUT/dist" "$CHECKOUT" \
+    && "$EMPTY/bin/python" "${pip[@]}" install -q --prefer-binary "$CHECKOUT"/dist/*.whl; } \
     >"$log" 2>&1 || { tail -n 20 "$log"; die "pip does not install the package"; }
-same_files "$PACKAGE, by pip" "$ROOT/$PACKAGE" "$(echo "$SEPARATE"/lib/python3*/site-packages)/$PACKAGE"
+SITE=$(echo "$EMPTY"/lib/python3*/site-packages)/$PACKAGE
+same_files "$PACKAGE, by pip" "$ROOT/$PACKAGE" "$SITE"
+same_files "plans, by pip" "$ROOT/plans" "$SITE/plans" -not -path './runs/*'
+for page in README.md docs/{five_minutes,first_plan,migration}.md; do
+    folder=$BEGINNER/$(basename "$page" .md)
+    mkdir -p "$folder"
+    "$VENV/bin/python" "$ROOT/test/unit/document_commands.py" "$ROOT/$page" 3 "$folder" >"$folder/commands"
+    if [ "$page" = docs/migration.md ]; then  # with the files that the reader has
+        cp "$ROOT"/test/rostest/thesis/{input.json,net.xml} "$folder"
+        printf '%s\n' "gspn check input.json" "mkdir patrol" "gspn convert input.json patrol" >"$folder/commands"
+    fi
+    [ -s "$folder/commands" ] || die "$page begins with no command"
+    (cd "$folder" && env -i PATH="$EMPTY/bin:/usr/bin:/bin" HOME="$folder" LC_ALL=C.UTF-8 bash -ex commands >log 2>&1) \
+        || { cat "$folder/log"; die "the first commands of $page fail where only pip has installed the package"; }
+done
 (cd / && env -i PATH=/usr/bin:/bin LC_ALL=C.UTF-8 bash -ec "
-    [ \"\$('$SEPARATE/bin/gspn' --version)\" = 'gspn $(PYTHONPATH=$ROOT python3 -c "import $PACKAGE as p; print(p.__version__)")' ]
-    '$SEPARATE/bin/gspn' check '$ROOT/plans/measure' >/dev/null
-    '$SEPARATE/bin/gspn' run '$ROOT/plans/measure' --firings 1 --quiet >/dev/null
-    '$SEPARATE/bin/python' -c 'import $PACKAGE.visualizer.serving'
+    [ \"\$('$EMPTY/bin/gspn' --version)\" = 'gspn $(PYTHONPATH=$ROOT python3 -c "import $PACKAGE as p; print(p.__version__)")' ]
+    '$EMPTY/bin/python' -c 'import $PACKAGE.visualizer.serving'
 ") || die "the package that pip has installed does not run"

@@ -146,6 +146,7 @@ build_key() {
 
 prepare_build() {
     local key log=$WORKSPACE/build.log
+    rm -rf "$ROOT"/build/{catkin_ws,check_install}  # where earlier versions built, and ROS found it
     link_package
     key=$(build_key)
     [ "$(cat "$CATKIN_WS/built" 2>/dev/null)" = "$key" ] && return 0

@@ -1,12 +1,14 @@
-"""``gspn new``: writes a plan to begin with, from a template."""
+"""``gspn new``: writes a plan to begin with, from a template or as a copy of an example."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import shlex
+from typing import Sequence
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.formats.example_plans import ALL, copy_example, example_names
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import UsageError
 
@@ -25,7 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the robots go (%s)"
         % ", ".join(name for name in templates.names() if templates.takes_places(name)),
     )
-    parser.add_argument("--list", action="store_true", help="list the templates")
+    parser.add_argument(
+        "--example",
+        metavar="NAME",
+        help="copy an example plan of the package into DIR instead; %s: all of them" % ALL,
+    )
+    parser.add_argument("--list", action="store_true", help="list the templates and the examples")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
 
 
@@ -37,17 +44,36 @@ def run(args: argparse.Namespace) -> int:
         else:
             for name, about in templates.names().items():
                 print("%-12s %s" % (name, about))
+            print("examples (--example NAME): %s" % ", ".join([*example_names(), ALL]))
         return 0
+    if args.example is not None:
+        return _copy_example(args)
     if args.template is None or args.folder is None:
         raise UsageError(
             "a template and a folder are needed",
             hint="as in 'gspn new patrol my_patrol'; --list lists the templates",
         )
     files = templates.write(args.template, args.folder, args.robots, args.places)
-    if args.json:
-        print(json.dumps({"folder": args.folder, "files": files}, indent=2, ensure_ascii=False))
-    else:
-        print("%s: %s" % (args.folder, ", ".join(files)))
+    _print_written(args.folder, files, args.json)
+    if not args.json:
         print("Next: gspn check %s" % shlex.quote(args.folder))
         print("README.md says how to run, analyse and test it.")
     return 0
+
+
+def _copy_example(args: argparse.Namespace) -> int:
+    folder = args.template  # the only word
+    if folder is None or args.folder is not None or args.robots is not None or args.places:
+        raise UsageError(
+            "--example takes a folder and nothing else",
+            hint="as in 'gspn new --example patrol my_patrol'",
+        )
+    _print_written(folder, copy_example(args.example, folder), args.json)
+    return 0
+
+
+def _print_written(folder: str, names: Sequence[str], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"folder": folder, "files": names}, indent=2, ensure_ascii=False))
+    else:
+        print("%s: %s" % (folder, ", ".join(names)))

@@ -1,28 +1,73 @@
-"""The location of the example plans that come with the package."""
+"""The example plans that come with the package."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from typing import List
 
-from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.formats.plan_file import PLAN_FILE
+from gspn_framework_package.model.errors import InputError, UsageError
+
+ALL = "all"
+"""Stands for all examples where the name of one is asked for."""
 
 
 def plans_folder() -> str:
-    """Return the folder of the example plans: beside this package in a checkout, or in its share
-    folder once it is installed.
+    """Return the folder of the example plans: in this package if pip has installed it, beside it in
+    a checkout, or in its share folder if catkin or Debian has installed it.
 
     :raises UsageError: there is none.
     """
     package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    candidates = [os.path.join(os.path.dirname(package), "plans")]
-    try:
-        import rospkg
-
-        share = rospkg.RosPack().get_path("gspn_framework_package")
-        candidates.append(os.path.join(share, "plans"))
-    except Exception:  # no ROS, or a ROS that does not know the package: look in the checkout
-        pass
+    candidates = [
+        os.path.join(package, "plans"),
+        os.path.join(os.path.dirname(package), "plans"),
+    ]
+    # PREFIX/lib/python3/dist-packages/PACKAGE
+    prefix = os.path.normpath(os.path.join(package, *[os.pardir] * 4))
+    candidates.append(os.path.join(prefix, "share", os.path.basename(package), "plans"))
     for candidate in candidates:
         if os.path.isdir(candidate):
             return candidate
     raise UsageError("the example plans were not found", hint="looked in " + ", ".join(candidates))
+
+
+def example_names() -> List[str]:
+    """Return the names of the example plans. :raises UsageError: see :func:`plans_folder`."""
+    folder = plans_folder()
+    return sorted(
+        name for name in os.listdir(folder) if os.path.isfile(os.path.join(folder, name, PLAN_FILE))
+    )
+
+
+def copy_example(name: str, folder: str) -> List[str]:
+    """Copy an example plan into a new folder.
+
+    :param name: one of :func:`example_names`, or :data:`ALL` for a folder with a folder for each.
+    :param folder: the folder to make.
+    :returns: the names in the folder.
+    :raises UsageError: there is no such example, or the folder exists.
+    :raises InputError: it cannot be written; nothing is left behind.
+    """
+    names = example_names()
+    if name not in (*names, ALL):
+        raise UsageError(
+            "there is no example '%s'" % name, hint="there are: %s" % ", ".join([*names, ALL])
+        )
+    if os.path.lexists(folder):
+        raise UsageError("it exists already", file=folder, hint="name another folder")
+    ignored = shutil.ignore_patterns("__pycache__")
+    try:
+        if name == ALL:
+            for each in names:
+                shutil.copytree(
+                    os.path.join(plans_folder(), each), os.path.join(folder, each), ignore=ignored
+                )
+        else:
+            shutil.copytree(os.path.join(plans_folder(), name), folder, ignore=ignored)
+    except (OSError, shutil.Error) as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        why = getattr(error, "strerror", None) or "not every file was copied"
+        raise InputError("it cannot be written (%s)" % why, file=folder) from None
+    return sorted(os.listdir(folder))

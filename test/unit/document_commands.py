@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from pathlib import Path
 from typing import Iterator, List, NamedTuple
 
@@ -123,3 +124,29 @@ def _commands(name: str, begin: int, body: List[str]) -> Iterator[Command]:
             command = command[2:]
         if command and not command.startswith("#"):
             yield Command(name, first, command, comment)
+
+
+def first_commands(document: Path, count: int, folder: Path) -> List[str]:
+    """The lines of a document up to the first so many commands of the program, without those that
+    need a checkout or ROS; the files among them are written into the folder."""
+    lines: List[str] = []
+    for step in steps(document):
+        if isinstance(step, File):
+            path = folder / step.path
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(step.text, encoding="utf-8")
+        elif step.words[0] == "gspn" or step.words[:3] == ["python3", "-m", PACKAGE]:
+            if "serve" not in step.words:  # ends at Ctrl-C
+                ends = " || [ $? -eq %d ]" % step.exit_code if step.exit_code else ""
+                lines.append(step.line + ends)
+                count -= 1
+        elif step.words[0] in ("mkdir", "cd"):
+            lines.append(step.line)
+        if not count:
+            break
+    return lines
+
+
+if __name__ == "__main__":
+    page, number, where = sys.argv[1:]
+    print("\n".join(first_commands(Path(page).resolve(), int(number), Path(where))))

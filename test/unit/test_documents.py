@@ -273,7 +273,7 @@ def test_five_minutes_typed_in_a_terminal(sandbox, tmp_path):
             assert "Traceback" not in text, "%s\n%s" % (step, text)
     assert typed == (
         [
-            *("check", "check", "run", "analyse", "simulate", "fit", "compare", "optimise"),
+            *("new", "check", "check", "run", "analyse", "simulate", "fit", "compare", "optimise"),
             *("new", "serve", "serve", "replay"),
         ]
     )
@@ -296,6 +296,12 @@ def test_the_workspace_on_debian_typed_in_a_terminal(tmp_path):
         for step in typed:
             code, text = terminal.type(step.line, patience=280)
             assert code == 0, "%s\n%s" % (step, text[-3000:])
+        # run_demo and run_tests have built copies of all of this in the checkout, which ROS must not find
+        for file in sorted(os.listdir(ROOT / "launch")):
+            if file.endswith(".launch"):
+                line = "roslaunch --files gspn_framework_package %s plan:=none" % file
+                code, text = terminal.type(line)
+                assert (code, "/" + file in text) == (0, True), text
         code, text = terminal.type("rosrun gspn_framework_package gspn --version")
         assert (code, "gspn " + gspn_framework_package.__version__ in text) == (0, True), text
 
