@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--robots",
         type=numbers.robots,
         metavar="N",
-        help="with --connect: number of robots at the start (default: as in the plan)",
+        help="with --connect: robots to suppose until one answers (default: as in the plan)",
     )
     add_address_arguments(parser)
 

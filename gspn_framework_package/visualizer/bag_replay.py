@@ -53,10 +53,10 @@ class BagReplay(Activity):
         self._messages = [item for item in messages if (item[1].plan, item[1].run) == (wanted, run)]
         self._others = [t for t, m in messages if m.run == run and m.plan != wanted]
         """When the team fired under other plans, which a bag does not hold."""
-        names = {name for _, message in self._messages for name in message.robots}
-        if len(self.plan.robots) != len(names):
+        self._names = {name for _, message in self._messages for name in message.robots}
+        if len(self.plan.robots) != len(self._names):
             with contextlib.suppress(GspnError):  # the first message's marking decides then
-                self.plan = self.plan.for_robots(max(1, len(names)))
+                self.plan = self.plan.for_robots(max(1, len(self._names)))
 
     def document(self, title: str) -> Document:
         """The plan of the recorded run, for display."""
@@ -67,7 +67,7 @@ class BagReplay(Activity):
         follower = FiredFollower(self.plan)
         run = self._messages[0][1].run
         info: Dict[str, Any] = {"says": "run %s, recorded in a rosbag" % run}
-        hub.restart(self.mode, follower.board({"running": False}), info, ring=EVENTS)
+        hub.restart(self.mode, follower.board({"running": False}, self._names), info, ring=EVENTS)
         first = self._messages[0][0]
         events: List[Event] = []
         t = 0.0

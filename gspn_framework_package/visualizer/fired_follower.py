@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 from typing import (
     Any,
+    Collection,
     Dict,
     FrozenSet,
     List,
@@ -106,10 +107,15 @@ class FiredFollower:
         """The marking shown."""
         return self._enabled.marking
 
-    def board(self, status: Mapping[str, object]) -> Board:
-        """The board before the first message: the initial marking of the plan."""
+    def board(self, status: Mapping[str, object], heard: Collection[str] = ()) -> Board:
+        """The board before the first message: the initial marking of the plan.
+
+        :param heard: the robots that are known to take part, as far as the plan has them.
+        """
         board = Board(len(self.net.transitions), self.marking, self._enabled.now, status)
         for name, seen in self.robots.items():
+            if name not in heard:
+                continue
             board.robots[name] = {
                 "name": name,
                 "place": seen.place,
@@ -163,6 +169,10 @@ class FiredFollower:
             return True
         # a firing that only moves counters belongs to no robot's visit
         return not any(further.values()) and team.marking != self.marking
+
+    def meet(self, robots: Mapping[str, RobotSeen]) -> None:
+        """Take these for the robots of the team: those known already stay where they are shown."""
+        self.robots = {name: self.robots.get(name, seen) for name, seen in robots.items()}
 
     def adopt(self, team: TeamSeen, why: str) -> List[Event]:
         """Adopt a robot's answer about the team, and apply the messages received since."""

@@ -236,10 +236,7 @@ class TeamWatch(Activity):
         if (plan, run) not in self._others:
             self._others.add((plan, run))
             if run == self._run:
-                text = (
-                    "run '%s' has another plan, or another number of robots, "
-                    "than this page was given"
-                )
+                text = "run '%s' has another plan than this page was given"
             elif plan == self._hash:
                 text = "run '%s' {} has the same plan; it is not shown"
             else:
@@ -453,7 +450,32 @@ class TeamWatch(Activity):
             self._hub.publish(*self._follower.adopt(team, why))
             for name, seen in self._follower.robots.items():
                 self._show_robot(name, place=seen.place)
+        self._show_members(team)
+        if before is None and self._comparison is not None:
+            self._compare_with_team(self._comparison)
         self._show_status(newest)
+
+    def _show_members(self, team: TeamSeen) -> None:
+        """Show the robots that the team names, as many as there are, and nobody whom it does not
+        name and who says nothing."""
+        shown = self._hub.board().robots
+        heard = set(self._names.values())
+        known = {name: seen for name, seen in self._follower.robots.items() if name in heard}
+        self._follower.meet({**known, **team.robots})
+        for name, seen in self._follower.robots.items():
+            if "place" not in shown.get(name, {}):
+                phase = None if "phase" in shown.get(name, {}) else Phase.UNHEARD
+                self._show_robot(name, phase=phase, place=seen.place)
+        nobody = [name for name in shown if name not in self._follower.robots and name not in heard]
+        if nobody:
+            self._shown = {n: told for n, told in self._shown.items() if n not in nobody}
+            self._hub.publish({"k": "robots", "r": [], "gone": nobody})
+
+    def _compare_with_team(self, comparison: LiveComparison) -> None:
+        """Predict the run of the team that was heard, if it is not that of the plan."""
+        there = set(self._follower.robots) - self._follower.gone
+        if there and there != {robot.name for robot in self._plan.robots}:
+            self._comparison = comparison.go_on(self._plan)
 
     def _note_deafness(self, team: TeamSeen, before: Optional[TeamSeen]) -> None:
         """Warn once if the team makes progress but none of its firings is received: the topic may

@@ -26,7 +26,7 @@ class Page:
 
     def __init__(self, plan, namespace="/", **parameters):
         self.plan, self.namespace = plan, namespace
-        self.parameters = {"robots": 2, **parameters}
+        self.parameters = parameters
         self.refusals = []
         self.port = free_port()
         self.address = "http://127.0.0.1:%d" % self.port

@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections import Counter
 from types import SimpleNamespace
 
 import pytest
@@ -70,12 +71,21 @@ class Watched:
         self.watch.begin(self.hub)
         self.length = 0
 
-    def answer(self, place, run="monday", plan=None, ended=None, deployed=None, **more):
-        """One robot of the first two says where it is."""
+    def answer(
+        self,
+        place,
+        run="monday",
+        plan=None,
+        ended=None,
+        deployed=None,
+        **more,
+    ):
+        """One robot of the team says where all are: in ``place``, or where that has each."""
         self.length += 1
+        team = place if isinstance(place, dict) else dict.fromkeys(("robot_1", "robot_2"), place)
         robots = [
-            {"robot": name, "place": place, "state": "Doing", "visit": self.length, "waits_for": ""}
-            for name in ("robot_1", "robot_2")
+            {"robot": name, "place": at, "state": "Doing", "visit": self.length, "waits_for": ""}
+            for name, at in team.items()
         ]
         status = {
             "robot": "robot_1",
@@ -83,7 +93,7 @@ class Watched:
             "plan": plan or self.plan.hash(),
             "log_length": self.length,
             "robots": robots,
-            "marking": {place: 2},
+            "marking": Counter(team.values()),
             "paused": False,
             "ended": ended,
             "finished": False,
@@ -99,6 +109,48 @@ class Watched:
 
     def notes(self):
         return [note["text"] for note in self.hub.board().notes]
+
+
+def robots_shown(page):
+    """Name -> place, as the board has them."""
+    places = page.watch.plan.net.places
+    return {name: places[robot["place"]].name for name, robot in page.hub.board().robots.items()}
+
+
+@pytest.mark.parametrize(
+    "team",
+    [
+        {"robot_1": "P1"},
+        {"robot_1": "P4"},
+        {"ada": "P1", "bob": "P5"},  # where the plan's robots begin
+        {"ada": "P5", "robot_2": "P5", "cyd": "P1", "robot_9": "P4"},
+    ],
+)
+def test_the_page_shows_the_team_that_it_hears(monkeypatch, team):
+    """Not the robots of the plan."""
+    page = Watched(monkeypatch)
+    assert len(page.plan.robots) == 2 and robots_shown(page) == {}
+    page.answer(team)
+    assert robots_shown(page) == team
+    marking = page.plan.net.named(page.hub.board().marking, zeros=False)
+    assert marking == Counter(team.values())
+    page.answer({**team, "late": "P1"})
+    assert robots_shown(page) == {**team, "late": "P1"}
+
+
+def test_a_robot_that_nobody_names_any_more_is_not_drawn(monkeypatch):
+    page = Watched(monkeypatch)
+    place = page.plan.robots[0].place
+    page.answer(place)
+    page.hub.publish({"k": "robots", "r": [{"name": "robot_9", "place": 0}], "gone": []})
+    page.answer(place)
+    assert set(robots_shown(page)) == {"robot_1", "robot_2"}
+
+
+def test_a_run_is_predicted_for_the_team_that_is_heard(monkeypatch):
+    page = Watched(monkeypatch)
+    page.answer({"robot_1": "P1", "ada": "P4"})
+    assert {robot.name for robot in page.watch._comparison._plan.robots} == {"robot_1", "ada"}
 
 
 def test_a_prediction_names_the_run_that_was_chosen_later(monkeypatch):

@@ -143,7 +143,12 @@ export class Inspector extends EventTarget {
         ["Enabled", String(board.enabled.size)],
         ["Firings", String(fired)],
         ["Time", seconds(board.t)],
-        ["Robots", scene.plan ? String(board.robots.size || scene.plan.robots.length) : null],
+        [
+          "Robots",
+          scene.plan
+            ? String(board.robots.size || (mode === "LIVE" ? 0 : scene.plan.robots.length))
+            : null,
+        ],
         ["Synchronisation", scene.plan && mode !== "SIMULATE" ? scene.plan.synchronisation : null],
         ["Policy", scene.plan ? plural(scene.plan.policy_rows, "row") : null],
         [
