@@ -176,7 +176,9 @@ class Decisions:
             else:
                 teams.append(found)
                 decided.append(found.grouped.decided)
-        policy = policy_of(plan, _joined(decided), cancel=self._cancel)
+        policy = plan.policy
+        if without or not all(team.grouped.kept for team in teams):
+            policy = policy_of(plan, _joined(decided), cancel=self._cancel)
         return Solution(policy, own.value(request), own.lower, own.upper, tuple(teams), without)
 
     def price_of_never(self, objective: Objective, solution: Solution) -> float:

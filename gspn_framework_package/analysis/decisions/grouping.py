@@ -4,6 +4,11 @@ In a state one row is best. A policy answers each robot that asks, so each place
 the best of its transitions if that is as good as the best row of the state. Otherwise the place is
 *silent*: its robots wait, in no time, until the others have moved.
 
+Of decisions that are equally good, those of the present policy are kept, but not where a run would
+go round in them for ever: putting the goal off is as good as going there only if it ends. There,
+the decision that leads nearer to the goal is taken (de Alfaro, *Computing Minimum and Maximum
+Reachability Times*, CONCUR 1999).
+
 As the plan runs, several states may have one marking, and a policy does not tell them apart. Where
 they would decide differently, the marking's decision is improved for all of them together, each
 with the weight of how often it is visited; the value of the result is then computed by itself.
@@ -18,20 +23,24 @@ from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Seq
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
-from gspn_framework_package.analysis.decisions.aims import Objective
+from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT, Rewards
 from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.playing import Answers
 from gspn_framework_package.analysis.decisions.problem import Team
 from gspn_framework_package.analysis.decisions.run_net import Stage
 from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate
+from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
+from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
 from gspn_framework_package.analysis.decisions.solving.optima import Solved
 from gspn_framework_package.analysis.plan.markings import distinct_rows
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.errors import LimitError, RefusedError
 
-TIE = 1e-9
-"""Two decisions whose values differ by less than this share of the largest value are equal."""
+_TIES = (1e-9, 1e-12, 0.0)
+"""Two decisions whose values differ by less than this share of the largest value are equal. A loop
+takes such a difference again and again: if the policy is then worth less than the best, a smaller
+share is tried."""
 
 SILENT, OPEN = -1, -2
 """Instead of the number of a transition: the robots wait; nothing speaks for one or the other."""
@@ -52,6 +61,7 @@ class Grouped(NamedTuple):
     :ivar silent: how many pairs of a marking and a place are silent although a robot there could
       go on.
     :ivar notes: what had to be given up: sentences for people.
+    :ivar kept: whether they are those of the present policy.
     """
 
     decided: Decided
@@ -59,6 +69,7 @@ class Grouped(NamedTuple):
     evaluated: Evaluated
     silent: int
     notes: List[str]
+    kept: bool = False
 
 
 def group(
@@ -71,11 +82,27 @@ def group(
     *,
     watch: Optional[Watch] = None,
 ) -> Grouped:
-    """The decisions by marking that come closest to a solution.
+    """The decisions by marking that come closest to a solution: those of the present policy if none
+    that were found are worth more.
 
     :raises RefusedError: they have no value, or not one that the states can tell.
     """
-    return _Grouping(team, rewards, objective, goal, allowed, watch).best(solved)
+    grouping = _Grouping(team, rewards, objective, goal, allowed, watch)
+    found: Optional[Grouped] = None
+    refused: Optional[RefusedError] = None
+    try:
+        found = grouping.best(solved)
+        if reaches(found.evaluated, solved, objective):
+            return found
+    except RefusedError as error:
+        refused = error
+    present = grouping.present()
+    if present is not None and (found is None or grouping.better(present, found)):
+        return present
+    if found is None:
+        assert refused is not None
+        raise refused
+    return found
 
 
 def group_random(
@@ -132,6 +159,21 @@ def _first_states(team: Team) -> Indices:
 def _normalised(choice: Mapping[int, float]) -> Dict[int, float]:
     total = sum(choice.values())
     return {t: v / total for t, v in choice.items()}
+
+
+_Followed = Tuple[Floats, Evaluated, Tuple[Decided, Indices, List[Dict[int, float]]]]
+"""Decisions that a run can follow: the probability of each row, their value, and how they are
+written."""
+
+
+def reaches(evaluated: Evaluated, best: Any, objective: Objective) -> bool:
+    """Whether the value of a policy is the best one, as far as the certified bounds of both tell.
+
+    :param best: what has the bounds of the best value, ``lower`` and ``upper``.
+    """
+    if objective.maximise:
+        return bool(evaluated.upper >= best.lower)
+    return bool(evaluated.lower <= best.upper)
 
 
 class _Table:
@@ -303,18 +345,25 @@ class _Grouping:
         assert len(worth) == len(team.rows_in)
         return worth
 
-    def _tolerance(self, worth: Floats) -> float:
+    def _tolerance(self, worth: Floats, tie: float) -> float:
         finite = worth[np.isfinite(worth)]
-        return TIE * max(1.0, float(np.abs(finite).max()) if len(finite) else 1.0)
+        return tie * max(1.0, float(np.abs(finite).max()) if len(finite) else 1.0)
 
     # -- the best solution -------------------------------------------------------------------------
 
     def best(self, solved: Solved) -> Grouped:
         """The decisions that come closest to a solution."""
         worth = self._worth(solved)
-        chosen, torn = self._choose(worth)
         notes: List[str] = []
-        found = self._evaluated(chosen)
+        found: Optional[_Followed] = None
+        chosen: Indices = np.zeros(0, dtype=np.int64)
+        torn = chosen
+        for tie in _TIES:
+            chosen, torn, good = self._choose(worth, tie)
+            chosen = self._advanced(chosen, good)
+            found = self._evaluated(chosen)
+            if len(torn) or (found is not None and reaches(found[1], solved, self._objective)):
+                break
         if len(torn):
             notes.append(
                 "in %d markings, states that a policy does not tell apart would decide "
@@ -326,11 +375,31 @@ class _Grouping:
         weights, evaluated, (decided, _, _) = found
         return Grouped(decided, weights, evaluated, self._silent(chosen), notes)
 
-    def _choose(self, worth: Floats) -> Tuple[Indices, Indices]:
-        """The decision of each pair of a marking and a place, and the markings whose states would
-        decide differently."""
+    def present(self) -> Optional[Grouped]:
+        """The decisions of the present policy; None: they have no value, or are not allowed."""
+        team, problem = self._team, self._team.problem
+        try:
+            weights = problem.weights_of(team, problem.plan.policy)
+            evaluated = self._value(weights)
+        except LimitError:
+            raise
+        except RefusedError:
+            return None
+        if ((weights > 0) & team.by_policy & ~self._allowed).any():
+            return None
+        notes = ["the present policy stays: no decisions by marking were found that are better"]
+        return Grouped(present_choices(team), weights, evaluated, 0, notes, True)
+
+    def better(self, one: Grouped, other: Grouped) -> bool:
+        """Whether the decisions of one are worth as much as those of another, or more."""
+        return self._sign * one.evaluated.value >= self._sign * other.evaluated.value
+
+    def _choose(self, worth: Floats, tie: float) -> Tuple[Indices, Indices, Booleans]:
+        """The decision of each pair of a marking and a place, the markings whose states would
+        decide differently, and the entries (boolean array) that are as good as any in all states of
+        their pair."""
         automaton = self._team.automaton
-        tolerance = self._tolerance(worth)
+        tolerance = self._tolerance(worth, tie)
         open_rows = np.where(self._allowed, worth, -math.inf)
         best = np.maximum.reduceat(open_rows, automaton.rows[:-1])
         valued = self._row >= 0
@@ -382,7 +451,60 @@ class _Grouping:
         chosen[pair[unsure]] = np.where(legal[unsure], transition[unsure], SILENT)
         self._keep_waiting(chosen, worth, best, tolerance)
         torn[self._stuck(chosen)] = True
-        return chosen, np.flatnonzero(torn)
+        return chosen, np.flatnonzero(torn), good & everywhere[of]
+
+    def _advanced(self, chosen: Indices, good: Booleans) -> Indices:
+        """The decisions changed among equals where a run would never come to the goal although it
+        could, or would take no time for ever.
+
+        :param good: boolean array over the entries: those that are equally good.
+        """
+        team, objective = self._team, self._objective
+        automaton = team.automaton
+        arrows = arrows_of(automaton)
+        ends = np.zeros(len(automaton), dtype=bool) if self._goal is None else self._goal
+        targets = [automaton.tangible | ends]
+        if self._goal is not None and objective.maximise == (objective.aim is Aim.REACH):
+            targets.insert(0, ends)
+        possible = ~team.decides[automaton.row_states]
+        possible[self._row[good]] = True
+        taken = self._taken(chosen)
+        for target in targets:
+            able, _ = reaching(arrows, target, possible)
+            while taken is not None:
+                does, _ = reaching(arrows, target, taken)
+                missing = able & ~does
+                if not missing.any():
+                    break
+                _, after = reaching(arrows, does, possible)
+                toward = rows_toward(arrows, after, possible)
+                settled = np.zeros(len(self._pairs), dtype=bool)
+                settled[self._pair[does[self._state]]] = True
+                leading = good & missing[self._state] & (self._row == toward[self._state])
+                leading &= ~settled[self._pair] & (self._transition != chosen[self._pair])
+                if not leading.any():
+                    break
+                first = np.flatnonzero(leading)
+                # what leads there at once comes before what leads to another that must change
+                near = does[after[self._state[first]]]
+                order = first[np.lexsort((self._transition[first], -self._present[first], ~near))]
+                pairs, at = np.unique(self._pair[order], return_index=True)
+                chosen = chosen.copy()
+                chosen[pairs] = self._transition[order[at]]
+                taken = self._taken(chosen)
+        return chosen
+
+    def _taken(self, chosen: Indices) -> Optional[Booleans]:
+        """Boolean array: the rows that are taken under decisions; None: a run cannot follow
+        them."""
+        _, kind, kinds = self._decided(chosen, {})
+        try:
+            weights = self._team.problem.weights_of_decided(self._team, kind, kinds)
+        except RefusedError:
+            return None
+        automaton = self._team.automaton
+        taken: Booleans = (weights > 0) | automaton.tangible[automaton.row_states]
+        return taken
 
     def _keep_waiting(self, chosen: Indices, worth: Floats, best: Floats, tolerance: float) -> None:
         """Where waiting is as good as the rest and the present policy waits, let robots wait."""
@@ -414,11 +536,11 @@ class _Grouping:
 
     def _improved(
         self,
-        found: Optional[Tuple[Floats, Evaluated, Any]],
+        found: Optional[_Followed],
         chosen: Indices,
         torn: Indices,
         worth: Floats,
-    ) -> Tuple[Optional[Tuple[Floats, Evaluated, Any]], Indices]:
+    ) -> Tuple[Optional[_Followed], Indices]:
         """Improve the decisions of the markings ``torn`` until nothing is better."""
         best, best_chosen = found, chosen
         seen = {chosen.tobytes()}
@@ -540,7 +662,7 @@ class _Grouping:
         second = np.bincount(keys // places, weights=strength > 0, minlength=len(automaton)) > 1
         mixed |= second | ((wait > 0) & (moves > 0))
         counts = (mine > 0) & (winner[self._state] == self._place) & ~stays[self._state]
-        sure, _ = self._choose(self._worth(evaluated))
+        sure, _, _ = self._choose(self._worth(evaluated), _TIES[0])
         amount: Dict[int, Dict[int, float]] = {}
         for e in np.flatnonzero(counts).tolist():
             found = amount.setdefault(int(self._pair[e]), {})
@@ -585,7 +707,7 @@ class _Grouping:
 
     def _evaluated(
         self, chosen: Indices, several: Optional[Mapping[int, Mapping[int, float]]] = None
-    ) -> Optional[Tuple[Floats, Evaluated, Tuple[Decided, Indices, List[Dict[int, float]]]]]:
+    ) -> Optional[_Followed]:
         """The rows, the value and the decisions; None if a run cannot follow them."""
         decided = self._decided(chosen, several or {})
         try:

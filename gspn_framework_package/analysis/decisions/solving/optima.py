@@ -564,17 +564,19 @@ class _Work:
         """In which end components to stay, and how to come there: fills in the gains and the rows
         of all other states. Returns the bounds, and the states of the components to stay in."""
         component, inner = parts.of, parts.rows
-        model, staying_rows, layer = _with_exits(base, parts, 0.5 * (lows + highs))
+        held = component >= 0
+        model, staying_rows, layer = _with_exits(base, parts, lows)
         starts = layer.number[begin]
         matters = forward(model.arrows, np.unique(starts))
-        names = np.full(len(model), -1, dtype=np.int64)
-        held = component >= 0
-        names[layer.number[held]] = component[held]
-        seen = names[matters & (names >= 0)]
-        # the highest gain of a component is known within this
-        below = float((0.5 * (highs - lows))[seen].max(initial=0.0))
-        bounded = _Bounded(self, model, starts, self._shares, matters, None, True, 0.0, below)
-        values, rows, lower, upper, _ = bounded.solve(None)
+
+        def bounded(whole: Model) -> Tuple[Floats, Indices, float, float]:
+            found = _Bounded(self, whole, starts, self._shares, matters, None, True)
+            return found.solve(None)[:4]
+
+        # the gain of a component is known within its bounds: what they are at least, and at most
+        values, rows, lower, upper = bounded(model)
+        if (highs > lows).any():
+            upper = max(upper, bounded(_with_exits(base, parts, highs)[0])[3])
         staying_state = np.zeros(len(model), dtype=bool)
         # staying is preferred to moving on to another component that is as good
         row_values = model.row_values(values)
@@ -662,12 +664,11 @@ class _Bounded:
         safe: Optional[Indices],
         proper: bool,
         offset: float = 0.0,
-        margin: float = 0.0,
     ) -> None:
         self._work, self._model = work, model
         self._begin, self._shares = begin, shares
         self._matters, self._safe, self._proper = matters, safe, proper
-        self._offset, self._margin = offset, margin
+        self._offset = offset
 
     def solve(self, start: Optional[Floats]) -> Tuple[Floats, Indices, float, float, Found]:
         """Values, rows, bounds, and how they were found."""
@@ -685,9 +686,9 @@ class _Bounded:
                         slow = float(longest.max(initial=0.0))
                     value = float(values[self._begin] @ self._shares) + self._offset
                     return work._narrow(
-                        value + min(low, 0.0) * slow - self._margin,
-                        value + max(high, 0.0) * slow + self._margin,
-                        float(np.abs(values).max(initial=0.0)) + 2 * self._margin / _FLOOR,
+                        value + min(low, 0.0) * slow,
+                        value + max(high, 0.0) * slow,
+                        float(np.abs(values).max(initial=0.0)),
                     )
                 return max(abs(low), abs(high)) <= target
 
@@ -702,7 +703,7 @@ class _Bounded:
             rounds += found.rounds
             lower, upper, chosen = self._bounds(found, longest)
             scale = float(np.abs(found.values).max(initial=0.0))
-            if work._narrow(lower, upper, scale + 2 * self._margin / _FLOOR):
+            if work._narrow(lower, upper, scale):
                 return found.values, chosen, lower, upper, found._replace(rounds=rounds)
             worst = max(abs(found.low), abs(found.high))
             if longest is not None or tolerance < 1e-15 * worst:
@@ -729,8 +730,8 @@ class _Bounded:
                 self._matters,
             )
             return (
-                value + min(low, 0.0) * slow - self._margin,
-                value + max(found.high, 0.0) * slow + self._margin,
+                value + min(low, 0.0) * slow,
+                value + max(found.high, 0.0) * slow,
                 chosen,
             )
         # Costs are not negative, and no policy stays for ever without any. The policy's own mean

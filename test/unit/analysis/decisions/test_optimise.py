@@ -6,15 +6,18 @@ import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, Request
+from gspn_framework_package.analysis.decisions.grouping import _Grouping
 from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.preflight.check_plan import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
@@ -84,6 +87,42 @@ def test_the_faster_way_is_found_and_said():
 def test_each_aim_has_its_value(objective, value):
     report = optimise(two_ways(), Request(objective), simulated=0)
     assert report.teams[0].value == pytest.approx(value, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("first", ["go", "stroll"])
+def test_of_equally_good_decisions_one_that_comes_to_the_goal_is_taken(first):
+    ways = {"go": "goal", "stroll": "walk"}
+    builder = NetBuilder().place("hub", tokens=1).place("walk").place("goal")
+    for name in sorted(ways, key=lambda name: name != first):
+        builder.immediate(name, inputs="hub", outputs=ways[name])
+    builder.exponential("walked", rate=1.0, inputs="walk", outputs="hub")
+    act = FunctionAction("actions.act", "act")
+    plan = Plan(
+        builder.build(),
+        actions={"hub": None, "walk": act, "goal": act},
+        robots=(RobotSpec("r1", "hub"),),
+    ).validate()
+    report = optimise(plan, Request(Objective.reach("goal >= 1")), simulated=0)
+    assert report.teams[0].value == 1.0
+    assert not report.undecided
+    assert dict(report.plan.policy.rows[0].choices) == {"go": 1.0}
+
+
+def test_the_present_policy_stays_where_no_decisions_are_found_that_are_better(monkeypatch):
+    plan = two_ways()
+    plan = plan.with_policy(Policy.from_table((), [((), {"walk": 0.5, "drive": 0.5})]))
+    advanced = _Grouping._advanced
+
+    def astray(self, chosen, good):
+        walk = self._team.problem.plan.net.transition_number("walk")
+        return np.full_like(advanced(self, chosen, good), walk)
+
+    monkeypatch.setattr(_Grouping, "_advanced", astray)
+    aim = Objective.long_run({"walked": 1, "driven": 1})
+    report = optimise(plan, Request(aim), simulated=0)
+    assert report.plan.policy == plan.policy
+    assert report.teams[0].value == pytest.approx(0.8)
+    assert any("the present policy stays" in sentence for sentence in report.undecided)
 
 
 @pytest.mark.long
