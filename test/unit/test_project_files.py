@@ -49,6 +49,7 @@ ROSDEP = {
     "python3-waitress": (PYTHON, "python3-waitress"),
     "python3-yaml": (PYTHON, "python3-yaml"),
     "rosbag": ("ros_comm", "ros-noetic-rosbag"),
+    "rosbash": ("ros", "ros-noetic-rosbash"),
     "rosgraph": ("ros_comm", "ros-noetic-rosgraph"),
     "rosgraph_msgs": ("ros_comm_msgs", "ros-noetic-rosgraph-msgs"),
     "roslaunch": ("ros_comm", "ros-noetic-roslaunch"),
