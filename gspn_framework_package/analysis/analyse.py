@@ -100,8 +100,9 @@ class Analysis:
     :param limits: how far each part may go.
     :param timing: how to read the time of a plan: ``run`` (default), as it runs, or ``net``, by the
         rates of its net alone. A net has the latter.
-    :param structure: whether P-invariants may be used for bounds. Without them, only the
-        coverability tree shows which places grow without bound.
+    :param structure: whether P-invariants are used for bounds from the start. Otherwise they are
+        computed only if neither the markings nor the coverability tree tell whether the net is
+        bounded.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
     :param lump: visit one marking for all that equal parts of a net can exchange into; see
         :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The conditions that
@@ -308,6 +309,11 @@ class Analysis:
     def _invariant_bounds(self) -> Dict[str, Optional[int]]:
         if not self._by_structure:
             return {place.name: place.capacity for place in self.net.places}
+        return self._proved_bounds
+
+    @cached_property
+    def _proved_bounds(self) -> Dict[str, Optional[int]]:
+        """The bounds of all places that the P-invariants prove; None: none is proved."""
         try:
             found = self.structure.place_invariants
         except LimitError:
@@ -361,10 +367,10 @@ class Analysis:
     def boundedness(self) -> Boundedness:
         """Whether the net is bounded, and the bounds of its places."""
         space = self.space
-        bounds: Dict[str, Optional[int]] = dict(self._invariant_bounds)
         if self.plan is None and self._known_tree is not None:
             return Boundedness(self._known_tree.bounded, self._known_tree.bounds)
         if not space.complete:
+            bounds = self._proved_bounds
             if None not in bounds.values():
                 return Boundedness(
                     True,

@@ -28,10 +28,16 @@ from gspn_framework_package.analysis.analyse import Analysis, Reachability, at_l
 from gspn_framework_package.analysis.chain.markov_chain import Component
 from gspn_framework_package.analysis.plan.subnets import TITLES, SubnetFlow, subnet_flows
 from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.transient import check_tolerance
 from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
+from gspn_framework_package.model.net import Net
 
 INFINITE = "infinite"
+
+ON_DISK = "disk"
+"""The engine of a report on markings that did not fit into memory."""
 
 
 class Part(enum.Enum):
@@ -231,6 +237,22 @@ class Questions(NamedTuple):
     structure: bool = True
     timing: bool = True
 
+    def check(self, net: Net) -> None:
+        """Look for what is wrong with the questions before anything is computed.
+
+        :raises InputError: a condition cannot be parsed, or a name is unknown.
+        :raises UsageError: a tolerance makes no sense.
+        """
+        for condition in (*self.reach, *self.mean_time_to):
+            parse_condition(condition, [p.name for p in net.places], ["deadlock"])
+        for marking in self.cover:
+            net.marking(marking)
+        for name in self.rewards:
+            if name not in net.place_index:
+                net.transition_number(name)
+        if self.settling is not None:
+            check_tolerance(self.settling)
+
 
 def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[str, Any]:
     """The answers as plain JSON values; see ``docs/analysis.md`` for the keys.
@@ -239,6 +261,7 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
     :raises CancelledError: the work was cancelled.
     """
     questions = questions or Questions()
+    questions.check(analysis.net)
     work = ReportWork(analysis)
     work.basics()
     if questions.structure:
@@ -532,9 +555,6 @@ class ReportWork:
 
     def _reward(self, measures: Measures, rewards: Mapping[str, float]) -> float:
         net = self.analysis.net
-        for name in rewards:
-            if name not in net.place_index:
-                net.transition_number(name)  # raises the error for an unknown name
         return measures.reward(
             {n: v for n, v in rewards.items() if n in net.place_index},
             {n: v for n, v in rewards.items() if n in net.transition_index},
@@ -602,6 +622,15 @@ def uncounted(left_out: Iterable[str]) -> Dict[str, str]:
     """Why the tokens of places that were left out have no mean."""
     reason = "only written; it was left out"
     return dict.fromkeys(("steady_state.mean_tokens.%s" % place for place in left_out), reason)
+
+
+def open_questions(data: Mapping[str, Any]) -> List[str]:
+    """The keys of a report that were not decided. A counter that was left out is no question, nor
+    is what the disk never answers unless it is asked for."""
+    passed = set(uncounted(data["left_out"]))
+    if data["engine"] == ON_DISK:
+        passed.update(measure.key for measure in MEASURES if measure.part is Part.BEHAVIOUR)
+    return [key for key in data["undecided"] if key not in passed]
 
 
 def plain(value: Any) -> Any:

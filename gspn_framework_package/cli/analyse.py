@@ -20,6 +20,7 @@ from gspn_framework_package.analysis.report import (
     Questions,
     asked_conditions,
     keys_of,
+    open_questions,
     report,
     rows,
 )
@@ -128,7 +129,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="exchange equal parts of a net: visit one marking for all that differ only by that",
     )
-    parser.epilog = "Exit codes: 0 answered (open questions are listed), 2 wrong input or usage."
+    parser.epilog = (
+        "Exit codes: 0 answered, 1 something was not decided (it is listed), 2 wrong input or "
+        "wrong usage."
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -158,6 +162,7 @@ def _run(args: argparse.Namespace) -> int:
     )
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time is a number of seconds, at least 0")
+    questions.check(subject.net if isinstance(subject, Plan) else subject)
     limits, memory = limits_of(args), memory_of(args)
     if memory is not None and isinstance(subject, Plan):
         raise UsageError("--memory takes a net", hint="--only-net analyses the net of a plan")
@@ -211,24 +216,31 @@ def _run(args: argparse.Namespace) -> int:
         else working(analyse, memory.size + LIBRARIES, "--memory")
     )
     data["notes"] = notes
-    if args.csv:
-        with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(("measure", "name", "value"))
-            writer.writerows(rows(data))
-    if args.json:
-        # the output has every key, even if a part is left out
-        data.update(dict.fromkeys(left_out))
-        data["undecided"].update(dict.fromkeys(left_out, "left out, as asked"))
-        parts = _json(data, "\n")
-        # writing each part separately takes longer
-        for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):
-            sys.stdout.write(block)
-        print()
-    else:
-        print_notes(notes)
+    decided = not open_questions(data)
+    try:
+        if args.csv:
+            with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(("measure", "name", "value"))
+                writer.writerows(rows(data))
+    finally:  # the answers are printed, even if they cannot be written
+        _print(data, left_out, args.json)
+    return 0 if decided else 1
+
+
+def _print(data: Dict[str, Any], left_out: List[str], as_json: bool) -> None:
+    if not as_json:
+        print_notes(data["notes"])
         print("\n".join(analysis_text(data)))
-    return 0
+        return
+    # the output has every key, even if a part is left out
+    data.update(dict.fromkeys(left_out))
+    data["undecided"].update(dict.fromkeys(left_out, "left out, as asked"))
+    parts = _json(data, "\n")
+    # writing each part separately takes longer
+    for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):
+        sys.stdout.write(block)
+    print()
 
 
 def _marking(text: str) -> Dict[str, int]:

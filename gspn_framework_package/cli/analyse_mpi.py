@@ -12,7 +12,7 @@ from typing import Any, Dict, Iterator, List, Mapping, Tuple
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
 from gspn_framework_package.analysis.distributed.growth import NetToVisit, growth
 from gspn_framework_package.analysis.distributed.mpi_ranks import MpiRanks
-from gspn_framework_package.analysis.report import plain, uncounted
+from gspn_framework_package.analysis.report import open_questions, plain, uncounted
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.analysis_text import (
     analysis_text,
@@ -99,6 +99,7 @@ def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
 
     data = working(analyse, limits.memory)
     data["notes"] = notes
+    decided = not open_questions(data)
     if ranks.rank == 0:
         if args.json:
             if args.no_time:
@@ -110,7 +111,7 @@ def _run(args: argparse.Namespace, ranks: MpiRanks) -> int:
             # of an unbounded net, one process has answered what can be
             lines = [*_text(data), *time_text(data)] if "ranks" in data else analysis_text(data)
             print("\n".join(lines))
-    return 0
+    return 0 if decided else 1
 
 
 def _net(args: argparse.Namespace) -> Tuple[Net, List[str]]:

@@ -112,9 +112,6 @@ def run(args: argparse.Namespace) -> int:
         told += _run_experiment(name, args, results, baseline)
         if not args.json:
             _print(name, results)
-    if args.output:
-        for path in draw_figures(results.rows, args.output):
-            _tell("drew " + path)
     if args.json:
         print(json.dumps(results.report(), indent=2))
     else:
@@ -124,6 +121,9 @@ def run(args: argparse.Namespace) -> int:
             "\n%s\nbaseline: CPU %.1f %%, memory %.1f %%"
             % (machine_line(results.machine), before.cpu_percent, before.memory_percent)
         )
+    if args.output:
+        for path in draw_figures(results.rows, args.output):
+            _tell("drew " + path)
     failed = [row for row in told if row.get("note") or row.get("faults")]
     for row in failed:
         print(

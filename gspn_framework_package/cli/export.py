@@ -7,7 +7,7 @@ import contextlib
 import json
 import os
 import time
-from typing import Any, Dict, List, Set
+from typing import Any, Dict, List, Mapping, Sequence, Set
 
 from gspn_framework_package.cli.plan_output import refuse_existing
 from gspn_framework_package.cli.progress import ProgressLine
@@ -86,18 +86,29 @@ def run(args: argparse.Namespace) -> int:
             counts[message.kind] = counts.get(message.kind, 0) + 1
             if number % BETWEEN == 0:
                 progress("messages", number, time.monotonic() - began)
-    if args.foxglove_layout:
-        write_bytes(args.foxglove_layout, json.dumps(shown.layout(), indent=2).encode() + b"\n")
     cut = [log.path for log in logs if log.cut]
-    if args.json:
-        print(json.dumps({"files": outputs, "messages": counts, "cut": cut}, indent=2))
-        return 0
+    written = [path for path in outputs if path != args.foxglove_layout]
+    try:
+        if args.foxglove_layout:
+            layout = json.dumps(shown.layout(), indent=2).encode() + b"\n"
+            write_bytes(args.foxglove_layout, layout)
+            written = outputs
+    finally:  # the others are written, even if it cannot be
+        _print(written, counts, cut, args.json)
+    return 0
+
+
+def _print(
+    written: Sequence[str], counts: Mapping[str, int], cut: Sequence[str], as_json: bool
+) -> None:
+    if as_json:
+        print(json.dumps({"files": written, "messages": counts, "cut": cut}, indent=2))
+        return
     for path in cut:
         print("note: the last line of %s was cut off, and is left out" % path)
     for kind, count in sorted(counts.items()):
         print("%8d %s" % (count, kind))
-    print("written: %s" % ", ".join(outputs))
-    return 0
+    print("written: %s" % ", ".join(written))
 
 
 class _Shown:

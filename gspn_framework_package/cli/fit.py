@@ -90,11 +90,19 @@ def run(args: argparse.Namespace) -> int:
     learned = learn(plan, args.logs, FamilyChoice(args.durations), args.seed, args.on)
     new = learned.report.apply(plan, learned.logs)
     data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
-    notes = write_plan(new, data, args.output)
-    if args.json:
+    notes: List[str] = []
+    try:
+        notes = write_plan(new, data, args.output)
+    finally:  # what was learned is told, even if it cannot be written
+        _print(learned, notes, args.json)
+    return 0
+
+
+def _print(learned: Learned, notes: Sequence[str], as_json: bool) -> None:
+    if as_json:
         report = learned.report._replace(notes=(*learned.report.notes, *notes))
         print(json.dumps(report.to_json(), indent=2, ensure_ascii=False))
-        return 0
+        return
     print(
         "%d attempts in %d log%s of %d run%s"
         % (learned.attempts, *_many(len(learned.logs)), *_many(learned.runs))
@@ -102,7 +110,6 @@ def run(args: argparse.Namespace) -> int:
     for line in _table(learned.report):
         print(line)
     print_notes([*learned.report.notes, *notes])
-    return 0
 
 
 def learn(

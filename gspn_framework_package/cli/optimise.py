@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_limit_arguments(parser.add_argument_group("limits"))
     parser.epilog = (
         "Exit codes: 0 there is an answer, 1 there is none (the constraints cannot be kept, or a "
-        "limit was reached), 2 not a plan, or wrong usage."
+        "limit was reached), or what follows the answer failed, such as the simulation, 2 not a "
+        "plan, or wrong usage."
     )
 
 
@@ -143,15 +144,17 @@ def run(args: argparse.Namespace) -> int:
         request.limits.memory,
     )
     notes: List[str] = []
-    if path is not None:
-        data = plan_document(args.plan, report.plan, os.path.dirname(os.path.abspath(path)))
-        notes = write_plan(report.plan, data, args.output)
-    if args.json:
-        print(json.dumps({**report.to_json(), "notes": notes}, indent=2, ensure_ascii=False))
-        return 0
-    print("\n".join(report.lines()))
-    print_notes(notes)
-    return 0
+    try:
+        if path is not None:
+            data = plan_document(args.plan, report.plan, os.path.dirname(os.path.abspath(path)))
+            notes = write_plan(report.plan, data, args.output)
+    finally:  # the answer is there, even if it cannot be written
+        if args.json:
+            print(json.dumps({**report.to_json(), "notes": notes}, indent=2, ensure_ascii=False))
+        else:
+            print("\n".join(report.lines()))
+            print_notes(notes)
+    return max((failure.exit_code for failure in report.failures), default=0)
 
 
 def request_of(args: argparse.Namespace, robots: int) -> Request:

@@ -80,18 +80,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(result: Simulation, notes: List[str], args: argparse.Namespace) -> int:
-    if args.csv:
-        with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(("measure", "name", "mean", "half_width"))
-            writer.writerows(_rows(result))
-    if args.json:
-        data = {**result.to_json(), "notes": [*notes, *result.notes]}
-        json.dump(data, sys.stdout, indent=2, allow_nan=False)
-        print()
-    else:
-        print_notes([*notes, *result.notes])
-        print("\n".join(_text(result)))
+    try:
+        if args.csv:
+            with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(("measure", "name", "mean", "half_width"))
+                writer.writerows(_rows(result))
+    finally:  # the result is printed, even if it cannot be written
+        if args.json:
+            data = {**result.to_json(), "notes": [*notes, *result.notes]}
+            json.dump(data, sys.stdout, indent=2, allow_nan=False)
+            print()
+        else:
+            print_notes([*notes, *result.notes])
+            print("\n".join(_text(result)))
     return 0
 
 

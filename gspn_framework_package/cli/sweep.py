@@ -102,16 +102,18 @@ def run(args: argparse.Namespace) -> int:
     finally:
         if store is not None:
             store.close()
-    if args.output:
-        _write(args.output, sweep, points, wanted)
-    if args.plot:
-        save_picture(sweep_figure(sweep, points, wanted), args.plot)
-    if args.json:
-        print(json.dumps(_json(sweep, points, wanted, kept, notes), indent=2, allow_nan=False))
-        return 0
-    print_notes(notes)
-    print("%d points, %d of them known before" % (len(points), kept))
-    print("\n".join(aligned(_table(sweep, points, wanted))))
+    try:
+        if args.output:
+            _write(args.output, sweep, points, wanted)
+        if args.plot:
+            save_picture(sweep_figure(sweep, points, wanted), args.plot)
+    finally:  # what was measured is printed, even if it cannot be written
+        if args.json:
+            print(json.dumps(_json(sweep, points, wanted, kept, notes), indent=2, allow_nan=False))
+        else:
+            print_notes(notes)
+            print("%d points, %d of them known before" % (len(points), kept))
+            print("\n".join(aligned(_table(sweep, points, wanted))))
     return 0
 
 

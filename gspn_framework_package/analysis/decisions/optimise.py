@@ -71,8 +71,9 @@ def optimise(
         report = _Exactly(subject, request, progress, cancel).report()
     except LimitError as error:
         report = _by_rollout(subject, request, error, simulated, seed, progress, cancel, on)
-    if report.exact and simulated > 0:
-        found = compare_plans(
+
+    def simulate() -> None:
+        report.simulation = compare_plans(
             subject,
             report.plan,
             request.objective,
@@ -81,8 +82,10 @@ def optimise(
             progress=progress,
             cancel=cancel,
             on=on,
-        )
-        report.simulation = found.to_json()
+        ).to_json()
+
+    if report.exact and simulated > 0:
+        report.add("what a simulation of both plans says", simulate)
     report.plan = plan.with_policy(report.plan.policy)
     return report
 
@@ -164,7 +167,7 @@ class _Exactly:
             self._results(solution),
             len(solution.policy.rows),
             sum(team.grouped.silent for team in solution.teams),
-            constraints=[*own.constraints, *self._price_of_never(solution)],
+            constraints=[*own.constraints],
             assumptions=list(self._problem.assumptions),
             undecided=self._wide(own),
         )
@@ -179,25 +182,17 @@ class _Exactly:
                 "worst rates; at the rates of the plan the policy found is worth %.9g"
                 % own.grouped.evaluated.value
             )
-        self._add_present(report, own)
-        self._add_choices(report, own)
-        self._add_sensitivities(report, own)
+        for what, compute in (
+            ("what the rule costs", lambda: self._add_price_of_never(report, solution)),
+            ("the value of the present policy", lambda: self._add_present(report, own)),
+            ("where the policies differ", lambda: self._add_choices(report, own)),
+            (
+                "how the value depends on the rates",
+                lambda: self._add_sensitivities(report, own),
+            ),
+        ):
+            report.add(what, compute)
         return report
-
-    def _price_of_never(self, solution: Solution) -> List[ConstraintResult]:
-        """What it costs that something may never hold."""
-        request = self._request
-        if not request.never:
-            return []
-        price = None
-        if not request.at_least and not request.uncertain:
-            try:
-                price = self._decisions.price_of_never(self._objective, solution)
-            except LimitError:
-                raise
-            except RefusedError:
-                pass  # without it, there is no finite value
-        return [ConstraintResult(" or ".join(request.never), None, None, price)]
 
     def _results(self, solution: Solution) -> List[TeamResult]:
         found = {team.team.robots: team for team in solution.teams}
@@ -250,6 +245,23 @@ class _Exactly:
 
     # -- beside the answer -------------------------------------------------------------------------
 
+    def _add_price_of_never(self, report: Report, solution: Solution) -> None:
+        """What it costs that something may never hold."""
+        request = self._request
+        if not request.never:
+            return
+        rule = ConstraintResult(" or ".join(request.never), None, None, None)
+        report.constraints.append(rule)
+        if request.at_least or request.uncertain:
+            return
+        try:
+            price = self._decisions.price_of_never(self._objective, solution)
+        except LimitError:
+            raise
+        except RefusedError:
+            return  # without it, there is no finite value
+        report.constraints[-1] = rule._replace(price=price)
+
     def _add_present(self, report: Report, own: TeamSolution) -> None:
         """The value of the present policy, and where the new one differs from it."""
         objective = self._objective
@@ -263,10 +275,10 @@ class _Exactly:
                 discount=objective.discount,
                 watch=self._watch,
             ).value
-        except LimitError:
-            raise
         except RefusedError as error:
             report.present_why = str(error)
+            if isinstance(error, LimitError):
+                raise
 
     def _add_choices(self, report: Report, own: TeamSolution) -> None:
         """What robots do by the present policy and by the new one, those that differ first."""
@@ -321,6 +333,8 @@ class _Exactly:
                 np.array([t.rate if t.timed else 0.0 for t in transitions]),
                 labels=self._problem.rate_labels(own.team),
             )
+        except LimitError:
+            raise
         except RefusedError as error:
             report.undecided.append("how the value depends on the rates: %s" % error.message)
             return

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.analysis.decisions.aims import Request
 from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.errors import CancelledError, GspnError, LimitError
 from gspn_framework_package.model.plan import Plan
 
 MOST_CHOICES = 1_000
@@ -90,6 +91,7 @@ class Report:
       between the two policies, the costliest of them first.
     :ivar choices_in_all: how many there are, and ``choices_that_differ`` of them.
     :ivar simulation: old and new plan, simulated as they run: JSON, with ``text`` for people.
+    :ivar failures: what failed after the policy was found; ``undecided`` has it in words.
     """
 
     request: Request
@@ -108,6 +110,26 @@ class Report:
     choices_in_all: int = 0
     choices_that_differ: int = 0
     simulation: Optional[Dict[str, Any]] = None
+    failures: List[GspnError] = field(default_factory=list)
+
+    def add(self, what: str, compute: Callable[[], None]) -> None:
+        """Add something to the answer; if that fails, what was found before stays, and ``what`` is
+        among what is not decided.
+
+        :raises CancelledError: it was cancelled.
+        """
+        try:
+            compute()
+        except CancelledError:
+            raise
+        except GspnError as error:
+            failure = error
+        except MemoryError:
+            failure = LimitError("there is too little memory", hint="raise --limit-memory")
+        else:
+            return
+        self.failures.append(failure)
+        self.undecided.append("%s: %s" % (what, failure))
 
     @property
     def gain(self) -> Optional[float]:

@@ -15,6 +15,7 @@ from gspn_framework_package.analysis.on_disk.steady import steady_state
 from gspn_framework_package.analysis.plan.reading import NET, TimingNotes
 from gspn_framework_package.analysis.report import (
     MEASURES,
+    ON_DISK,
     Part,
     Questions,
     ReportWork,
@@ -156,7 +157,7 @@ def _behaviour(work: ReportWork, space: OnDiskSpace) -> None:
     }
     data["left_out"] = []
     data["timing"] = TimingNotes(NET, {}, [])._asdict()
-    data["engine"] = "disk"
+    data["engine"] = ON_DISK
     data["memory_bytes"] = work.analysis.limits.memory
     data["bounded"] = True
     data["bounds"] = counts.bounds

@@ -123,6 +123,14 @@ def transient(
     return [Transient(time, found[time]) for time in asked]
 
 
+def check_tolerance(tolerance: float) -> None:
+    """:raises UsageError: a distribution cannot be so far from the steady state."""
+    if not 0 < tolerance < 1:
+        raise UsageError(
+            "a tolerance of %g is not possible" % tolerance, hint="give a number between 0 and 1"
+        )
+
+
 def time_to_steady_state(
     chain: Chain,
     tolerance: float = 1e-3,
@@ -138,10 +146,7 @@ def time_to_steady_state(
     :param seconds: longest time (s) that the work may take.
     :raises LimitError: the steady state was not found, or the work took longer.
     """
-    if not 0 < tolerance < 1:
-        raise UsageError(
-            "a tolerance of %g is not possible" % tolerance, hint="give a number between 0 and 1"
-        )
+    check_tolerance(tolerance)
     goal = (
         steady or steady_state(chain, progress=progress, cancel=cancel, seconds=seconds)
     ).distribution

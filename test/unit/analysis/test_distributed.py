@@ -273,9 +273,9 @@ def test_mpiexec_answers_for_nets_that_grow_as_one_process_does(tmp_path, capsys
         path = tmp_path / ("%s.pnml" % net.name)
         write_net(net, path)
         code, output, errors = by_mpiexec(2, str(path), "--json")
-        assert code == 0, errors
+        assert code == (net.name != "counting"), errors
         data = json.loads(output)
-        assert main(["analyse", str(path), "--json"]) == 0
+        assert main(["analyse", str(path), "--json"]) == code
         alone = json.loads(capsys.readouterr().out)
         for key in ("states", "bounded", "bounds", "left_out"):
             assert data[key] == alone[key]

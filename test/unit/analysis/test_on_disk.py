@@ -371,7 +371,7 @@ def test_a_net_without_bounds_never_goes_on_disk(tmp_path, capsys):
     write_net(builder.build(), tmp_path / "grows.pnml")
     code, out, _ = analysed(capsys, str(tmp_path / "grows.pnml"), "--json", "--memory", "100KB")
     data = json.loads(out)
-    assert code == 0
+    assert code == 1
     assert data["bounded"] is False
     assert "scratch_bytes" not in data
 

@@ -143,7 +143,7 @@ def test_what_is_not_decided_is_null_with_its_reason(run, saved):
     )
     code, out, _ = run("analyse", saved(net), "--json", "--limit", 200, "--reach", "end >= 1")
     data = json.loads(out)
-    assert code == 0 and data["bounded"] is False and data["bounds"]["heap"] == "infinite"
+    assert code == 1 and data["bounded"] is False and data["bounds"]["heap"] == "infinite"
     for key in ("states", "deadlocks", "liveness", "reversible", "steady_state"):
         assert data[key] is None and data["undecided"][key]
     assert data["reach"][0]["reachable"] is None and "reach.end >= 1" in data["undecided"]
@@ -161,8 +161,33 @@ def test_nobody_decides(run, saved):
     )
     code, out, _ = run("analyse", saved(net), "--json")
     data = json.loads(out)
-    assert code == 0 and data["steady_state"] is None
+    assert code == 1 and data["steady_state"] is None
     assert "no weight decides between x, y" in data["undecided"]["steady_state"]
+
+
+def test_a_timeless_trap_is_no_answer(run, saved):
+    net = (
+        NetBuilder("trap")
+        .place("a", tokens=1)
+        .place("b")
+        .place("c")
+        .exponential("in", inputs="a", outputs="b")
+        .immediate("there", inputs="b", outputs="c")
+        .immediate("back", inputs="c", outputs="b")
+        .build()
+    )
+    code, out, _ = run("analyse", saved(net))
+    assert code == 1 and "not decided: steady_state: a timeless trap" in out
+    assert run("analyse", saved(net), "--no-time")[0] == 0
+
+
+def test_invariants_prove_a_net_bounded_that_is_too_large_also_without_structure(run, saved):
+    code, out, _ = run(
+        "analyse", saved(kanban(2)), "--limit", 100, "--limit-tree", 10, "--no-structure", "--json"
+    )
+    data = json.loads(out)
+    assert code == 1 and data["states"] is None
+    assert data["bounded"] is True and set(data["bounds"].values()) == {2}
 
 
 def test_text_and_csv(run, saved, tmp_path):
@@ -231,12 +256,10 @@ def test_a_reason_is_told_once_with_what_it_concerns(run):
     code, out, _ = run("analyse", PLANS / "patrol", *words)
     lines = out.splitlines()
     told = [line for line in lines if "raise --limit" in line]
-    assert code == 0 and len(told) == 1, out
+    assert code == 1 and len(told) == 1, out
     concerned = re.match("not decided: ([^:]*): within 104 states", told[0]).group(1).split(", ")
     assert concerned == [
         "states",
-        "bounded",
-        "bounds",
         "live",
         "liveness",
         "dead_transitions",
