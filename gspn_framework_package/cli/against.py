@@ -100,6 +100,7 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
             on=executor,
         ),
         MEMORY,
+        "",
     )
     if args.json:
         data = {**found.to_json(), "objective": found.objective.describe()}

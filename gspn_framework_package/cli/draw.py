@@ -98,4 +98,4 @@ def _graph(
             notes.append(note)
         return chain_graph(chain, note)
 
-    return working(draw, MEMORY)
+    return working(draw, MEMORY, "")

@@ -149,7 +149,7 @@ def learn(
         names = tuple(os.path.basename(name) for name in (*files, *bags))
         return Learned(report, names, runs, len(attempts))
 
-    return working(work, MEMORY)
+    return working(work, MEMORY, "")
 
 
 def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[str], int]:

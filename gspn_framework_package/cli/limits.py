@@ -115,7 +115,7 @@ def working(
 
     :param work: takes a progress callback and a cancel callback, which it polls now and then.
     :param memory: additional memory that this process may use, in bytes.
-    :param option: the option that raises it.
+    :param option: the option that raises it; empty: there is none.
     :raises LimitError: the work needed more memory.
     """
     cancelled = threading.Event()
@@ -131,7 +131,8 @@ def working(
             return interruptible(lambda: work(progress, cancelled.is_set), cancel)
     except MemoryError:
         raise LimitError(
-            "it takes more than %.3g GB of memory" % (memory / 1e9), hint="raise %s" % option
+            "it takes more than %.3g GB of memory" % (memory / 1e9),
+            hint="raise %s" % option if option else "",
         ) from None
     except CancelledError:
         raise KeyboardInterrupt from None

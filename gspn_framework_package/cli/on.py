@@ -22,7 +22,10 @@ def add_on_argument(parser: Any) -> None:
 
 
 def working_on(
-    on: str, work: Callable[[Progress, Cancel, Executor], Result], memory: float
+    on: str,
+    work: Callable[[Progress, Cancel, Executor], Result],
+    memory: float,
+    option: str = "--limit-memory",
 ) -> Result:
     """Do long work as :func:`working` does, with the executor that ``on`` names."""
 
@@ -30,4 +33,4 @@ def working_on(
         with open_executor(on) as executor:
             return work(progress, cancel, executor)
 
-    return working(with_executor, memory)
+    return working(with_executor, memory, option)

@@ -9,7 +9,6 @@ import json
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor
-from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen
 from gspn_framework_package.analysis.sweeps.variation import FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -77,12 +76,13 @@ def run(args: argparse.Namespace) -> int:
         str(v) for variation in variations if variation.kind == "policy" for v in variation.values
     ]
     asked = asked_of(args, [name for _, name in wanted if name] if args.precision else [])
+    limits = limits_of(args)
     sweep = Sweep(
         subject,
         variations,
         asked,
         exact=args.exact,
-        limits=limits_of(args),
+        limits=limits,
         policies={file: read_policy_of(file) for file in files},
     )
     store = PointStore(args.output + SUFFIX) if args.output else None
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         return sorted(found)
 
     try:
-        points = working_on(args.on, work, MEMORY)
+        points = working_on(args.on, work, limits.memory)
     finally:
         if store is not None:
             store.close()

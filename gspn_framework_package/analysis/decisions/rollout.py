@@ -47,7 +47,7 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyScope
 
 SECONDS = 60.0
 """Default time of the machine (s)."""
@@ -271,13 +271,9 @@ class _Search:
         self._visits, self._pairs = visits, pairs
         self._began = clock.monotonic()
         self._compiled = worth_compiling(self.seconds if seconds is not None else 0.0)
-        if plan.policy.scopes:
-            raise RefusedError(
-                "its subnets have policies of their own, which rows before them cannot improve",
-                hint="compute a policy for the whole plan: gspn optimise",
-            )
         self._places = list(plan.policy.places)
-        self._old_rows = list(plan.policy.rows)
+        numbers = plan.policy.scope_numbers()
+        self._scope = [numbers.get(place.name, 0) for place in self.net.places]
         self._policy = plan.policy
         names = [place.name for place in self.net.places]
         self._never = [parse_condition(text, names) for text in request.never]
@@ -491,6 +487,8 @@ class _Search:
         for p, leaving in self._immediate.items():
             if p == group.place or marking[p] == 0 or not leaving:
                 continue
+            if self._scope[p] != self._scope[group.place]:
+                continue  # rows of another scope decide there
             if self.net.places[p].name in self.plan.resource_places:
                 continue
             if table.matches(marking, p):
@@ -517,22 +515,35 @@ class _Search:
         return found
 
     def _policy_of(self, rows: Dict[Key, List[PolicyRow]]) -> Policy:
-        """The old policy with these rows before its own, the newest first."""
+        """The old policy with these rows before those of their scope, the newest first."""
         names = list(self._places)
         for _, cells in rows:
             for p, _ in cells:
                 if self.net.places[p].name not in names:
                     names.append(self.net.places[p].name)
         column = {self.net.place_index[name]: i for i, name in enumerate(names)}
-        whole: List[PolicyRow] = []
-        for (_, cells), mine in reversed(list(rows.items())):
+        old = self.plan.policy
+        new: List[List[PolicyRow]] = [[] for _ in range(1 + len(old.scopes))]
+        for (place, cells), mine in reversed(list(rows.items())):
             counts: List[Optional[int]] = [None] * len(names)
             for p, count in cells:
                 counts[column[p]] = count
-            whole += [PolicyRow(tuple(counts), row.choices) for row in mine]
+            new[self._scope[place]] += [PolicyRow(tuple(counts), row.choices) for row in mine]
         padding = (None,) * (len(names) - len(self._places))
-        whole += [PolicyRow(row.counts + padding, row.choices) for row in self._old_rows]
-        return Policy(names, whole)
+        of = old.row_scopes()
+        whole: List[PolicyRow] = []
+        scopes: List[PolicyScope] = []
+        for scope, added in enumerate(new):
+            first = len(whole)
+            whole += added
+            whole += [
+                PolicyRow(row.counts + padding, row.choices)
+                for row, its in zip(old.rows, of)
+                if its == scope
+            ]
+            if scope:
+                scopes.append(PolicyScope(old.scopes[scope - 1].places, first, len(whole)))
+        return Policy(names, whole, scopes)
 
     # -- rollouts ----------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, RefusedError
 from gspn_framework_package.model.plan import Plan, RobotSpec
-from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyScope
 
 ACT = FunctionAction("actions.work", "work")
 
@@ -92,6 +92,19 @@ def test_it_waits_where_it_may_and_never_enters_what_is_forbidden():
     barred = improve(plan, Request(aim, never=("left_queue >= 1",)), seed=3, **QUICKLY)
     assert not barred.improved
     assert any("nothing more is guaranteed" in note for note in barred.notes)
+
+
+def test_the_policy_of_a_subnet_is_improved_among_its_own_rows():
+    plan = machines(to_right=1.0)
+    rows = [PolicyRow((), (("begin_left", 0.5), ("begin_right", 0.5)))]
+    rows.append(PolicyRow((), (("to_right", 1.0),)))
+    scope = PolicyScope(("choose",), 1, 2)
+    found = improve(plan.with_policy(Policy((), rows, [scope])), Request(DONE), seed=1, **QUICKLY)
+    assert found.improved
+    (own,) = found.policy.scopes
+    assert own.places == ("choose",) and own.last - own.first == 1 + found.markings
+    assert any(name == "to_left" for name, _ in found.policy.rows[own.first].choices)
+    assert found.policy.rows[0].choices == rows[0].choices
 
 
 def test_a_time_to_a_condition():
