@@ -415,3 +415,95 @@ def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
     page.evaluate("() => { while (window.gspn.edit.document.undo()); }")
     assert net(page) == before
     assert page.evaluate(drawn) == len(before["places"] + before["transitions"])
+
+
+def test_what_is_typed_after_a_node_was_added_is_its_name(edit):
+    page = edit({"one": ONE}, "one")
+    titles = [page.get_attribute("#ed-add-" + what, "title") for what in ("timed", "immediate")]
+    assert titles == ["Add a timed transition (T)", "Add an immediate transition (I)"]
+
+    def name(text, whole=None):
+        page.keyboard.type(text)
+        key(page, "Enter")
+        status(page, "to %s" % (whole or text))
+
+    page.dblclick("#ed-net", position={"x": 60, "y": 60})
+    name("Depot hall")
+    page.click("#ed-add-place")
+    page.click("#ed-net", position={"x": 60, "y": 300})
+    name("Attic")
+    x, y, k = where(page, "Attic")
+    draw_arc(page, "Attic", (x + 120 * k, y))
+    name("fix it")
+    # after a key that adds, in the drawing and in the list
+    page.mouse.move(300, 5)
+    page.focus("#ed-net")
+    key(page, "Escape", "p")
+    name("Depot yard")
+    page.focus("#ed-list")
+    key(page, "i")
+    # a name may begin with the letter of a tool: a second letter comes at once
+    page.evaluate(
+        """() => { for (const key of "pa") document.activeElement.dispatchEvent(
+        new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true })); }"""
+    )
+    page.wait_for_selector("#ed-name")
+    name("int it", "paint it")
+    assert names(page, "places") == ["Home", "Depot hall", "Attic", "Depot yard"]
+    assert names(page, "transitions") == ["fix it", "paint it"]
+    assert arcs(page) == {("Attic", "fix it")}
+    # a tool's letter alone is that tool, and undo means the node while nothing is typed
+    key(page, "Escape", "p", "t", "Escape")
+    assert names(page, "places")[-1] == "P1" and names(page, "transitions")[-1] == "T1"
+    page.dblclick("#ed-net", position={"x": 60, "y": 460})
+    assert names(page, "places")[-1] == "P2"
+    key(page, "Control+z")
+    assert names(page, "places")[-1] == "P1"
+
+
+def test_an_edit_is_undone_after_the_editor_was_left(edit):
+    page = edit({"one": ONE}, "one")
+    page.click("#ed-list li[data-key='place:Home']")
+    key(page, "+", "Control+s")
+    status(page, "Saved.")
+    for left in ("saved", "unsaved"):
+        if left == "unsaved":
+            page.click("#ed-list li[data-key='place:Home']")
+            key(page, "+")
+        page.click("#ed-close")
+        if left == "unsaved":
+            page.click("dialog button:has-text('Leave without saving')")
+        page.wait_for_selector("body[data-mode=SIMULATE]")
+        page.click("#ed-open")
+        page.wait_for_selector(READY)
+        before = net(page)["places"][0].get("tokens", 0)
+        assert before == 1
+        page.click("#ed-undo")
+        assert net(page)["places"][0].get("tokens", 0) == (2 if left == "unsaved" else 0)
+        page.click("#ed-redo")
+
+
+def test_choosing_in_the_list_leaves_the_view_where_it_is(edit):
+    page = edit({"one": ONE, "home": SUB}, "home")
+    page.wait_for_function("() => window.gspn.edit.canvas.camera.now")
+    page.click("#ed-fit")
+    camera = "() => window.gspn.edit.canvas.camera.flight || window.gspn.edit.canvas.camera.now"
+    before = page.evaluate(camera)
+    for each in ("place:Work", "place:Dock", "transition:go", "transition:leave"):
+        page.click("#ed-list li[data-key='%s']" % each)
+        assert page.evaluate(camera) == before, each
+    # what is out of sight comes into sight, no nearer
+    page.evaluate("() => window.gspn.edit.canvas.camera.pan(-2000, 0)")
+    page.click("#ed-list li[data-key='place:Work']")
+    page.wait_for_function("() => !window.gspn.edit.canvas.camera.flight")
+    x, y, k = where(page, "Work")
+    box = page.locator("#ed-net").bounding_box()
+    assert k == before["k"] and box["x"] < x < box["x"] + box["width"] / 2
+
+
+def test_functions_that_are_written_meanwhile_are_offered(edit, tmp_path):
+    page = edit({"one": ONE}, "one")
+    page.click("#ed-list li[data-key='place:Home']")
+    page.wait_for_selector("#ed-properties")
+    (tmp_path / "plans" / "one" / "actions.py").write_text("def sweep(is_cancelled):\n    pass\n")
+    page.wait_for_selector("#ed-right option:has-text('actions.sweep')", state="attached")

@@ -85,6 +85,14 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     page.click("dialog button:has-text('Leave the team')")
     order(page, "robot_2", "More")
     page.click("dialog button:has-text('Evict')")
+    # a robot that acts is not evicted by one click
+    page.wait_for_selector("dialog[open] h2:has-text('Evict robot_2 from the run')")
+    assert not any(given["command"] == "evict" for given in team.given)
+    page.click("dialog button:has-text('Cancel')")
+    page.wait_for_selector("dialog:not([open])", state="attached")
+    order(page, "robot_2", "More")
+    page.click("dialog button:has-text('Evict')")
+    page.click("dialog button:has-text('Evict robot_2')")
     page.wait_for_selector("#robots .orders li.refused:has-text('robot_2 does not listen')")
     picture(page, "orders")
 

@@ -19,6 +19,7 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
+    Set,
     Tuple,
 )
 
@@ -93,7 +94,7 @@ def findings(
         least = min(limit, STATES_AT_LAST)
         report = check_all(plan, limit=least, standalone=standalone)
     found = [_finding("note", note, nodes.named_in(note)) for note in plan.notes]
-    found += [*_loose(document, nodes), *_of_report(report, plan, nodes)]
+    found += [*_loose(nodes), *_as_far_as_drawn(_of_report(report, plan, nodes), plan, nodes)]
     order = ["error", "warning", "note"]
     found.sort(key=lambda finding: order.index(finding["level"]))
     return {
@@ -164,6 +165,10 @@ class DocumentNodes:
             if element is not None and element not in found:
                 found.append(element)
         return found
+
+    def ends(self) -> Set[str]:
+        """The names of the nodes that an arc leads to or from."""
+        return {str(arc.get(key)) for arc in self.lists["arc"] for key in ("from", "to")}
 
     def named_in(self, text: str) -> List[Element]:
         """The nodes that a text names in quotes."""
@@ -346,9 +351,9 @@ def _bare(node: Any) -> Optional[Dict[str, str]]:
 # -- the report ------------------------------------------------------------------------------------
 
 
-def _loose(document: EditedDocument, nodes: DocumentNodes) -> Iterable[Dict[str, Any]]:
+def _loose(nodes: DocumentNodes) -> Iterable[Dict[str, Any]]:
     """What one can see to be unfinished: nodes without any arc."""
-    ends = {arc.get(key) for arc in nodes.lists["arc"] for key in ("from", "to")}
+    ends = nodes.ends()
     loose = [
         node["name"]
         for kind in ("place", "transition")
@@ -357,9 +362,28 @@ def _loose(document: EditedDocument, nodes: DocumentNodes) -> Iterable[Dict[str,
     ]
     if loose and len(nodes.kinds) > 1:
         many = ", ... (%d in all)" % len(loose) if len(loose) > 10 else ""
+        forgotten = len(loose) < len(nodes.kinds) / 2  # of more, the arcs are yet to be drawn
         yield _finding(
-            "warning", "no arc: %s%s" % (", ".join(loose[:10]), many), nodes.all_of(loose)
+            "warning" if forgotten else "note",
+            "no arc: %s%s" % (", ".join(loose[:10]), many),
+            nodes.all_of(loose),
         )
+
+
+def _as_far_as_drawn(
+    findings: Iterable[Dict[str, Any]], plan: Plan, nodes: DocumentNodes
+) -> Iterable[Dict[str, Any]]:
+    """Findings without what nobody can judge yet: the action of a place that no arc leads to or
+    from, and what can fire in a net without a token."""
+    ends, empty = nodes.ends(), not plan.robots and not any(p.tokens for p in plan.net.places)
+    for found in findings:
+        if found["check"] == "actions" and found["elements"]:
+            drawn = [each for each in found["elements"] if each["name"] in ends]
+            yield {**found, "elements": drawn} if drawn else {**found, "level": "note"}
+        elif found["check"] == "never_fire" and empty:
+            yield {**found, "level": "note"}
+        else:
+            yield found
 
 
 def _of_report(

@@ -207,11 +207,30 @@ def test_an_empty_document_and_a_lone_node_are_no_fault_of_the_program() -> None
     }
     assert checked(empty)["findings"]
     empty["net"]["places"].append({"name": "A"})
-    assert elements(checked(empty)) == ["place:A"]
+    assert elements(checked(empty)) == []
     document = a_document()
     document["net"]["transitions"].append({"name": "alone"})
     (loose,) = [f for f in checked(document)["findings"] if f["text"].startswith("no arc")]
     assert loose["elements"] == [{"kind": "transition", "name": "alone"}]
+    assert loose["level"] == "warning"
+
+
+def test_what_is_being_drawn_is_judged_once_there_is_something_to_judge() -> None:
+    document: Dict[str, Any] = {
+        "plan": {"plan": "new", "actions": {}},
+        "net": {
+            "places": [{"name": "P%d" % n} for n in range(14)],
+            "transitions": [{"name": "T%d" % n, "timed": True} for n in range(14)],
+            "arcs": [],
+        },
+        "policy": None,
+    }
+    before = checked(document)
+    assert {f["level"] for f in before["findings"]} == {"note"} and not before["valid"]
+    document["net"]["arcs"] += [{"from": "P3", "to": "T3"}, {"from": "T3", "to": "P4"}]
+    judged = [f for f in checked(document)["findings"] if f["level"] == "error"]
+    assert [sorted(e["name"] for e in f["elements"]) for f in judged] == [["P3", "P4"]]
+    assert not [f for f in checked(document)["findings"] if f["level"] == "warning"]
 
 
 ANYTHING = st.recursive(

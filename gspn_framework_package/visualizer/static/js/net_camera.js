@@ -8,7 +8,8 @@ const [NEAREST, FARTHEST] = [4, 0.02];
 const LARGEST_FIT = [1.6, 2.6]; // largest zoom of a fitted net, on a typical and on a very large screen
 const FLIGHT = 260; // ms
 const READABLE = 0.55; // from this zoom on, names are readable
-const EDGE = 60; // px from the edge within which a node counts as out of sight
+const EDGE = 24; // px from the edge within which a node counts as out of sight
+const INSIDE = 90; // px from the edge to which a node is brought that was out of sight
 const THIN = 0.5; // below this zoom lines are drawn thicker, so that they stay visible
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
@@ -71,15 +72,20 @@ export class Camera {
     this.set(next, px - ((px - x) * next) / k, py - ((py - y) * next) / k);
   }
 
-  /** Bring a node into sight, large enough to read its name. */
+  /** Bring a node into sight. The view stays as it is if it is there, and moves no farther than it has to; only where
+   * tokens are too small to be told apart, it comes near enough to read names. */
   flyTo(node) {
     const { width, height } = this.size;
     const from = { ...this.now };
     const [sx, sy] = [node.x * from.k + from.x, node.y * from.k + from.y];
     const inSight = sx > EDGE && sy > EDGE && sx < width - EDGE && sy < height - EDGE;
-    if (inSight && from.k >= READABLE) return; // already clearly visible
-    const k = Math.max(from.k, READABLE);
-    const to = { k, x: width / 2 - k * node.x, y: height / 2 - k * node.y };
+    const near = from.k >= SMALL;
+    if (inSight && near) return;
+    const k = near ? from.k : READABLE;
+    const into = (at, size) => Math.max(Math.min(at, size - INSIDE), Math.min(INSIDE, size / 2));
+    const to = near
+      ? { k, x: from.x + into(sx, width) - sx, y: from.y + into(sy, height) - sy }
+      : { k, x: width / 2 - k * node.x, y: height / 2 - k * node.y };
     this.fitted = false;
     if (matchMedia("(prefers-reduced-motion: reduce)").matches) {
       this.set(to.k, to.x, to.y);

@@ -288,7 +288,31 @@ export class Orders extends EventTarget {
       );
     if (answer === "leave")
       await this.give("leave", { robot: robot.name }, `Make ${robot.name} leave`);
-    if (answer === "evict") await this.give("evict", { robot: robot.name }, `Evict ${robot.name}`);
+    if (answer === "evict") await this.evict(robot.name);
+  }
+
+  /** Evict a robot; of one that acts, ask first. */
+  async evict(name) {
+    const { model } = this;
+    const robot = model.board.robots.get(name);
+    const place = model.scene.places[robot?.place]?.name;
+    const { word } = told(robot?.phase);
+    const sure = await ask(
+      `Evict ${name} from the run “${this.runName}”?`,
+      h("p", {
+        text: [
+          `${name}${place ? ` is in ${place}` : ""}${word ? `: it ${word}` : ""}.`,
+          "The team goes on without it, and its token is taken out of the net.",
+          "What it is doing is cancelled once it hears of that.",
+        ].join(" "),
+      }),
+      [
+        ["Cancel", "", "primary"],
+        [`Evict ${name}`, "evict", "danger"],
+      ],
+    );
+    if (sure === "evict" && this.model === model)
+      await this.give("evict", { robot: name }, `Evict ${name}`);
   }
 
   /** The buttons on the card of a robot. */

@@ -110,7 +110,9 @@ export class Actions {
     const [x, y] = pointer || (at ? canvas.freeSpot(at.x + NEXT, at.y) : canvas.freeSpot());
     const spot = pointer ? canvas.freeSpot(...pointer) : [x, y];
     const key = this.add(what, ...spot, joined ? from : null);
-    if (key) canvas.flyTo(key);
+    if (!key) return;
+    canvas.flyTo(key);
+    this.mode.added = { key, state: this.mode.document.state };
   }
 
   /** Make an arc between two nodes; says why not. */

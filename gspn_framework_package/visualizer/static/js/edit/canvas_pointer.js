@@ -295,27 +295,35 @@ export class CanvasPointer extends Pointer {
     else if (gesture.kind === "move") {
       const points = new Map(gesture.nodes.map(({ name, x, y }) => [name, [x, y]]));
       mode.actions.move(`Move ${mode.actions.listed(gesture.nodes.map(({ key }) => key))}`, points);
-    } else if (gesture.kind === "arc") this.join(gesture.node, end);
+    } else if (gesture.kind === "arc") this.join(event, gesture.node, end);
     else if (gesture.kind === "band") {
       const keys = (gesture.inside || []).map(({ key }) => key);
       mode.choose(event.shiftKey ? [...mode.selection, ...keys] : keys);
     }
   }
 
-  join(from, { node, x, y, problem }) {
+  join(event, from, { node, x, y, problem }) {
     const { mode } = this;
+    let added = null;
     if (problem) mode.say(problem);
     else if (node) mode.actions.connect(from.key, node.key);
-    else mode.actions.add(mode.actions.kindAfter(from.key), x, y, from.key);
+    else added = mode.actions.add(mode.actions.kindAfter(from.key), x, y, from.key);
     mode.setTool(null);
+    this.name(event, added);
+  }
+
+  /** Let a node that was added be named at once: what is typed next is its name. Fingers get no keyboard for it. */
+  name(event, key) {
+    if (key && event.pointerType !== "touch") this.mode.beginRename(key);
   }
 
   click(event, { kind, node, arc, from }) {
     const { mode, view } = this;
     if (kind === "place") {
       const { x, y } = snapped(from[0], from[1], view.nodes, view.camera.now.k);
-      mode.actions.add(mode.tool, x, y);
+      const added = mode.actions.add(mode.tool, x, y);
       if (!event.shiftKey) mode.setTool(null);
+      this.name(event, added);
       return;
     }
     if (mode.tool === "arc") {
@@ -346,6 +354,6 @@ export class CanvasPointer extends Pointer {
     if (event.pointerType === "touch") return; // fingers only look
     const spot = snapped(x, y, view.nodes, view.camera.now.k);
     const what = event.shiftKey ? "timed" : event.altKey ? "immediate" : "place";
-    mode.actions.add(what, spot.x, spot.y);
+    this.name(event, mode.actions.add(what, spot.x, spot.y));
   }
 }

@@ -121,14 +121,17 @@ export class Checks {
     const count = (level) => findings.filter((finding) => finding.level === level).length;
     const warnings = count("warning");
     const more = warnings ? `, ${plural(warnings, "warning")}` : "";
-    return valid ? `May run${more}` : `Not valid: ${plural(count("error"), "error")}${more}`;
+    if (valid) return `May run${more}`;
+    const errors = count("error"); // without any, what there is cannot be judged yet
+    return errors ? `Not valid: ${plural(errors, "error")}${more}` : `Not finished${more}`;
   }
 
   show(answer) {
     const { valid, decided, findings } = answer;
     this.mode.findings = findings;
+    const wrong = !valid && findings.some(({ level }) => level === "error");
     this.tell(
-      !valid ? "invalid" : decided ? "checked" : "undecided",
+      wrong ? "invalid" : valid && decided ? "checked" : "undecided",
       `${this.verdict(answer)}.${decided ? "" : " Not all questions could be decided."}`,
     );
     this.mark(findings);

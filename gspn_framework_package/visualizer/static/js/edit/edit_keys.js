@@ -2,11 +2,14 @@
 
 import { attempt, dialogOpen } from "../dom.js";
 
+const TYPING = 400; // ms within which a second key makes a name of two, after a node was added by key
+
 /** What the help says: [keys, what they do]. */
 export const EDIT_KEYS = [
   ["P  T  I", "add a place, a timed or an immediate transition, where the pointer is"],
   ["Shift + P  T  I", "the same, with an arc from the chosen node"],
   ["A", "an arc from the chosen node: ← → or the list choose its end, Enter makes it"],
+  ["any name", "after a node was added: its name"],
   ["F2, Enter", "rename the chosen node; the weight of the chosen arc"],
   ["+  −", "tokens of the chosen places, weight of the chosen arcs; else zoom"],
   ["H", "make the chosen arcs inhibitor arcs, and back"],
@@ -36,16 +39,70 @@ const isField = (target) =>
   target.matches?.("input:not([type=checkbox]):not([type=radio]), textarea, select") ||
   target.isContentEditable;
 
+/** Keys that come after a node was added by key. They may be the beginning of its name, or go on drawing: a key that
+ * draws waits a moment for a second one. P, T and I with Shift draw, one after the other. */
+class Typed {
+  constructor(mode, act) {
+    this.mode = mode;
+    this.act = act;
+    this.waiting = []; // events whose meaning is open
+    this.timer = 0;
+  }
+
+  /** The node that was added, if nothing has been done since. */
+  get added() {
+    const { added, document: edited, selection } = this.mode;
+    const fresh = added?.state === edited.state && selection.size === 1 && selection.has(added.key);
+    return fresh && !this.mode.tool ? added.key : null;
+  }
+
+  /** Take a key. Returns whether it is dealt with. */
+  take(event) {
+    const { added } = this;
+    const writes = event.key.length === 1 && event.key !== " " && !event.altKey;
+    if (!added || !(writes || (this.waiting.length && event.key === " ")) || event.isComposing) {
+      this.draw();
+      return false;
+    }
+    event.preventDefault();
+    if (event.repeat) return true; // the key that added it is held down
+    clearTimeout(this.timer);
+    this.waiting.push(event);
+    const text = this.waiting.map(({ key }) => key).join("");
+    if (/^[PTI]+$/.test(text) || (text.length === 1 && alone(event, this.mode)))
+      this.timer = setTimeout(() => this.draw(), TYPING);
+    else {
+      this.waiting = [];
+      this.mode.beginRename(added, text);
+    }
+    return true;
+  }
+
+  /** What waits was meant for the drawing. */
+  draw() {
+    clearTimeout(this.timer);
+    for (const event of this.waiting.splice(0)) this.act(event);
+  }
+}
+
 /** Bind the keys of the editor until `signal` aborts. */
 export function bindEditKeys(mode, signal) {
   const free = (event) =>
     !dialogOpen() && !isField(event.target) && document.getSelection().isCollapsed;
+  const typed = new Typed(mode, (event) => {
+    const action = alone(event, mode);
+    if (action) attempt(action);
+  });
+  signal.addEventListener("abort", () => clearTimeout(typed.timer));
   document.addEventListener(
     "keydown",
     (event) => {
       if (dialogOpen()) return;
       const saves = (event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "s";
       if (isField(event.target) && !saves) return;
+      if (["Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
+      if (event.ctrlKey || event.metaKey) typed.draw();
+      else if (typed.take(event)) return;
       if (event.key === " " && event.target === mode.canvas.container) {
         event.preventDefault();
         mode.panning = true;

@@ -13,6 +13,7 @@ export class Editor {
     this.page = page;
     this.mode = null;
     this.kept = new Map(); // key -> {opened, document}: what was opened since the editor was entered
+    this.left = new Map(); // the same of before: an edit can be undone later, as long as the files stay as they are
     this.trail = []; // keys of the files that led to the open one
     $("ed-open").onclick = () => page.edit(page.model.session.id);
     $("ed-close").onclick = () => page.go(this.id);
@@ -48,6 +49,8 @@ export class Editor {
       else page.go(key);
       return;
     }
+    const left = kept ? null : this.left.get(key);
+    const edited = kept?.document ?? (left?.opened.etag === opened.etag ? left.document : null);
     const at = this.trail.indexOf(key);
     if (at >= 0) this.trail.length = at;
     page.closeNet();
@@ -57,7 +60,7 @@ export class Editor {
     $("mode").textContent = "EDIT";
     $("connection").hidden = true;
     const crumbs = this.trail.map((id) => [id, this.kept.get(id).opened.path]);
-    this.mode = new EditMode(page, key, opened, { document: kept?.document, crumbs });
+    this.mode = new EditMode(page, key, opened, { document: edited, crumbs });
     this.kept.set(key, { opened, document: this.mode.document });
     window.gspn = { page, edit: this.mode };
     this.showButtons();
@@ -86,6 +89,10 @@ export class Editor {
     }
     this.mode.close();
     this.mode = null;
+    for (const [key, { opened, document: edited }] of this.kept) {
+      edited.giveUp();
+      this.left.set(key, { opened, document: edited });
+    }
     this.kept.clear();
     this.trail = [];
     $("ed-page").hidden = true;

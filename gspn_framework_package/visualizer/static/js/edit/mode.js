@@ -1,6 +1,6 @@
 // The mode EDIT: its part of the page, and what its parts share. Each panel and each tool is a part of its own.
 
-import { $, h, announce, ask, attempt } from "../dom.js";
+import { $, h, announce, ask, attempt, withArticle } from "../dom.js";
 import { post } from "../api.js";
 import { Actions, WORDS } from "./actions.js";
 import { ARRANGEMENTS } from "./arrange.js";
@@ -43,6 +43,7 @@ export class EditMode extends EventTarget {
     this.panning = false; // whether the pointer drags the view
     this.witness = null; // the sequence that is being played
     this.files = null; // the part that saves
+    this.added = null; // {key, state}: the node that a key has added, and the state of the document since then
     this.build(crumbs);
     this.canvas = new Canvas($("ed-net"), this.document, opened.scale);
     this.actions = new Actions(this);
@@ -252,7 +253,7 @@ export class EditMode extends EventTarget {
       this.button("add", {
         id: `ed-add-${what}`,
         label,
-        title: `Add a ${WORDS[what]}`,
+        title: `Add ${withArticle(WORDS[what])}`,
         key,
         "aria-pressed": "false",
         onclick: (event) => {
@@ -436,8 +437,8 @@ export class EditMode extends EventTarget {
 
   // -- renaming in place ---------------------------------------------------------------------------
 
-  /** Edit the name of a node, or the weight of an arc, where it is drawn. */
-  beginRename(key) {
+  /** Edit the name of a node, or the weight of an arc, where it is drawn; `typed`: the name as far as it is typed. */
+  beginRename(key, typed = null) {
     this.endRename(true);
     const { canvas, actions } = this;
     const node = canvas.byKey.get(key);
@@ -456,13 +457,22 @@ export class EditMode extends EventTarget {
       autocomplete: "off",
       spellcheck: "false",
       onkeydown: (event) => {
-        if (event.key === "Enter") this.endRename(true, true);
-        else if (event.key === "Escape") this.endRename(false);
-        else return;
+        const { key: pressed, ctrlKey, metaKey, shiftKey } = event;
+        if (pressed === "Enter") this.endRename(true, true);
+        else if (pressed === "Escape") this.endRename(false);
+        else if (
+          (ctrlKey || metaKey) &&
+          /^[zy]$/i.test(pressed) &&
+          field.value === field.defaultValue
+        ) {
+          this.endRename(false); // nothing is typed: it is the node that is meant
+          if (pressed.toLowerCase() === "z" && !shiftKey) this.undo();
+          else this.redo();
+        } else return;
         event.preventDefault();
         event.stopPropagation();
       },
-      onblur: () => this.endRename(true),
+      onblur: () => this.endRename(true, false, false),
     });
     const { width, height } = canvas.container.getBoundingClientRect();
     field.style.left = `${Math.max(4, Math.min(width - 190, x * k + x0 - 90))}px`;
@@ -471,12 +481,13 @@ export class EditMode extends EventTarget {
     this.renaming = { field, put };
     $("ed-frame").append(field);
     field.focus();
-    field.select();
+    if (typed === null) field.select();
+    else field.value = typed;
   }
 
   /** End it; `keep`: with what is in the field. A name that cannot be is told; it is then asked for again if
-   * `insist`. */
-  endRename(keep, insist = false) {
+   * `insist`. `returns`: the drawing gets the focus. */
+  endRename(keep, insist = false, returns = true) {
     const { renaming } = this;
     if (!renaming) return;
     const problem = keep ? renaming.put(renaming.field.value) : "";
@@ -487,7 +498,7 @@ export class EditMode extends EventTarget {
     }
     this.renaming = null;
     renaming.field.remove();
-    this.canvas.container.focus({ preventScroll: true });
+    if (returns) this.canvas.container.focus({ preventScroll: true });
   }
 
   undo() {

@@ -106,6 +106,13 @@ export class PlanDocument extends EventTarget {
     this.dispatchEvent(new CustomEvent("saved"));
   }
 
+  /** Go back to what the files hold, which can be undone. */
+  giveUp() {
+    if (!this.dirty) return;
+    this.edit("Leave without saving", () => this.saved);
+    this.markSaved();
+  }
+
   put(state, edit) {
     const before = this.state;
     this.state = state;

@@ -28,8 +28,11 @@ export class PlanForm extends FormPanel {
       return;
     }
     this.refresh();
-    this.palette = await paletteOf(this.mode);
-    if (this.palette) this.refresh();
+    const take = (palette) => {
+      this.palette = palette;
+      this.refresh();
+    };
+    paletteOf(this.mode).follow(take);
   }
 
   draw() {
@@ -42,14 +45,44 @@ export class PlanForm extends FormPanel {
   }
 }
 
-const palettes = new WeakMap(); // one request for all panels of a mode
+const LOOK_AGAIN = 4000; // ms after which it is asked what else has come to be: functions are written meanwhile
+
+/** What the actions of a plan can be chosen from, for all panels of a mode. */
+class Palette {
+  constructor(mode) {
+    this.mode = mode;
+    this.told = []; // who wants to know
+    this.text = ""; // the last answer
+    this.look();
+    const again = () => !document.hidden && this.look();
+    const timer = setInterval(again, LOOK_AGAIN);
+    addEventListener("focus", again, { signal: mode.bound.signal });
+    mode.bound.signal.addEventListener("abort", () => clearInterval(timer));
+  }
+
+  /** Tell `take` the palette, now and whenever it changes. */
+  follow(take) {
+    this.told.push(take);
+    if (this.text) take(JSON.parse(this.text));
+  }
+
+  async look() {
+    if (this.looking) return;
+    this.looking = true;
+    const { mode } = this;
+    const found = await get("edit/palette", mode.id ? { id: mode.id } : {}).catch(() => null);
+    this.looking = false;
+    const text = found && JSON.stringify(found);
+    if (!text || text === this.text || mode.closed) return;
+    this.text = text;
+    for (const take of this.told) take(JSON.parse(text));
+  }
+}
+
+const palettes = new WeakMap(); // one for all panels of a mode
 
 function paletteOf(mode) {
-  if (!palettes.has(mode))
-    palettes.set(
-      mode,
-      get("edit/palette", mode.id ? { id: mode.id } : {}).catch(() => null),
-    );
+  if (!palettes.has(mode)) palettes.set(mode, new Palette(mode));
   return palettes.get(mode);
 }
 
