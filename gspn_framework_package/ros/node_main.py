@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Sequence, Tupl
 import rospy
 
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.options import (
     NodeOptions,
@@ -205,11 +205,9 @@ def _fork(options: NodeOptions) -> int:
     plan, namespaces = _team(options)
     options = options.for_plan(plan)
     if options.check:
-        # in a separate process, because the robots do not need the libraries of the analysis
-        code = run_family([FamilyMember("the check of the plan", lambda: _check_alone(plan))])
-        if code:
-            return code
+        check_plan(plan, lambda text: print("warning: " + text, file=sys.stderr))
     # import what all members need once, before they are forked
+    from gspn_framework_package.ros import execution_node, operator_client  # noqa: F401
     from gspn_framework_package.ros.transport import master_watch  # noqa: F401
 
     share_log_configuration()
@@ -219,14 +217,6 @@ def _fork(options: NodeOptions) -> int:
         if options.place_server_nodes:
             members.append(_member(plan, robot, namespace, "place_servers", options, _serve_robot))
     return run_family(members, options.respawn)
-
-
-def _check_alone(plan: Plan) -> int:
-    try:
-        check_plan(plan, lambda text: print("warning: " + text, file=sys.stderr))
-    except GspnError as error:
-        return tell_error("gspn_team", error)
-    return 0
 
 
 MASTER_PERIOD = 2.0

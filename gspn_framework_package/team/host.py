@@ -9,7 +9,6 @@ import threading
 import time
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence
 
-from gspn_framework_package.analysis.preflight.while_running import why_refused
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface
@@ -36,7 +35,11 @@ from gspn_framework_package.team.commands import Commands, giver_of
 from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
 from gspn_framework_package.team.narrator import Narrator
-from gspn_framework_package.team.plan_examination import why_not_followed, with_folder
+from gspn_framework_package.team.plan_examination import (
+    why_not_followed,
+    why_refused,
+    with_folder,
+)
 from gspn_framework_package.team.self_report import SelfReport
 from gspn_framework_package.team.sides import (
     LOOK_AGAIN,

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Callable, Dict, List
+from typing import Callable, Dict, List, Tuple
 
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.own_process import in_own_process
 from gspn_framework_package.team.sides import ActionSide, EventSide
 
 
@@ -42,12 +43,36 @@ def why_not_followed(
         return "%s: %s" % (type(error).__name__, error)
 
 
+def why_refused(plan: Plan) -> str:
+    """What the check has against a plan that begins where the team is; "" for nothing. It may take
+    some seconds: do not call this on the worker thread."""
+    try:
+        return in_own_process(_why_refused, plan)
+    except GspnError as error:
+        return str(error)
+
+
+def _why_refused(plan: Plan) -> str:
+    from gspn_framework_package.analysis.preflight import while_running
+
+    return while_running.why_refused(plan)
+
+
 def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
     """Check a plan before it runs.
 
     :param warn: receives one warning for each kind of finding.
     :raises ExecutionError: the plan must not run.
     """
+    warnings, reasons = in_own_process(_findings, plan)
+    for text in warnings:
+        warn("%s: %s" % (plan.name, text))
+    if reasons:
+        raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
+
+
+def _findings(plan: Plan) -> Tuple[List[str], List[str]]:
+    """One warning for each kind of finding, and the reasons why the plan must not run."""
     from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.analysis.preflight.report import Severity
 
@@ -56,13 +81,9 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
     for item in report.items:
         if item.severity is Severity.WARNING:
             warnings.setdefault(item.check, []).append(item.text)
-    for kind, texts in warnings.items():
-        more = (
-            " (and %d more of this kind: see 'gspn check')" % (len(texts) - 1)
-            if len(texts) > 1
-            else ""
-        )
-        warn("%s: %s: %s%s" % (plan.name, kind, texts[0], more))
-    if report.refused:
-        reasons = [i.text for i in report.items if i.severity is Severity.REFUSED]
-        raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
+    more = " (and %d more of this kind: see 'gspn check')"
+    told = [
+        "%s: %s%s" % (kind, texts[0], more % (len(texts) - 1) if len(texts) > 1 else "")
+        for kind, texts in warnings.items()
+    ]
+    return told, [i.text for i in report.items if i.severity is Severity.REFUSED]

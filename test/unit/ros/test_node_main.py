@@ -1,5 +1,9 @@
 """What a node says of its plan before it starts."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 pytest.importorskip("rospy")
@@ -7,7 +11,10 @@ pytest.importorskip("rospy")
 from gspn_framework_package.analysis import preflight
 from gspn_framework_package.analysis.preflight.report import CheckItem, PreflightReport, Severity
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.ros.node_main import check_plan
+from gspn_framework_package.team import plan_examination
+from gspn_framework_package.team.own_process import in_own_process
 
 
 def test_findings_of_one_kind_are_one_warning(monkeypatch):
@@ -22,6 +29,7 @@ def test_findings_of_one_kind_are_one_warning(monkeypatch):
     ]
     report = PreflightReport("rendezvous", tuple(items), 0, True, 0.0)
     monkeypatch.setattr(preflight, "check", lambda plan: report)
+    monkeypatch.setattr(plan_examination, "in_own_process", lambda function, plan: function(plan))
     warnings = []
     check_plan(read_plan("plans/rendezvous"), warnings.append)
     assert warnings == [
@@ -39,3 +47,50 @@ def test_the_losses_of_a_plan_are_one_warning():
 
 def test_a_plan_of_which_nothing_is_to_be_said_gets_no_warning():
     check_plan(read_plan("plans/patrol"), pytest.fail)
+
+
+PACKAGE = "gspn_framework_package."
+
+OF_A_ROBOT = """
+import sys
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.ros import execution_node, node_main, place_servers
+from gspn_framework_package.ros.transport import master_watch
+from gspn_framework_package.team import agent, plan_examination
+
+plan = read_plan("plans/patrol")
+plan_examination.check_plan(plan, print)
+plan_examination.why_refused(plan)
+print("imported", *sys.modules)
+"""
+
+
+def test_the_process_of_a_robot_has_no_analysis():
+    """Each of them would take 15 MB more."""
+    done = subprocess.run(
+        [sys.executable, "-c", OF_A_ROBOT], stdout=subprocess.PIPE, text=True, check=True
+    )
+    imported = done.stdout.split()
+    assert PACKAGE + "team.host" in imported
+    assert [n for n in imported if n.startswith((PACKAGE + "analysis", "scipy", "numba"))] == []
+    of_others = (PACKAGE + "visualizer", PACKAGE + "cli", PACKAGE + "benchmark")
+    assert [n for n in imported if n.startswith(of_others)] == []
+
+
+def _end_at_once(code):
+    print("not a result")
+    os._exit(code)
+
+
+def _refuse():
+    raise ExecutionError("it cannot", hint="do something else")
+
+
+def test_what_a_process_of_its_own_raises_is_raised_here():
+    with pytest.raises(ExecutionError, match=r"it cannot \(do something else\)"):
+        in_own_process(_refuse)
+
+
+def test_a_process_that_ends_without_a_result_is_an_error():
+    with pytest.raises(ExecutionError, match="end_at_once ended with exit code 3"):
+        in_own_process(_end_at_once, 3)
