@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
 from collections import OrderedDict, deque
+from functools import partial
 from typing import Any, Callable, Deque, Dict, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 import genpy
@@ -22,11 +24,26 @@ from gspn_framework_package.ros.goal_data import goal_text
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
 from gspn_framework_package.ros.goal_state import GoalNews, GoalState
 from gspn_framework_package.ros.place_servers import PlaceServer
-from gspn_framework_package.ros.transport.registration import registered_together
+from gspn_framework_package.ros.ros_clock import ROS_CLOCK
+from gspn_framework_package.ros.transport.registration import (
+    MASTER_ERRORS,
+    published_topics,
+    registered_together,
+)
+from gspn_framework_package.team.clock import Clock
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.team.sides import LOOK_AGAIN
 
 Connection = Union[ActionConnection, DirectConnection]
+
+LOOK_AT_TYPE = 1.0
+"""Seconds after which the type of a server is looked at that is not connected."""
+
+MISSED = 2.5
+"""Periods without a status after which a server is silent."""
+
+MOST_GIVEN_UP = 20
+"""Goals that were given up of which it is reported if they have a result after all, the last."""
 
 
 class ActionEnded(NamedTuple):
@@ -51,21 +68,18 @@ class _Abandoned(NamedTuple):
 
 
 class _Goal:
-    """A goal, and the deadlines of its current state (monotonic seconds)."""
+    """A goal, and the deadlines of its current state: monotonic seconds, or, as said, those of the
+    caller's clock."""
 
     def __init__(
-        self,
-        identity: GoalIdentity,
-        target: ActionTarget,
-        command: StartAction,
-        start_at: float,
-        connect_by: float,
+        self, identity: GoalIdentity, target: ActionTarget, command: StartAction, start_at: float
     ) -> None:
         self.identity, self.target, self.command = identity, target, command
         self.id = str(identity)
         self.state = GoalState.DELAYED
         self.start_at = start_at
-        self.connect_by = connect_by
+        """When its attempt begins, by the caller's clock."""
+        self.connect_by = self.look_at_type = 0.0
         self.connection: Optional[Connection] = None
         """The connection over which it was sent; None before."""
         self.message: Optional[genpy.Message] = None
@@ -73,9 +87,8 @@ class _Goal:
         self.text = ""
         """The text that was sent with it; see ``ros.goal_data``."""
         self.sent_at = 0.0
-        self.send_again_at = 0.0
         self.cut_off_at: Optional[float] = None
-        """When the action times out; None: never."""
+        """When the action times out, by the caller's clock; None: never."""
         self.acknowledged_by = ""
         """Caller id of the server that acknowledged it."""
         self.ended: Optional[Tuple[str, str]] = None
@@ -119,7 +132,9 @@ class ActionCaller:
     :param own_servers: the servers in this process that receive goals directly, by their absolute
       names.
     :param cancel_grace: seconds that a server has to end a goal that was cancelled.
-    :param fault: receives the text of a fault: a server did not end its goal in that time.
+    :param fault: receives the text of a fault: a server did not end its goal in that time, or has
+      a result of a goal that was given up; or time went back.
+    :param clock: the clock by which the times of the plan pass.
     """
 
     def __init__(
@@ -135,8 +150,9 @@ class ActionCaller:
         own_servers: Optional[Mapping[str, PlaceServer]] = None,
         cancel_grace: float = Plan.cancel_grace,
         fault: Callable[[str], None] = lambda text: None,
+        clock: Clock = ROS_CLOCK,
     ) -> None:
-        self.robot = robot
+        self.robot, self._clock = robot, clock
         self.tag = new_tag()
         self._targets, self._timeout = targets, timeout
         self._enqueue, self._ended, self._feedback = enqueue, ended, feedback
@@ -145,6 +161,9 @@ class ActionCaller:
         self._cancel_grace, self._fault = cancel_grace, fault
         self._goal: Optional[_Goal] = None
         self._abandoned: Deque[_Abandoned] = deque()
+        self._given_up: OrderedDict[str, str] = OrderedDict()
+        """Id of a goal that was given up -> why."""
+        self._times_back = clock.times_back
         self._connections: OrderedDict[str, ActionConnection] = OrderedDict()
         self._opening: Set[str] = set()
         self._direct: Dict[str, DirectConnection] = {
@@ -164,14 +183,8 @@ class ActionCaller:
         identity = GoalIdentity(
             self.robot, command.incarnation, command.visit, command.attempt, self.tag
         )
-        start_at = now + command.delay
-        self._goal = _Goal(
-            identity,
-            self._targets[command.place],
-            command,
-            start_at,
-            start_at + self._patience.server,
-        )
+        start_at = self._clock.seconds() + command.delay
+        self._goal = _Goal(identity, self._targets[command.place], command, start_at)
         self.poll(now)
 
     def follow(
@@ -215,6 +228,13 @@ class ActionCaller:
     def poll(self, now: float) -> Optional[float]:
         """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
         time is set."""
+        self._clock.seconds()
+        if self._times_back != self._clock.times_back:
+            self._times_back = self._clock.times_back
+            self._fault(
+                "time went back by %.1f s (/clock): the run goes on, and goals for action servers "
+                "keep the newest time stamp" % self._clock.back_by
+            )
         return earliest(self._poll_goal(now), self._poll_abandoned(now))
 
     def _poll_abandoned(self, now: float) -> Optional[float]:
@@ -223,8 +243,8 @@ class ActionCaller:
             goal = self._abandoned.popleft()
             if goal.connection.still_has(goal.goal_id):
                 self._fault(
-                    "%s has not ended the goal of %s, %g s after it was cancelled"
-                    % (goal.target.server, goal.target.place, self._cancel_grace)
+                    "%s has not ended the goal of %s, %g s after it was cancelled (cancel_grace in "
+                    "the plan)" % (goal.target.server, goal.target.place, self._cancel_grace)
                 )
         return self._abandoned[0].report_at if self._abandoned else None
 
@@ -240,20 +260,30 @@ class ActionCaller:
         if goal is None:
             return None
         if goal.state is GoalState.DELAYED:
-            if now < goal.start_at:
-                return goal.start_at
+            if self._clock.seconds() < goal.start_at:
+                return self._clock.look_at(goal.start_at, now)
             goal.become(GoalState.CONNECTING)
+            goal.connect_by = now + self._patience.server
+            goal.look_at_type = now + min(LOOK_AT_TYPE, self._patience.server / 2)
         if goal.state is GoalState.CONNECTING:
             return self._poll_connecting(goal, now)
         if goal.state is GoalState.RESULT_DUE:
             return self._poll_result_due(goal, now)
-        if goal.cut_off_at is not None and now >= goal.cut_off_at:
-            seconds = self._timeout(goal.target.place)
-            self._fail(goal, "timeout", "it took longer than %g s" % (seconds or 0), cancel=True)
-            return None
-        if goal.state is GoalState.SENT:
-            return self._poll_sent(goal, now)
-        return self._poll_active(goal, now)
+        cut_off = None
+        if goal.cut_off_at is not None:
+            if self._clock.seconds() >= goal.cut_off_at:
+                self._fail(
+                    goal,
+                    "timeout",
+                    "it took longer than %g s (timeout in the plan)"
+                    % (self._timeout(goal.target.place) or 0),
+                    cancel=True,
+                )
+                return None
+            cut_off = self._clock.look_at(goal.cut_off_at, now)
+        poll = self._poll_sent if goal.state is GoalState.SENT else self._poll_active
+        look_again = poll(goal, now)
+        return look_again if look_again is None else earliest(look_again, cut_off)
 
     def _poll_connecting(self, goal: _Goal, now: float) -> Optional[float]:
         connection = self._connection(goal.target.server)
@@ -263,11 +293,31 @@ class ActionCaller:
             self._send(goal, connection, now)
             return self._poll_goal(now)
         if now >= goal.connect_by:
-            others = len(connection.last_status) if connection else 0
-            detail = "%s did not answer within %g s" % (goal.target.server, self._patience.server)
-            self._fail(goal, "no server", detail + (" (half connected)" if others else ""))
+            detail = "%s did not answer within %g s (~server_timeout)" % (
+                goal.target.server,
+                self._patience.server,
+            )
+            if connection and connection.last_status:
+                detail += ": only some of its topics are connected"
+            self._fail(goal, "no server", detail)
             return None
+        if now >= goal.look_at_type:
+            goal.look_at_type = math.inf
+            self._background.put(partial(self._look_at_type, goal))
         return min(now + LOOK_AGAIN, goal.connect_by)
+
+    def _look_at_type(self, goal: _Goal) -> None:
+        """Have a goal fail whose server is of another type; on the thread of the connections."""
+        try:
+            clash = goal.target.clash(published_topics())
+        except MASTER_ERRORS:
+            return
+        if clash:
+            self._enqueue(self._found_clash, goal, clash)
+
+    def _found_clash(self, goal: _Goal, clash: str) -> None:
+        if goal is self._goal and goal.state is GoalState.CONNECTING:
+            self._fail(goal, "no server", clash)
 
     def _send(self, goal: _Goal, connection: Connection, now: float) -> None:
         if goal.target.server in self._connections:
@@ -281,25 +331,23 @@ class ActionCaller:
         goal.text = goal_text(goal.command) if goal.target.speaks_gspn else ""
         goal.become(GoalState.SENT)
         goal.sent_at = now
-        goal.send_again_at = now + self._patience.acknowledgement / 3
         seconds = self._timeout(goal.target.place)
-        goal.cut_off_at = None if seconds is None else now + seconds
+        goal.cut_off_at = None if seconds is None else self._clock.seconds() + seconds
+        self._background.put(connection.learn_periods)
         connection.send(goal.id, goal.message, goal.identity.incarnation, goal.text)
         self._open_spare()
 
     def _poll_sent(self, goal: _Goal, now: float) -> Optional[float]:
-        give_up = goal.sent_at + self._patience.acknowledgement
-        if now >= give_up:
-            detail = "%s did not take the goal within %g s" % (
-                goal.target.server,
-                self._patience.acknowledgement,
-            )
-            self._fail(goal, "lost", detail, cancel=True)
+        assert goal.connection is not None
+        seconds = self._patience.acknowledgement
+        server = goal.connection.ready_server()
+        if server is not None:
+            seconds = _at_least(seconds, goal.connection.period(server))
+        if now >= goal.sent_at + seconds:
+            detail = "%s did not say within %g s that it has the goal (~acknowledgement_timeout)"
+            self._fail(goal, "lost", detail % (goal.target.server, seconds), cancel=True)
             return None
-        if now >= goal.send_again_at and goal.connection is not None:
-            goal.send_again_at = now + self._patience.acknowledgement / 3
-            goal.connection.send(goal.id, goal.message, goal.identity.incarnation, goal.text)
-        return min(give_up, goal.send_again_at, goal.cut_off_at or give_up)
+        return min(goal.sent_at + seconds, now + 0.5)
 
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
         assert goal.connection is not None
@@ -308,12 +356,13 @@ class ActionCaller:
             self._await_result(goal, now)
             return goal.result_by
         silence = goal.connection.silence(goal.acknowledged_by)
-        if silence >= self._patience.status:
-            detail = "%s has been silent for %.1f s" % (goal.target.server, silence)
-            self._fail(goal, "server died", detail, cancel=True)
+        period = goal.connection.period(goal.acknowledged_by)
+        limit = max(self._patience.status, MISSED * period)
+        if silence >= limit:
+            detail = "%s has sent no status for %.1f s (~status_timeout)"
+            self._fail(goal, "server died", detail % (goal.target.server, silence), cancel=True)
             return None
-        look_again = now + min(0.5, self._patience.status - silence)
-        return min(look_again, goal.cut_off_at or look_again)
+        return now + min(0.5, limit - silence)
 
     def _await_result(self, goal: _Goal, now: float) -> None:
         goal.become(GoalState.RESULT_DUE)
@@ -330,14 +379,16 @@ class ActionCaller:
             return self._poll_goal(now)
         outcome, detail = goal.ended or (
             "server died",
-            "%s closed its connections" % goal.target.server,
+            "%s closed its connections, and did not open them within %g s (~result_timeout)"
+            % (goal.target.server, self._patience.result),
         )
         if outcome in ("server died", "lost"):
             self._fail(goal, outcome, detail)
         elif outcome == "succeeded" and (
             goal.target.keep or goal.target.transition_of(outcome, None) == ""
         ):
-            self._fail(goal, "lost", "%s sent no result" % goal.target.server)
+            detail = "%s ended the goal, and sent no result within %g s (~result_timeout)"
+            self._fail(goal, "lost", detail % (goal.target.server, self._patience.result))
         else:
             self._finish(goal, outcome, detail, None)
         return None
@@ -347,6 +398,11 @@ class ActionCaller:
     def _heard(self, connection: Connection, what: GoalNews, goal_id: str, value: Any) -> None:
         goal = self._goal
         if goal is None or goal.id != goal_id or goal.connection is not connection:
+            if what is GoalNews.RESULT and goal_id in self._given_up:
+                why = self._given_up.pop(goal_id)
+                if value[0] not in ("preempted", "lost"):  # else it ended because it was cancelled
+                    text = "%s reports '%s' for a goal that was given up: %s"
+                    self._fault(text % (connection.server, value[0], why))
             return
         if what is GoalNews.ACKNOWLEDGED:
             if goal.state is not GoalState.SENT:
@@ -384,8 +440,14 @@ class ActionCaller:
         self._end(goal, ActionEnded(goal.identity, transition, data=data))
 
     def _fail(self, goal: _Goal, reason: str, detail: str, cancel: bool = False) -> None:
+        if goal.connection is not None and reason in ("lost", "timeout", "server died"):
+            self._given_up[goal.id] = detail
+            if len(self._given_up) > MOST_GIVEN_UP:
+                self._given_up.popitem(last=False)
         if cancel:
             self._abandon(goal)
+        if self._times_back and reason in ("preempted", "rejected"):
+            detail += " (time went back during this run, by %.1f s)" % self._clock.back_by
         self._end(goal, ActionEnded(goal.identity, "", reason, detail))
 
     def _end(self, goal: _Goal, ended: ActionEnded) -> None:
@@ -448,3 +510,8 @@ class ActionCaller:
             except Exception as error:
                 if not rospy.is_shutdown() and not self._closed:
                     rospy.logerr("connections of %s: %s", self.robot, error)
+
+
+def _at_least(seconds: float, period: float) -> float:
+    """Time for a server to say something by itself; ``seconds`` if it never does."""
+    return seconds if math.isinf(period) else max(seconds, MISSED * period)

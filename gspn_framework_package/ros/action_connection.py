@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import time
-from typing import Any, Callable, Dict, Optional, Set
+from typing import Any, Callable, Dict, List, Optional, Set, Tuple
 
 import genpy
 import rospy
@@ -11,6 +13,8 @@ from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 
 from gspn_framework_package.ros.goal_id import parse_goal_id
 from gspn_framework_package.ros.goal_state import GoalNews
+from gspn_framework_package.ros.ros_clock import ROS_CLOCK
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, nearest_parameter
 
 ENDED = {
     GoalStatus.SUCCEEDED: "succeeded",
@@ -68,6 +72,12 @@ class ActionConnection:
         self.last_status: Dict[str, float] = {}
         """Caller id of each server of this name -> monotonic time of its last status."""
         self._last_status_ros: Dict[str, float] = {}
+        self._listed: Dict[str, List[Tuple[str, int]]] = {}
+        """Caller id -> the goals of its last status, with their states."""
+        self._regular: Dict[str, int] = {}
+        """Caller id -> ``times_back`` of the clock at its last status that came by itself."""
+        self._periods: Dict[str, float] = {}
+        self._newest_stamp = rospy.Time()
         subscribe = rospy.Subscriber
         self._goal = rospy.Publisher(server + "/goal", self._goal_type, queue_size=10)
         self._cancel = rospy.Publisher(server + "/cancel", GoalID, queue_size=10)
@@ -109,29 +119,48 @@ class ActionConnection:
 
     def silence(self, caller: str) -> float:
         """Seconds since the last status of this server. With simulated time, which servers follow,
-        a slow or paused simulation does not count as silence."""
-        seconds = time.monotonic() - self.last_status[caller]
-        if not rospy.rostime.is_wallclock():
-            seconds = min(seconds, rospy.get_time() - self._last_status_ros[caller])
-        return seconds
+        a slow or paused simulation does not count as silence. Nor does silence since time went
+        back: the timer of an action server in Python ends then, while the server works on."""
+        passed = ROS_CLOCK.seconds() - self._last_status_ros[caller]
+        if self._regular.get(caller) != ROS_CLOCK.times_back:
+            return 0.0
+        return min(time.monotonic() - self.last_status[caller], passed)
+
+    def period(self, caller: str) -> float:
+        """Seconds between two statuses of this server, as far as its parameters say so; 0: they do
+        not, infinity: it sends none by itself."""
+        return self._periods.get(caller, 0.0)
+
+    def learn_periods(self) -> None:
+        """Read how often the servers send their status; may be called from any thread."""
+        for caller in set(self.last_status) - set(self._periods):
+            with contextlib.suppress(*MASTER_ERRORS):  # it is read again with the next goal
+                given = nearest_parameter("actionlib_status_frequency", caller, None)
+                given = nearest_parameter(self.server + "/status_frequency", caller, given)
+                known = isinstance(given, (int, float))
+                self._periods[caller] = (1.0 / given if given > 0 else math.inf) if known else 0.0
 
     def send(self, goal_id: str, goal: genpy.Message, incarnation: int, text: str = "") -> None:
-        """Send a goal and watch it; sending the same goal again is harmless.
+        """Send a goal and watch it. It is sent once: a server may begin a goal that it gets twice
+        twice.
 
         The stamp of the goal id is empty, so the server fills in its own time; otherwise an older
-        "cancel everything before" could apply to the goal if clocks differ.
+        "cancel everything before" could apply to the goal if clocks differ. When simulated time
+        went back, it is the newest stamp that the server has seen, since ``SimpleActionServer``
+        refuses a goal that is older than the one before.
 
         :param text: the ``frame_id`` of the header; see ``ros.goal_data``.
         """
-        if self._watched != goal_id:
-            self._acknowledged_by = None
-            self._told_end = False
-            self._watched = goal_id
+        self._acknowledged_by = None
+        self._told_end = False
+        self._watched = goal_id
         self._incarnation = incarnation
         message = self._goal_type()
         message.header.stamp = rospy.get_rostime()
         message.header.frame_id = text
         message.goal_id.id = goal_id
+        if not rospy.rostime.is_wallclock() and rospy.get_rostime() < self._newest_stamp:
+            message.goal_id.stamp = self._newest_stamp
         message.goal = goal
         self._goal.publish(message)
 
@@ -159,12 +188,17 @@ class ActionConnection:
     def _on_status(self, message: GoalStatusArray) -> None:
         caller = message._connection_header.get("callerid", "")
         first = caller not in self.last_status
-        self._last_status_ros[caller] = rospy.get_time()
+        self._last_status_ros[caller] = ROS_CLOCK.seconds()
         self.last_status[caller] = time.monotonic()
+        listed = [(status.goal_id.id, status.status) for status in message.status_list]
+        if self._listed.get(caller, listed) == listed:  # otherwise it may only tell what happened
+            self._regular[caller] = ROS_CLOCK.times_back
+        self._listed[caller] = listed
         watched, known = self._watched, False
         unended: Set[str] = set()
         for status in message.status_list:
             goal_id = status.goal_id.id
+            self._newest_stamp = max(self._newest_stamp, status.goal_id.stamp)
             if goal_id in self._abandoned and status.status not in ENDED:
                 self._abandoned[goal_id] = caller
                 unended.add(goal_id)
@@ -199,7 +233,7 @@ class ActionConnection:
     def _on_result(self, message: genpy.Message) -> None:
         status = message.status
         self._abandoned.pop(status.goal_id.id, None)
-        if status.goal_id.id == self._watched and status.status in ENDED:
+        if status.goal_id.id.endswith(self._tag) and status.status in ENDED:
             value = (ENDED[status.status], status.text, message.result)
             self._hand_on(self, GoalNews.RESULT, status.goal_id.id, value)
 

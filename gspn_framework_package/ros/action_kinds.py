@@ -37,6 +37,7 @@ from gspn_framework_package.ros.message_fields import (
 )
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
+    published_topics,
     subscribers,
     topic_types,
 )
@@ -94,12 +95,12 @@ class ServiceJob(Job):
                     call.connect(uri, attempt.patience.server)
                     break
             except ServiceFailed as error:
-                return JobEnd(error.outcome, str(error))
+                return JobEnd(error.outcome, self.clash({}) or str(error))
             except OSError:
                 pass  # it may be about to start
             if time.monotonic() > give_up:
-                text = "%s did not answer within %g s" % (self._name, attempt.patience.server)
-                return JobEnd("no server", text)
+                text = "%s did not answer within %g s (~server_timeout)"
+                return JobEnd("no server", text % (self._name, attempt.patience.server))
             if attempt.is_cancelled.wait(LOOK_EVERY):
                 return CANCELLED
         attempt.wait_for("")
@@ -315,13 +316,17 @@ def look_at_actions(plan: Plan) -> ActionFindings:
     name."""
     found = ActionFindings({}, {})
     types: Optional[Mapping[str, str]] = None
+    published: Optional[Mapping[str, str]] = None
     for robot in plan.robots:
         for place in plan.action_places:
             action = plan.action(robot.name, place)
             where = "%s in %s" % (robot.name, place)
+            clash = None
             try:
                 if isinstance(action, ServerAction):
-                    target(place, action, "/" + robot.name)
+                    goal = target(place, action, "/" + robot.name)
+                    published = live_types(published_topics) if published is None else published
+                    clash = goal.clash(published)
                 made = job(plan, place, action, "/" + robot.name)
             except UnknownTypeError as error:
                 found.unknown[where] = error.message
@@ -332,14 +337,14 @@ def look_at_actions(plan: Plan) -> ActionFindings:
             if made is not None:
                 types = live_types() if types is None else types
                 clash = made.clash(types)
-                if clash:
-                    found.misfits[where] = clash
+            if clash:
+                found.misfits[where] = clash
     return found
 
 
-def live_types() -> Mapping[str, str]:
-    """Topic -> type, for topics that somebody publishes or subscribes; empty without a master."""
+def live_types(asked: Callable[[], Mapping[str, str]] = topic_types) -> Mapping[str, str]:
+    """Topic -> type, as a function of ``transport.registration`` says; empty without a master."""
     try:
-        return topic_types()
+        return asked()
     except MASTER_ERRORS:
         return {}

@@ -65,6 +65,21 @@ class ActionTarget(NamedTuple):
         except PlanError as error:
             raise error.located(element="action of '%s'" % self.place) from None
 
+    def clash(self, published: Mapping[str, str]) -> Optional[str]:
+        """What is wrong if the server is of another type; None if nothing is, or nobody serves it.
+
+        :param published: topic -> type, of the topics that somebody publishes.
+        """
+        wanted = self.action_type().action_result._type
+        found = published.get(self.server + "/result", wanted)
+        if found in (wanted, "*"):
+            return None
+        return "server %s is of type %s, the plan says %s" % (
+            self.server,
+            found[: -len("Result")] if found.endswith("ActionResult") else found,
+            wanted[: -len("Result")],
+        )
+
     def _empty_goal(self) -> genpy.Message:
         return type(self.action_type().action_goal.goal)()
 

@@ -56,6 +56,13 @@ class DirectConnection:
         """Always 0: a server in the same process is alive."""
         return 0.0
 
+    def period(self, caller: str) -> float:
+        """See :meth:`ActionConnection.period`."""
+        return 0.0
+
+    def learn_periods(self) -> None:
+        """Do nothing: see :meth:`silence`."""
+
     def send(self, goal_id: str, goal: ExecGSPNGoal, incarnation: int, text: str = "") -> None:
         """See :meth:`ActionConnection.send`."""
         self._watched = goal_id

@@ -27,6 +27,7 @@ from gspn_framework_package.model.message_condition import (
 )
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros import message_fields
+from gspn_framework_package.ros.action_kinds import live_types, other_type
 from gspn_framework_package.team.function_sources import Complaints, FunctionSources
 from gspn_framework_package.team.sides import EventListener
 
@@ -274,9 +275,25 @@ class EventFindings(NamedTuple):
     """Events that were not checked because their type is unknown in this shell."""
 
 
+def event_clashes(plan: Plan, namespace: str) -> Dict[str, str]:
+    """Events whose topic has messages of another type, according to the master, if there is one:
+    transition -> what is wrong.
+
+    :param namespace: the absolute namespace of a robot.
+    """
+    watched = watched_topics(plan)
+    types = live_types() if watched else {}
+    clashes = {
+        t: other_type(rospy.names.ns_join(namespace, source.topic), source.type, types)
+        for t, source in watched.items()
+    }
+    return {t: why for t, why in clashes.items() if why}
+
+
 def look_at_events(plan: Plan) -> EventFindings:
     """Check whether the fields and conditions of a plan's events fit the types of their messages.
-    This needs neither a node nor a master."""
+    This needs neither a node nor a master; if there is a master, what it knows is compared too. A
+    robot's namespace is taken to be its name."""
     found = EventFindings({}, {})
     types: Dict[str, str] = {}
     for transition, source in watched_topics(plan).items():
@@ -290,6 +307,9 @@ def look_at_events(plan: Plan) -> EventFindings:
             why = "the topic %s has messages of %s for another event" % (source.topic, other)
         if why:
             found.misfits[transition] = why
+    for robot in plan.robots:
+        for transition, why in event_clashes(plan, "/" + robot.name).items():
+            found.misfits.setdefault(transition, why)
     return found
 
 

@@ -6,6 +6,7 @@ import contextlib
 from typing import Callable, Dict, List, Optional
 
 from gspn_framework_package.model.plan import Plan, Synchronisation, Transport
+from gspn_framework_package.ros.action_targets import ActionTarget
 from gspn_framework_package.ros.entrance import Entrance
 from gspn_framework_package.ros.event_sources import EventSources
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
@@ -76,9 +77,8 @@ class ExecutionNode:
         return self._actions.jobs
 
     @property
-    def foreign_servers(self) -> List[str]:
-        """Absolute names of the action servers that the robot needs and this node does not
-        serve."""
+    def foreign_servers(self) -> List[ActionTarget]:
+        """Goals of the robot for action servers that this node does not serve."""
         return self._actions.foreign_servers
 
     @property

@@ -7,7 +7,7 @@ import contextlib
 import signal
 import sys
 import time
-from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Sequence, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, List, Sequence, Tuple
 
 import rospy
 
@@ -39,6 +39,7 @@ from gspn_framework_package.team.plan_examination import check_plan
 from gspn_framework_package.team.router_wait import await_router
 
 if TYPE_CHECKING:
+    from gspn_framework_package.ros.action_targets import ActionTarget
     from gspn_framework_package.team.jobs import Job
 
 
@@ -125,22 +126,27 @@ def refuse_taken(namespaces: List[str], run: str) -> None:
             )
 
 
-def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
-    """Wait until the master knows all these action servers, or the process should end.
+def await_servers(targets: Sequence[ActionTarget], seconds: float, ending: Ending) -> None:
+    """Wait until the master knows the action servers of all these goals, or the process should end.
 
-    :param names: absolute names of the servers.
     :param seconds: how long to wait.
-    :raises ExecutionError: a server was not there in time.
+    :raises ExecutionError: a server was not there in time, or is of another type.
     """
-    missing = set(names)
+    missing = {target.server for target in targets}
     if not missing:
         return
     rospy.loginfo("waits for the action servers %s", ", ".join(sorted(missing)))
     deadline = time.monotonic() + seconds
     while not ending.is_set():
         with contextlib.suppress(*MASTER_ERRORS):  # the loop tries again
-            published = {topic for topic, _ in published_topics()}
-            missing = {name for name in missing if name + "/status" not in published}
+            published = published_topics()
+            for clash in filter(None, (target.clash(published) for target in targets)):
+                raise ExecutionError(clash)
+            missing = {
+                target.server
+                for target in targets
+                if not {target.server + "/status", target.server + "/result"} <= set(published)
+            }
         if not missing:
             return
         if time.monotonic() > deadline:
@@ -269,6 +275,7 @@ def _run_robots(
     :param checked: whether the plan has already been checked.
     :returns: the largest of their exit codes.
     """
+    from gspn_framework_package.ros.event_sources import event_clashes
     from gspn_framework_package.ros.execution_node import ExecutionNode
     from gspn_framework_package.ros.transport.master_watch import MasterWatch
 
@@ -276,6 +283,9 @@ def _run_robots(
         rospy.loginfo("%s: %s", plan.name, note)
     if options.check and not checked:
         check_plan(plan, rospy.logwarn)
+    for namespace in namespaces.values() if options.check else ():
+        for transition, why in event_clashes(plan, namespace).items():
+            raise ExecutionError(why, file=plan.file, element="event of '%s'" % transition)
     await_router(options.router.split(), rospy.logwarn, ending.wait)
     if ending.is_set():
         return 0
@@ -296,8 +306,8 @@ def _run_robots(
                 options.log_file(robot),
             )
         if options.check:
-            servers = {server for node in nodes for server in node.foreign_servers}
-            await_servers(servers, options.server_timeout, ending)
+            targets = [target for node in nodes for target in node.foreign_servers]
+            await_servers(targets, options.server_timeout, ending)
             await_jobs([j for n in nodes for j in n.jobs.values()], options.server_timeout, ending)
         watch = MasterWatch(MASTER_PERIOD * max(1.0, len(plan.robots) / 8))
         watch.start()

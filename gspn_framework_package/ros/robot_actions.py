@@ -19,7 +19,11 @@ from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServer, PlaceServers
-from gspn_framework_package.ros.transport.registration import registered_together
+from gspn_framework_package.ros.ros_clock import ROS_CLOCK
+from gspn_framework_package.ros.transport.registration import (
+    published_topics,
+    registered_together,
+)
 from gspn_framework_package.team.job_runner import AttemptEnd, JobRunner
 from gspn_framework_package.team.jobs import Job
 from gspn_framework_package.team.patience import earliest
@@ -41,8 +45,7 @@ class RobotActions:
     :raises GspnError: the actions cannot be used.
 
     :ivar jobs: the robot's actions that are no action servers, by place.
-    :ivar foreign_servers: absolute names of the action servers that the robot needs and this
-        process does not serve.
+    :ivar foreign_servers: the robot's goals for action servers that this process does not serve.
     """
 
     def __init__(
@@ -63,7 +66,7 @@ class RobotActions:
         serves = options.place_servers and not self._witness
         self._servers = PlaceServers(plan, robot, namespace) if serves else None
         served = set(self._servers.names) if self._servers else set()
-        self.foreign_servers = sorted({t.server for t in targets.values()} - served)
+        self.foreign_servers = [t for t in targets.values() if t.server not in served]
         self.jobs = {} if self._witness else jobs_of(plan, robot, namespace, options)
         self._caller = ActionCaller(
             robot,
@@ -87,6 +90,7 @@ class RobotActions:
             options.patience,
             plan.cancel_grace,
             warn,
+            ROS_CLOCK,
         )
 
     def _own_servers(self) -> Optional[Mapping[str, PlaceServer]]:
@@ -133,7 +137,11 @@ class RobotActions:
 
     def why_not(self, plan: Plan, present: Plan) -> str:
         """See :class:`ActionSide`. Servers for functions of the plan are started."""
-        action_targets(plan, self._robot, self._namespace)
+        targets = action_targets(plan, self._robot, self._namespace)
+        if self._options.check:
+            published = action_kinds.live_types(published_topics)
+            for clash in filter(None, (t.clash(published) for t in targets.values())):
+                return clash
         jobs_of(plan, self._robot, self._namespace, self._options)
         if self._servers is not None:
             self._servers.prepare(plan)

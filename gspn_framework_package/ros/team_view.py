@@ -139,7 +139,7 @@ class TeamView:
     def _look_around(self, watched: bool) -> None:
         """Follow the robots that there are, and the marking of one of them while it is shown."""
         try:
-            found = {topic for topic, _ in published_topics() if topic.endswith(ACTIVITY)}
+            found = {topic for topic in published_topics() if topic.endswith(ACTIVITY)}
         except MASTER_ERRORS:
             return
         there = {topic[: -len(ACTIVITY)] for topic in found}

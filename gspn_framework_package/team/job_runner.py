@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from functools import partial
 from typing import Callable, Deque, Mapping, NamedTuple, Optional, Union
 
 from gspn_framework_package.execution.agreement.interface import ActionDone, AttemptFailed
@@ -11,6 +12,7 @@ from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.errors import DataError, PlanError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.clock import MACHINE_CLOCK, Clock
 from gspn_framework_package.team.jobs import Job, JobAttempt, JobEnd, attempt_job
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 
@@ -22,7 +24,7 @@ AttemptEnd = Union[ActionDone, AttemptFailed]
 
 
 class _Running:
-    """A job under way; it begins at ``start_at`` (monotonic seconds)."""
+    """A job under way; it begins at ``start_at`` (seconds of the runner's clock)."""
 
     def __init__(self, job: Job, attempt: JobAttempt, start_at: float) -> None:
         self.job, self.attempt = job, attempt
@@ -45,6 +47,7 @@ class JobRunner:
     :param patience: how long each step may take.
     :param cancel_grace: seconds that a job has to end after it was cancelled.
     :param fault: receives the text of a fault: a job did not end in that time.
+    :param clock: the clock by which the times of the plan pass.
     """
 
     def __init__(
@@ -56,10 +59,12 @@ class JobRunner:
         patience: Patience = DEFAULT_PATIENCE,
         cancel_grace: float = Plan.cancel_grace,
         fault: Callable[[str], None] = lambda text: None,
+        clock: Clock = MACHINE_CLOCK,
     ) -> None:
         self._jobs, self._timeout = jobs, timeout
         self._enqueue, self._ended, self._fault = enqueue, ended, fault
         self._patience, self._cancel_grace = patience, cancel_grace
+        self._clock = clock
         self._pool = WorkerPool("job")
         self._current: Optional[_Running] = None
         self._cancelled: Deque[_Cancelled] = deque()
@@ -71,9 +76,10 @@ class JobRunner:
     def start(self, command: StartAction, now: float) -> None:
         """Start a job; cancels the previous one if it still runs."""
         self.cancel()
-        attempt = JobAttempt(command, self._patience, lambda: self._enqueue(self._look))
+        look = partial(self._enqueue, self._look)
+        attempt = JobAttempt(command, self._patience, look, self._clock)
         job = self._jobs[command.place]
-        self._current = _Running(job, attempt, now + command.delay)
+        self._current = _Running(job, attempt, self._clock.seconds() + command.delay)
         self.poll(now)
 
     def cancel(self) -> None:
@@ -111,18 +117,19 @@ class JobRunner:
         if running is None:
             return None
         if not running.started:
-            if now < running.start_at:
-                return running.start_at
+            if self._clock.seconds() < running.start_at:
+                return self._clock.look_at(running.start_at, now)
             self._begin(running)
             return self._poll_job(now)
         seconds = self._timeout(running.job.place)
         if seconds is None or running.attempt.begun_at is None:
             return None
         cut_off_at = running.attempt.begun_at + seconds
-        if now < cut_off_at:
-            return cut_off_at
+        if self._clock.seconds() < cut_off_at:
+            return self._clock.look_at(cut_off_at, now)
         self._stop(running)
-        self._report(running, JobEnd("timeout", "it took longer than %g s" % seconds))
+        text = "it took longer than %g s (timeout in the plan)"
+        self._report(running, JobEnd("timeout", text % seconds))
         return None
 
     def _poll_cancelled(self, now: float) -> Optional[float]:
@@ -132,7 +139,7 @@ class JobRunner:
             running = self._cancelled.popleft().running
             if not running.over:
                 self._fault(
-                    "%s in %s has not ended, %g s after it was cancelled"
+                    "%s in %s has not ended, %g s after it was cancelled (cancel_grace in the plan)"
                     % (running.job.action.label, running.job.place, self._cancel_grace)
                 )
         return self._cancelled[0].report_at if self._cancelled else None

@@ -3,7 +3,6 @@ kinds that are no action servers."""
 
 from __future__ import annotations
 
-import time
 from typing import Any, Callable, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.execution.actions import (
@@ -19,6 +18,7 @@ from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.errors import DataError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.clock import MACHINE_CLOCK, Clock
 from gspn_framework_package.team.patience import Patience
 
 
@@ -42,17 +42,22 @@ class JobAttempt:
     :param command: what to do.
     :param patience: how long its steps may take.
     :param changed: called when it says something new.
+    :param clock: the clock by which the time of the action passes.
     """
 
     def __init__(
-        self, command: StartAction, patience: Patience, changed: Callable[[], None]
+        self,
+        command: StartAction,
+        patience: Patience,
+        changed: Callable[[], None],
+        clock: Clock = MACHINE_CLOCK,
     ) -> None:
         self.command, self.patience = command, patience
         self.is_cancelled = Cancellation()
         self.waits_for = ""
         self.begun_at: Optional[float] = None
-        """When the action itself began (monotonic seconds), from which its time is measured."""
-        self._changed = changed
+        """When the action itself began (seconds of its clock), from which its time is measured."""
+        self._changed, self._clock = changed, clock
 
     def wait_for(self, what: str) -> None:
         """Say what the attempt waits for; "": for nothing but its own end."""
@@ -61,7 +66,7 @@ class JobAttempt:
 
     def begin(self) -> None:
         """The action itself begins."""
-        self.begun_at = time.monotonic()
+        self.begun_at = self._clock.seconds()
         self._changed()
 
 

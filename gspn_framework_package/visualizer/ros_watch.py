@@ -71,7 +71,7 @@ class RosLookout:
             published = published_topics(ANSWER_TIME)
         except MASTER_ERRORS as error:
             raise _no_master(error) from None
-        for topic, kind in published:
+        for topic, kind in published.items():
             namespace = topic[: -len(ACTIVITY)]
             if topic.endswith(ACTIVITY) and kind == String._type and namespace not in self._found:
                 self._found.add(namespace)

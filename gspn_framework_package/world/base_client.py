@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Callable, Dict, Optional, Set
+from typing import Any, Callable, Dict, Optional, Set, Tuple
 
 import actionlib
 import rospy
@@ -19,6 +19,7 @@ from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from sensor_msgs.msg import Temperature
 
 from gspn_framework_package.execution.actions import ActionFailed
+from gspn_framework_package.ros.ros_clock import ROS_CLOCK
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, published_topics
 from gspn_framework_package.world import patrol
 from gspn_framework_package.world.messages import pose_from, pose_message
@@ -74,14 +75,14 @@ class BaseClient:
         rospy.Subscriber("temperature", Temperature, self._on_temperature, queue_size=1)
         self._client = actionlib.ActionClient("move_base", MoveBaseAction)
         self._discovered = -DISCOVERY_PERIOD
-        self._heard = time.monotonic()
+        self._heard = _moment()
         rospy.Subscriber("move_base/status", GoalStatusArray, self._on_status, queue_size=1)
 
     # ---- news, from ROS threads --------------------------------------------------------------
 
     def _on_status(self, message: Any) -> None:
         with self._news:
-            self._heard = time.monotonic()
+            self._heard = _moment()
 
     def _on_pose(self, message: Any) -> None:
         with self._news:
@@ -159,7 +160,7 @@ class BaseClient:
             topics = published_topics()
         except MASTER_ERRORS:  # known robots still publish their poses
             return
-        for topic, kind in topics:
+        for topic, kind in topics.items():
             if (
                 kind == POSE_TYPE
                 and topic.endswith("/amcl_pose")
@@ -179,8 +180,8 @@ class BaseClient:
             self._news.wait(seconds)
 
     def now(self) -> float:
-        """The ROS time in seconds."""
-        return float(rospy.get_time())
+        """Seconds of ROS time, which go on from where they were if it goes back."""
+        return ROS_CLOCK.seconds()
 
     def pose(self) -> Pose:
         """The pose of the robot."""
@@ -211,7 +212,7 @@ class BaseClient:
             self._goal_number += 1
             number = self._goal_number
             self._arrived, self._trouble = None, ""
-            self._heard = time.monotonic()
+            self._heard = _moment()
         # the client only holds a weak reference to the handle
         self._handle = self._client.send_goal(
             message, transition_cb=lambda handle: self._on_transition(handle, number)
@@ -220,7 +221,7 @@ class BaseClient:
     def arrived(self) -> Optional[bool]:
         """None while driving; afterwards whether the last goal was reached."""
         with self._news:
-            silent = time.monotonic() - self._heard
+            silent = min(now - then for now, then in zip(_moment(), self._heard))
             if self._arrived is None and silent > SILENCE_DEADLINE:
                 self._arrived = False
                 self._trouble = "move_base has been silent for %d s" % silent
@@ -250,6 +251,11 @@ def client_of(robot: str) -> BaseClient:
         if robot not in _clients:
             _clients[robot] = BaseClient(robot)
         return _clients[robot]
+
+
+def _moment() -> Tuple[float, float]:
+    """The present in wall time and in ROS time: no simulation, slow or fast, is silence."""
+    return time.monotonic(), ROS_CLOCK.seconds()
 
 
 def carry_out(

@@ -23,6 +23,7 @@ from std_msgs.msg import String
 
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
+from gspn_framework_package.ros.ros_clock import ROS_CLOCK
 from gspn_framework_package.world.messages import pose_from
 from gspn_framework_package.world.parameters import number_parameter, robot_names
 from gspn_framework_package.world.room import Pose
@@ -82,15 +83,15 @@ class ShopNode:
                 message = BatteryState(
                     percentage=self._shop.battery(robot, pose, now), present=True
                 )
-                message.header.stamp = rospy.Time.from_sec(now)
+                message.header.stamp = rospy.get_rostime()
                 self._batteries[robot].publish(message)
 
     def spin(self) -> None:
         """Publish until shutdown."""
         begin = 0.0
         while not rospy.is_shutdown():
-            now = rospy.get_time()
-            if now > 0.0:
+            now = ROS_CLOCK.seconds()  # goes on from where it was if ROS time goes back
+            if rospy.get_time() > 0.0:
                 begin = begin or now
                 self.step(begin, now)
             time.sleep(PERIOD)

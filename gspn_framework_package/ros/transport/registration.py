@@ -11,7 +11,7 @@ import http.client
 import logging
 import time
 import xmlrpc.client
-from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Sequence
 
 import rosgraph
 import rospy
@@ -74,14 +74,14 @@ def require_master(timeout: float = 2.0) -> None:
         ) from None
 
 
-def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
-    """The published topics with their types; rospy's own function has no time limit.
+def published_topics(timeout: float = 2.0) -> Dict[str, str]:
+    """Topic -> type, for the topics that somebody publishes; rospy's own function has no limit.
 
     :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
     master: Any = master_proxy(timeout)
     _, _, topics = master.getPublishedTopics(rospy.get_name(), "")
-    return [(topic, kind) for topic, kind in topics]
+    return dict(topics)
 
 
 def topic_types(timeout: float = 2.0) -> Dict[str, str]:
@@ -121,13 +121,22 @@ def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
     """The parameter with this name that is nearest to this node; ``default`` if there is none or no
     master answers."""
     try:
-        master: Any = master_proxy(timeout)
-        code, _, key = master.searchParam(rospy.get_name(), name)
-        if code != 1:
-            return default
-        code, _, value = master.getParam(rospy.get_name(), key)
+        return nearest_parameter(name, rospy.get_name(), default, timeout)
     except MASTER_ERRORS:
         return default
+
+
+def nearest_parameter(name: str, node: str, default: Any, timeout: float = 2.0) -> Any:
+    """The parameter with this name that is nearest to a node; ``default`` if there is none.
+
+    :param node: absolute name of the node.
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
+    """
+    master: Any = master_proxy(timeout)
+    code, _, key = master.searchParam(node, name)
+    if code != 1:
+        return default
+    code, _, value = master.getParam(node, key)
     return value if code == 1 else default
 
 

@@ -13,9 +13,10 @@ from functools import partial
 
 import actionlib
 import rospy
-from actionlib.msg import TestAction, TestResult
-from actionlib_msgs.msg import GoalStatus, GoalStatusArray
+from actionlib.msg import TestAction, TestRequestAction, TestResult
+from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 from move_base_msgs.msg import MoveBaseAction
+from std_msgs.msg import Header
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
@@ -25,6 +26,8 @@ from worker import PATIENT, Worker, plan_in
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import FunctionAction, ServerAction
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import RobotSpec
 from gspn_framework_package.msg import (
     ExecGSPNAction,
     ExecGSPNActionGoal,
@@ -33,9 +36,13 @@ from gspn_framework_package.msg import (
     ExecGSPNResult,
 )
 from gspn_framework_package.ros.action_caller import ActionCaller
+from gspn_framework_package.ros.action_kinds import look_at_actions
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import parse_goal_id
+from gspn_framework_package.ros.node_main import await_servers
 from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers
+from gspn_framework_package.ros.transport.ending import Ending
+from gspn_framework_package.ros.transport.registration import published_topics
 
 MOVE_BASE = "move_base_msgs/MoveBaseAction"
 EXEC = "gspn_framework_package/ExecGSPNAction"
@@ -519,6 +526,8 @@ class ActionsTest(unittest.TestCase):
             subprocess.check_call(["kill", "-" + signal, str(process.pid)])
             ended = robot.ended.get(timeout=20)
             self.assertEqual(ended.reason, "server died", ended.detail)
+            limit = "~result_timeout" if how == "killed" else "~status_timeout"
+            self.assertIn(limit, ended.detail)
 
     def test_a_server_that_forgets_the_goal_is_noticed(self):
         server = Server(self.namespace + "/forgets", ExecGSPNAction)
@@ -533,28 +542,86 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual(ended.reason, "server died")
         self.assertIn("does not know the goal", ended.detail)
 
-    def test_a_goal_that_no_server_takes_is_reported_after_it_was_sent_again(self):
+    def test_a_goal_is_sent_once_and_its_late_result_is_reported(self):
         # The topics of a server, and a status that never lists a goal.
-        name = self.namespace + "/deaf"
+        name = self.namespace + "/late"
         spec = ExecGSPNAction()
-        from actionlib_msgs.msg import GoalID, GoalStatusArray
-
-        goals = []
+        goals, cancelled = queue.Queue(), []
         status = rospy.Publisher(name + "/status", GoalStatusArray, latch=True, queue_size=1)
-        rospy.Publisher(name + "/result", type(spec.action_result), queue_size=1)
+        results = rospy.Publisher(name + "/result", ExecGSPNActionResult, queue_size=1)
         rospy.Publisher(name + "/feedback", type(spec.action_feedback), queue_size=1)
-        rospy.Subscriber(name + "/goal", type(spec.action_goal), goals.append)
-        rospy.Subscriber(name + "/cancel", GoalID, lambda message: None)
+        rospy.Subscriber(name + "/goal", type(spec.action_goal), goals.put)
+        rospy.Subscriber(name + "/cancel", GoalID, cancelled.append)
         status.publish(GoalStatusArray())
+
+        def answer(goal):
+            wait_for(results.get_num_connections, what="a client of the results")
+            done = GoalStatus(goal.goal_id, GoalStatus.SUCCEEDED, "")
+            results.publish(
+                ExecGSPNActionResult(Header(), done, ExecGSPNResult(transition="T_late"))
+            )
+
+        faults = []
         robot = self.robot(
-            plan_of({"P1": ServerAction(EXEC, "deaf")}),
+            plan_of({"P1": ServerAction(EXEC, "late")}),
             patience=PATIENT._replace(acknowledgement=0.9),
+            fault=faults.append,
         )
         ended = robot.do("P1")
         self.assertEqual(ended.reason, "lost")
-        self.assertGreaterEqual(len(goals), 2)
-        self.assertEqual(len({goal.goal_id.id for goal in goals}), 1)
-        self.assertEqual(parse_goal_id(goals[0].goal_id.id).robot, "robot_1")
+        self.assertIn("within 0.9 s that it has the goal (~acknowledgement_timeout)", ended.detail)
+        wait_for(lambda: cancelled, what="the request to cancel it")
+        goal = goals.get(timeout=20)
+        self.assertEqual(parse_goal_id(goal.goal_id.id).robot, "robot_1")
+        self.assertTrue(goals.empty(), "it was sent again")
+        answer(goal)
+        wait_for(lambda: faults, what="the report of the late result")
+        self.assertIn("/late reports 'succeeded' for a goal that was given up", faults[0])
+        robot.send("P1")
+        answer(goals.get(timeout=20))  # before any status: it counts
+        self.assertEqual(robot.ended.get(timeout=20).result, "T_late")
+
+    def test_a_server_of_another_type_is_named_with_both_types(self):
+        name = self.namespace + "/other"
+        Server(name, TestRequestAction)
+        plan = plan_of(
+            {"P1": ServerAction("actionlib/TestAction", name)},
+            robots=(RobotSpec("robot_1", "P1"),),
+        )
+        text = "server %s is of type actionlib/TestRequestAction, the plan says " % name
+        text += "actionlib/TestAction"
+        wait_for(lambda: name + "/result" in published_topics(), what="the registration")
+        self.assertEqual(look_at_actions(plan).misfits, {"robot_1 in P1": text})
+        targets = list(action_targets(plan, "robot_1", self.namespace).values())
+        with self.assertRaisesRegex(ExecutionError, text):
+            await_servers(targets, 20.0, Ending())
+        ended = self.robot(plan).do("P1")  # the server that it began with was another one
+        self.assertEqual((ended.reason, ended.detail), ("no server", text))
+
+    def test_a_server_with_a_rare_status_is_not_dead(self):
+        for name, parameter in (
+            ("rare", "/actionlib_status_frequency"),
+            ("seldom", self.namespace + "/seldom/status_frequency"),
+        ):
+            rospy.set_param(parameter, 0.05)
+            try:
+                server = Server(self.namespace + "/" + name, ExecGSPNAction)
+                robot = self.robot(
+                    plan_of({"P1": ServerAction(EXEC, name)}),
+                    patience=PATIENT._replace(status=0.3, acknowledgement=0.3),
+                )
+                robot.send("P1")
+                goal = server.next()
+                goal.set_accepted()
+                wait_for(robot.is_under_way, what="the server to take the goal")
+                connection = robot.caller._goal.connection
+                caller = robot.caller._goal.acknowledged_by
+                wait_for(lambda: connection.silence(caller) > 1.0, what="a second of silence")
+                self.assertTrue(robot.ended.empty())
+                goal.set_succeeded(ExecGSPNResult("T1"))
+                self.assertEqual(robot.ended.get(timeout=20).result, "T1")
+            finally:
+                rospy.delete_param(parameter)
 
     def test_a_second_server_of_the_name_does_not_lose_the_goal(self):
         # Its statuses do not list the goal; actionlib's own client reports LOST at once.
@@ -595,7 +662,10 @@ class ActionsTest(unittest.TestCase):
         robot.send("P1")
         server.next().set_accepted()
         ended = robot.ended.get(timeout=20)
-        self.assertEqual((ended.reason, ended.detail), ("timeout", "it took longer than 0.5 s"))
+        self.assertEqual(
+            (ended.reason, ended.detail),
+            ("timeout", "it took longer than 0.5 s (timeout in the plan)"),
+        )
         wait_for(lambda: server.cancelled, what="the cancel request")
 
     def test_what_was_cancelled_is_not_told(self):

@@ -19,6 +19,7 @@ from gspn_framework_package.ros.goal_state import (
     GoalState,
     IllegalTransitionError,
 )
+from gspn_framework_package.team.clock import Clock
 
 
 @pytest.mark.parametrize("state", GoalState)
@@ -69,6 +70,12 @@ class Server:
         assert caller == "/server"
         return self.quiet
 
+    def period(self, caller):
+        return 0.0
+
+    def learn_periods(self):
+        pass
+
     def send(self, goal_id, goal, incarnation, text):
         self.sent.append(goal_id)
 
@@ -97,11 +104,12 @@ class Target:
         return "" if outcome == "succeeded" and result is not None else None
 
 
-class Caller:
+class Caller(Clock):
     """An action caller whose time and server are the test's."""
 
     def __init__(self, delay=0.0, timeout=60.0):
         self.server, self.ended, self.begun = Server(), [], time.monotonic()
+        self.now = self.begun
         self.caller = ActionCaller(
             "robot_1",
             {"P": Target()},
@@ -109,6 +117,7 @@ class Caller:
             lambda function, *arguments: function(*arguments),
             self.ended.append,
             own_servers={},
+            clock=self,
         )
         self.caller._direct["/visit"] = self.server
         self.caller._spare = []
@@ -120,8 +129,12 @@ class Caller:
 
     def poll(self, seconds=0.0):
         """``seconds`` after the beginning."""
-        self.caller.poll(self.begun + seconds)
+        self.now = self.begun + seconds
+        self.caller.poll(self.now)
         return self.state
+
+    def seconds(self):
+        return self.now
 
     def hear(self, what, value=None):
         goal = self.caller._goal

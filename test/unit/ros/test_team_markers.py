@@ -132,7 +132,7 @@ def team_view(monkeypatch, plan, answers):
     monkeypatch.setattr("rospy.Publisher", Connection)
     monkeypatch.setattr("rospy.Subscriber", Connection)
     monkeypatch.setattr("rospy.get_rostime", rospy.Time)
-    there = [("/a/robot_activity", ""), ("/a/marking", "")]
+    there = {"/a/robot_activity": "", "/a/marking": ""}
     monkeypatch.setattr(seen, "published_topics", lambda: there)
     monkeypatch.setattr(seen, "ask_node", lambda namespace, question: answers[question.command])
     monkeypatch.setattr(seen, "status_in", lambda namespace: answers["status"])

@@ -281,7 +281,11 @@ def test_a_robot_that_is_started_again_goes_on(write, team):
     ("function", "more", "says"),
     [
         ("work.broken", {}, "ValueError: no camera"),
-        ("work.forever", {"timeout": {"*": 0.1}}, "it took longer than 0.1 s"),
+        (
+            "work.forever",
+            {"timeout": {"*": 0.1}},
+            "it took longer than 0.1 s (timeout in the plan)",
+        ),
     ],
 )
 def test_a_function_that_fails_is_a_failed_attempt(write, team, function, more, says):

@@ -1,0 +1,46 @@
+"""ROS time as a clock that never goes back: a simulator that is reset starts its time anew."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import rospy
+
+from gspn_framework_package.team.clock import Clock
+
+LOOK_EVERY = 0.05
+"""Seconds between two looks at simulated time, which may pass at any rate."""
+
+
+class RosClock(Clock):
+    """The ROS time that has passed: slower, faster or not at all where time is simulated, and never
+    back. It has to be read now and then, as a jump between two reads is seen by the second."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._passed, self._last = 0.0, 0.0
+
+    def seconds(self) -> float:
+        """See :class:`Clock`."""
+        if rospy.rostime.is_wallclock():
+            return time.monotonic()
+        with self._lock:
+            now = rospy.get_time()
+            step = now - self._last if self._last else 0.0  # 0: there has been no /clock yet
+            if step < 0.0:
+                self.times_back += 1
+                self.back_by = -step
+            self._passed += max(0.0, step)
+            self._last = now
+            return self._passed
+
+    def look_at(self, due: float, now: float) -> float:
+        """See :class:`Clock`."""
+        if rospy.rostime.is_wallclock():
+            return due
+        return now + min(LOOK_EVERY, max(0.0, due - self.seconds()))
+
+
+ROS_CLOCK = RosClock()
+"""The clock of this process."""

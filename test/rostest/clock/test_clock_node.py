@@ -1,0 +1,145 @@
+#!/usr/bin/env python3
+"""Actions while simulated time is paused, fast, and goes back."""
+
+import contextlib
+import os
+import queue
+import sys
+import threading
+import time
+import unittest
+from functools import partial
+
+import actionlib
+import rospy
+from actionlib.msg import TestAction
+from rosgraph_msgs.msg import Clock
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
+
+from waiting import wait_for
+from worker import PATIENT, Worker, plan_in
+
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.model.action import ServerAction
+from gspn_framework_package.ros.action_caller import ActionCaller
+from gspn_framework_package.ros.action_targets import action_targets
+
+plan_of = partial(plan_in, HERE)
+
+
+class SimulatedClock:
+    """Publishes /clock; ``rate`` seconds of it pass in one second."""
+
+    def __init__(self):
+        self.now, self.rate = 1000.0, 1.0
+        self._publisher = rospy.Publisher("/clock", Clock, queue_size=1)
+        threading.Thread(target=self._tick, daemon=True).start()
+        wait_for(rospy.get_time, what="the first /clock")
+
+    def _tick(self):
+        last = time.monotonic()
+        while not rospy.is_shutdown():
+            now = time.monotonic()
+            self.now += (now - last) * self.rate
+            last = now
+            with contextlib.suppress(rospy.ROSException):  # the end of the test closes the topic
+                self._publisher.publish(Clock(rospy.Time.from_sec(self.now)))
+            time.sleep(0.01)
+
+
+class ClockTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.clock = SimulatedClock()
+
+    def setUp(self):
+        self.clock.rate = 1.0
+        self.ended, self.faults = queue.Queue(), []
+        self.release = threading.Event()
+        self.name = "/" + self._testMethodName
+        self.server = actionlib.SimpleActionServer(self.name, TestAction, self.act, False)
+        self.server.start()
+
+    def act(self, goal):
+        while not self.release.wait(0.01) and not self.server.is_preempt_requested():
+            pass
+        if self.server.is_preempt_requested():
+            self.server.set_preempted()
+        else:
+            self.server.set_succeeded()
+
+    def robot(self, **options):
+        action = ServerAction("actionlib/TestAction", self.name)
+        plan = plan_of({"P1": action}, timeouts=options.pop("timeouts", {}))
+        self.worker = Worker()
+        self.caller = ActionCaller(
+            "robot_1",
+            action_targets(plan, "robot_1", "/"),
+            plan.timeout,
+            self.worker.put,
+            self.ended.put,
+            patience=PATIENT._replace(**options),
+            fault=self.faults.append,
+        )
+        self.worker.drive(self.caller)
+        self.addCleanup(self.worker.close)
+
+    def send(self, visit, **options):
+        command = StartAction("robot_1", "P1", 1, visit, 1, **options)
+        self.worker.put(self.caller.start, command, time.monotonic())
+
+    def is_under_way(self):
+        goal = self.caller._goal
+        return goal is not None and bool(goal.acknowledged_by)
+
+    def test_goals_go_on_when_time_goes_back(self):
+        self.robot(status=0.5)
+        self.send(1)
+        wait_for(self.is_under_way, what="the server to take the goal")
+        self.clock.now = 500.0
+        wait_for(lambda: rospy.get_time() < 900.0, what="the clock to go back")
+        wait_for(lambda: rospy.get_time() > 501.5, what="longer than the server may be silent")
+        self.release.set()
+        self.assertEqual(self.ended.get(timeout=20).reason, "")
+        self.release.clear()
+        self.send(2)
+        wait_for(self.is_under_way, what="the server to take the next goal")
+        wait_for(lambda: rospy.get_time() > 503.0, what="longer than the server may be silent")
+        self.release.set()
+        self.assertEqual(self.ended.get(timeout=20).reason, "")
+        self.assertEqual(len(self.faults), 1, self.faults)
+        self.assertRegex(self.faults[0], r"time went back by \d{3}\.\d s \(/clock\)")
+
+    def test_a_timeout_passes_by_simulated_time(self):
+        self.robot(timeouts={"P1": 30.0})
+        self.send(1)
+        wait_for(self.is_under_way, what="the server to take the goal")
+        self.clock.rate = 100.0
+        self.assertEqual(self.ended.get(timeout=15).reason, "timeout")
+
+    def test_a_paused_simulation_is_neither_silence_nor_the_time_of_an_action(self):
+        self.robot(timeouts={"P1": 0.6}, status=0.3)
+        self.send(1)
+        wait_for(self.is_under_way, what="the server to take the goal")
+        self.clock.rate = 0.0
+        paused = time.monotonic()
+        wait_for(lambda: time.monotonic() > paused + 1.0, what="longer than the action may take")
+        self.assertTrue(self.ended.empty())
+        self.clock.rate = 1.0
+        self.assertEqual(self.ended.get(timeout=20).reason, "timeout")
+
+    def test_the_delay_of_an_attempt_passes_by_simulated_time(self):
+        self.robot()
+        self.release.set()
+        self.clock.rate = 100.0
+        self.send(1, delay=30.0)
+        self.assertEqual(self.ended.get(timeout=15).reason, "")
+
+
+if __name__ == "__main__":
+    import rostest
+
+    rospy.init_node("test_clock")
+    rostest.rosrun("gspn_framework_package", "clock", ClockTest)

@@ -1,0 +1,78 @@
+"""The clock by which the times of a plan pass in a simulation."""
+
+import time
+
+import pytest
+
+pytest.importorskip("rospy")
+
+import rospy
+
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.ros.ros_clock import LOOK_EVERY, RosClock
+from gspn_framework_package.team.job_runner import JobRunner
+from gspn_framework_package.team.jobs import CANCELLED, Job
+
+
+@pytest.fixture
+def simulated(monkeypatch):
+    """Sets simulated time, in seconds."""
+    shown = [0.0]
+    monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: False)
+    monkeypatch.setattr(rospy, "get_time", lambda: shown[0])
+    return lambda seconds: shown.__setitem__(0, seconds)
+
+
+def test_time_passes_as_the_simulation_says_and_never_back(simulated):
+    clock = RosClock()
+    begin = clock.seconds()
+    simulated(1000.0)  # the first /clock
+    assert clock.seconds() == begin
+    simulated(1004.0)
+    assert clock.seconds() - begin == 4.0
+    simulated(500.0)
+    assert clock.seconds() - begin == 4.0
+    assert (clock.times_back, clock.back_by) == (1, 504.0)
+    simulated(501.0)
+    assert clock.seconds() - begin == 5.0
+    assert clock.look_at(begin + 9.0, 70.0) == 70.0 + LOOK_EVERY
+
+
+def test_the_clock_is_that_of_the_machine_where_time_is_not_simulated():
+    clock = RosClock()
+    assert abs(clock.seconds() - time.monotonic()) < 5.0
+    assert clock.look_at(72.0, 70.0) == 72.0
+
+
+class UntilCancelled(Job):
+    def run(self, prepared, attempt):
+        attempt.begin()
+        attempt.is_cancelled.wait(20.0)
+        return CANCELLED
+
+
+def test_a_job_waits_and_times_out_by_its_clock(simulated):
+    simulated(1000.0)
+    clock, ended = RosClock(), []
+    clock.seconds()
+    runner = JobRunner(
+        {"P": UntilCancelled("P", FunctionAction("work.wait", "P"))},
+        lambda place: 30.0,
+        lambda function, *arguments: None,
+        ended.append,
+        clock=clock,
+    )
+    now = time.monotonic()
+    runner.start(StartAction("robot_1", "P", 1, 1, 2, 5.0), now)
+    assert runner.poll(now + 100.0) == now + 100.0 + LOOK_EVERY
+    assert runner.doing() == "waits before attempt 2"
+    simulated(1006.0)
+    runner.poll(now)
+    deadline = time.monotonic() + 20.0
+    while runner.poll(now) is None:  # until it has begun
+        assert time.monotonic() < deadline
+    simulated(1040.0)
+    runner.poll(now)
+    assert [end.reason for end in ended] == ["timeout"]
+    runner.close()
