@@ -117,12 +117,14 @@ class Interrupt(NamedTuple):
 
 class Submit(NamedTuple):
     """A task comes in by a transition of the environment. Of several entries with one transition
-    and ``id``, the first counts. If the transition is not enabled, the task waits until it is."""
+    and ``id``, the first counts, and one that comes ``again``, because the robot that carries it is
+    gone. If the transition is not enabled, the task waits until it is."""
 
     transition: str
     id: str
     data: Mapping[str, Any] = NOTHING
     by: Giver = NOBODY
+    again: bool = False
 
 
 class Join(NamedTuple):
@@ -159,11 +161,15 @@ class Evict(NamedTuple):
 
 
 class SetPlace(NamedTuple):
-    """The operator puts a robot into a place; its action there starts."""
+    """The operator puts a robot into a place; its action there starts.
+
+    With ``returns``, its task returns to the queue where ``place`` holds none. An entry that does
+    not have it, of an earlier version, leaves the task with the robot."""
 
     robot: str
     place: str
     by: Giver = NOBODY
+    returns: bool = True
 
 
 class Pause(NamedTuple):
@@ -284,6 +290,10 @@ _BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by"))
 """Fields of which more than the type is checked."""
 
 
+_LATER = ("again", "returns")
+"""Fields that entries of earlier versions do not have."""
+
+
 class _Form(NamedTuple):
     """How the entries of a kind are written and read; worked out once, since every message and
     every line of a log holds some."""
@@ -316,7 +326,7 @@ _FORMS = {kind: _form(kind) for kind in _KINDS.values()}
 
 def to_json(entry: Entry) -> Dict[str, Any]:
     """The entry as a JSON object: its kind under ``entry``, and its fields; ``data``, ``cause``,
-    ``mapping`` and ``by`` only if they are not empty."""
+    ``mapping`` and ``by`` only if they are not empty, those in :data:`_LATER` if they are true."""
     kind = type(entry)
     form = _FORMS[kind]
     fields: Dict[str, Any] = dict(zip(form.keys, (_NAMES[kind], *entry)))
@@ -332,6 +342,9 @@ def to_json(entry: Entry) -> Dict[str, Any]:
             fields["by"] = list(fields["by"])
         else:
             del fields["by"]
+    for key in _LATER:
+        if fields.get(key) is False:
+            del fields[key]
     return fields
 
 
@@ -355,6 +368,8 @@ def from_json(data: Any) -> Entry:
         if kind is Start:
             fields["roster"] = tuple((str(r), str(p), int(i)) for r, p, i in fields["roster"])
             fields["witnesses"] = tuple(map(str, fields.get("witnesses", ())))
+        elif kind is SetPlace:
+            fields.setdefault("returns", False)
         form = _FORMS[kind]
         for name, expected in form.types:
             if name in fields and type(fields[name]) is not expected:

@@ -218,7 +218,13 @@ class StandaloneExecutor:
     def order(self, entry: log_entries.Entry) -> None:
         """Queue an order of the operator: Pause, Resume, Retry, SetPlace, Fire, Submit, Leave or
         Stop."""
-        self._queue.put(lambda: [entry])
+        self._queue.put(
+            lambda: [
+                self.state.with_again(entry, self.plan.net)
+                if isinstance(entry, log_entries.Submit)
+                else entry
+            ]
+        )
 
     def deploy(
         self,
@@ -306,7 +312,8 @@ class StandaloneExecutor:
 
         :param transition: a transition of the environment by which tasks come in.
         :param data: the task's data: name -> JSON value.
-        :param task: its id; by default, a new one. A task whose id came before is not taken again.
+        :param task: its id; by default, a new one. A task whose id came before is not taken again,
+            unless the robot that carries it is gone.
         :returns: the id.
         :raises UsageError: no tasks come in by that transition.
         :raises DataError: the data or the id cannot be kept.

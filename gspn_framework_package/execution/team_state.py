@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import AbstractSet, Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.execution.log_entries import NOTHING, Submit
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -227,6 +227,28 @@ class TeamState:
     def is_known(self, t: int, task: str) -> bool:
         """Whether a task with this id has come by transition ``t``."""
         return task in self.known.get(t, ())
+
+    def with_again(self, task: Submit, net: Net) -> Submit:
+        """A task that an operator submits: ``again`` if it came before, and who carries it is
+        gone."""
+        t = net.transition_index.get(self.present_name(task.transition))
+        gone = t is not None and self.gone_with(t, task.id) is not None
+        return task._replace(again=gone)
+
+    def tasks_left(self, net: Net) -> List[str]:
+        """The tasks that are not done, each with where it is."""
+        carried = [(r.task, "with " + r.name) for r in self.robots.values() if r.task is not None]
+        queued = [(t, "in " + net.places[p].name) for p, q in self.queues.items() for t in q]
+        outside = [(task, "before " + net.transitions[t].name) for t, task in self.submitted]
+        return ["%s %s" % (t.id, where) for t, where in carried + queued + outside if t.id]
+
+    def gone_with(self, t: int, task: str) -> Optional[RobotState]:
+        """The robot that is lost or has left, and carries the task with this id that came by
+        transition ``t``; None if there is none."""
+        if not self.is_known(t, task) or sum(task in ids for ids in self.known.values()) > 1:
+            return None  # it did not come, or there are several of this id
+        carriers = (r for r in self.robots.values() if r.task is not None and r.task.id == task)
+        return next((robot for robot in carriers if robot.phase.gone), None)
 
     def is_full(self, t: int) -> bool:
         """Whether no more tasks can wait for transition ``t``."""

@@ -253,7 +253,8 @@ class _Reducer(Turn):
             self._fault(None, "no tasks come in by '%s'" % entry.transition)
             return
         assert t is not None
-        if self.state.is_known(t, entry.id):
+        carrier = self.state.gone_with(t, entry.id) if entry.again else None
+        if self.state.is_known(t, entry.id) and carrier is None:
             return
         if self.state.is_full(t):
             text = "%d tasks wait for '%s' already: '%s' is not taken"
@@ -261,6 +262,9 @@ class _Reducer(Turn):
             return
         self.state.submitted.append((t, Task(entry.id, entry.data)))
         known = self.state.known.setdefault(t, {})
+        if carrier is not None:
+            carrier.task = None
+            del known[entry.id]
         known[entry.id] = None
         # the id of a task that still waits is not forgotten; tasks of one transition wait in order
         waits = next(task.id for other, task in self.state.submitted if other == t)
@@ -306,6 +310,8 @@ class _Reducer(Turn):
         robots, asked = self.state.robots.values(), self._asked_for(names)
         for robot in robots:
             self._carry_over(robot, names, game)
+            if robot.task is not None and robot.task.id and not game.queues:
+                self._fault(robot, "keeps task %s, and the plan has no queue" % robot.task.id)
         self._carry_tasks_over(names, game)
         self.state.renamed = plan_change.renamed(self.state.renamed, present, new, staged.mapping)
         self.rules, self.net, self.plan = game, game.net, game.plan
@@ -449,16 +455,36 @@ class _Reducer(Turn):
         self.state.set_marking(tuple(marking))
         if robot.phase is Phase.LOST:
             self._fault(robot, "is lost; its token was in %s" % self._name(robot.place))
+        if robot.task is not None and robot.task.id:
+            text = "goes with task %s, which %s gives back to no queue (on_evict); submit it again"
+            self._fault(robot, text % (robot.task.id, self._name(robot.place)))
+        if robot.phase is Phase.LOST:
             self._on_lost(robot)
 
     def _gave_back(self, robot: RobotState) -> Mapping[str, int]:
         """What a robot gives back when it departs from its place: resource place -> tokens."""
         return self.plan.on_evict.get(self._name(robot.place), {})
 
-    def _give_back(self, robot: RobotState, marking: List[int]) -> None:
+    def _holds_task(self, place: str) -> bool:
+        """Whether a robot that departs from a place gives a task back."""
+        names = (self.net.places[q].name for q in self.rules.queues)
+        return not self.plan.on_evict.get(place, {}).keys().isdisjoint(names)
+
+    def _put_down(self, robot: RobotState, place: str, marking: List[int]) -> None:
+        """Return the task of a robot that is put into a place that holds none."""
+        if robot.task is None or self._holds_task(place):
+            return
+        if self._holds_task(self._name(robot.place)):
+            self._give_back(robot, marking, only_tasks=True)
+        elif robot.task.id:
+            text = "keeps task %s in %s: %s gives it back to no queue (on_evict)"
+            self._fault(robot, text % (robot.task.id, place, self._name(robot.place)))
+
+    def _give_back(self, robot: RobotState, marking: List[int], only_tasks: bool = False) -> None:
         for resource, count in self._gave_back(robot).items():
             p = self.net.place_number(resource)
-            marking[p] += count
+            if p in self.rules.queues or not only_tasks:
+                marking[p] += count
             if p not in self.rules.queues:
                 continue
             # its task is the next to be taken: it came before those that still wait
@@ -511,6 +537,8 @@ class _Reducer(Turn):
         marking = list(self.state.marking)
         marking[robot.place] -= 1
         marking[p] += 1
+        if entry.returns:
+            self._put_down(robot, entry.place, marking)
         self.state.set_marking(tuple(marking))
         robot.place = p
         robot.visit += 1

@@ -31,6 +31,9 @@ from gspn_framework_package.model.plan import FailureKind
 FIRINGS_PER_ENTRY = 10_000
 """This many firings after one entry are taken for a timeless cycle, and the run ends."""
 
+TASKS_NAMED = 10
+"""So many tasks that are not done are named at the end of a run."""
+
 ASKS_POLICY = ("", "None", None)
 """Results of an action that let the policy decide (thesis Algorithm 1)."""
 
@@ -476,7 +479,8 @@ class Turn:
             self._end("%s: %s" % (robot.name, what), finished=False)
             return
         robot.phase = Phase.FAILED
-        self._fault(robot, "%s; waits for the operator" % what, reason)
+        carries = ", with task %s" % robot.task.id if robot.task and robot.task.id else ""
+        self._fault(robot, "%s; waits for the operator%s" % (what, carries), reason)
 
     # -- robots ------------------------------------------------------------------------------------
 
@@ -527,6 +531,11 @@ class Turn:
 
     def _end(self, reason: str, finished: bool, stopped: bool = False) -> None:
         if self.state.ended is None:
+            left = self.state.tasks_left(self.net)
+            if left:
+                more = ", ..." if len(left) > TASKS_NAMED else ""
+                text = "the run ends with %d tasks that are not done: %s%s"
+                self._fault(None, text % (len(left), ", ".join(left[:TASKS_NAMED]), more))
             self.state.ended, self.state.finished = reason, finished
             self.state.fault = not (finished or stopped)
             for robot in self.state.active():

@@ -213,6 +213,8 @@ class VirtualRun:
 
     def order(self, entry: log_entries.Entry) -> None:
         """Put an entry into the log now, for example an order of the operator."""
+        if isinstance(entry, log_entries.Submit):
+            entry = self.state.with_again(entry, self._ledger.game.net)
         self._reduce([entry])
 
     def step(self, time: float) -> bool:

@@ -15,7 +15,7 @@ from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.model.errors import LogError
 
-VERSION = 3
+VERSION = 4
 """Version of the protocol; replicas of different versions do not understand each other."""
 
 MOST_ITEMS = 10_000

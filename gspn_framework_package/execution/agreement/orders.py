@@ -60,7 +60,10 @@ class Orders:
         why = self._why_not(entry)
         submits = isinstance(entry, log_entries.Submit)
         if not why and isinstance(entry, log_entries.Submit):
-            why = self.reactions.take_task(entry, order.order_id)
+            entry = self.state.ledger.state.with_again(entry, self.state.ledger.game.net)
+            submits = not entry.again
+            if submits:
+                why = self.reactions.take_task(entry, order.order_id)
         if why:
             self.outbox.order_result(order.order_id, False, why)
         elif not submits:

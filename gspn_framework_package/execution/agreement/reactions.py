@@ -153,7 +153,10 @@ class Reactions:
         if order_id and key in state.offered:
             self._orders.setdefault(key, []).append(order_id)
         elif order_id:
-            text = "it came before, and is not taken again"
+            team, net = state.ledger.state, state.ledger.game.net
+            here = [text for text in team.tasks_left(net) if text.startswith(task.id + " ")]
+            where = "it is " + here[0][len(task.id) + 1 :] if here else "it is no more"
+            text = "it came before, and is not taken again: %s" % where
             self.outbox.order_result(order_id, True, text)
         return ""
 

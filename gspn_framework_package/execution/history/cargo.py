@@ -100,16 +100,30 @@ class Cargo:
 
     # -- entries -----------------------------------------------------------------------------------
 
-    def comes(self, entry: log_entries.Submit) -> None:
-        """A task comes; one that came before does not count."""
+    def comes(self, entry: log_entries.Submit, gone: Sequence[str] = ()) -> None:
+        """A task comes; one that came before does not count, but for one that comes again while a
+        robot that carries it is gone.
+
+        :param gone: the names of those robots.
+        """
         key = entry.transition, entry.id
-        if entry.transition not in self.entrances or key in self._known_set:
+        comes_again = False
+        if key in self._known_set:
+            ways = [t for t, task_id in self._known_set if task_id == entry.id]
+            holders = [r for r in gone if r in self.carried and self.carried[r].id == entry.id]
+            comes_again = entry.again and len(ways) == 1 and bool(holders)
+            if not comes_again:
+                return
+        if entry.transition not in self.entrances:
             return
         if len(self.outside) >= MOST_OUTSIDE and MOST_OUTSIDE <= sum(
             t == entry.transition for t, _ in self.outside
         ):
             return
         ids = self._known.setdefault(entry.transition, [])
+        if comes_again:
+            del self.carried[holders[0]]
+            ids.remove(entry.id)
         ids.append(entry.id)
         self._known_set.add(key)
         self.outside.append((entry.transition, LoggedTask(entry.id, entry.data)))

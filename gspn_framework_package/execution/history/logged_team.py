@@ -245,7 +245,7 @@ class LoggedTeam:
         elif isinstance(entry, log_entries.Interrupt):
             return self._event(entry)
         elif isinstance(entry, log_entries.Submit):
-            self.cargo.comes(entry)
+            self.cargo.comes(entry, [r.name for r in self.robots.values() if not r.here])
         elif isinstance(entry, log_entries.Join):
             self.stages.joins(entry.robot, self.witnesses)
             self._join(entry)
@@ -256,6 +256,8 @@ class LoggedTeam:
             if robot and robot.here and entry.place in self.plan.action_places:
                 self.marking[robot.place] -= 1
                 self.marking[entry.place] += 1
+                if entry.returns and robot.name in self.cargo.carried:
+                    self._puts_task_down(robot, entry.place)
                 robot.place = entry.place
                 robot.visit += 1
                 self._enter(robot)
@@ -446,6 +448,16 @@ class LoggedTeam:
                 self._enter(robot)
             elif robot.phase is Phase.DOING:
                 robot.attempt += 1
+
+    def _puts_task_down(self, robot: LoggedRobot, place: str) -> None:
+        """The task of a robot returns, unless it is put where robots have one."""
+        here, there = (
+            {q: n for q, n in self.plan.on_evict.get(p, {}).items() if q in self.cargo.queues}
+            for p in (robot.place, place)
+        )
+        for queue, n in here.items() if not there else ():
+            self.marking[queue] += n
+            self.cargo.returned(robot.name, queue, n)
 
     def _gone(self, entry: log_entries.Entry) -> None:
         assert isinstance(entry, (log_entries.Leave, log_entries.Evict))

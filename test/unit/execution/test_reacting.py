@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, List
 
 import pytest
 from game_driver import Run, make_plan
+from logged_runs import Story
 
-from gspn_framework_package.execution import log_entries, team_state, token_game
+from gspn_framework_package.execution import log_entries, plan_change, team_state, token_game
+from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
-from gspn_framework_package.execution.history import cargo
+from gspn_framework_package.execution.history import cargo, verify
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.data import check_values
@@ -255,6 +258,87 @@ def test_a_robot_that_leaves_gives_back_too():
     run.feed(submit(1))
     run.feed(log_entries.Leave("a"))
     assert run.state.robots["b"].task.id == "o1"
+
+
+def faults(run: Run) -> List[str]:
+    return [c.message for c in run.commands if isinstance(c, Fault)]
+
+
+def carried(run: Run) -> Any:
+    return {r.name: r.task.id for r in run.state.robots.values() if r.task is not None}
+
+
+def test_a_robot_that_is_put_where_no_task_belongs_gives_it_back():
+    run = shop(2)
+    run.feed(submit(1))
+    run.feed(log_entries.SetPlace("a", "Deliver"))  # there it keeps it
+    assert carried(run) == {"a": "o1"}
+    assert run.feed(log_entries.SetPlace("a", "Idle")) == ["take"]
+    assert carried(run) == {"b": "o1"}
+    assert "gives task o1 back to Orders" in faults(run)
+    # as an entry of an earlier version is read
+    old = log_entries.from_json({"entry": "set_place", "robot": "b", "place": "Idle"})
+    assert not old.returns and log_entries.to_json(old).keys() == {"entry", "robot", "place"}
+    assert run.feed(old) == []
+    assert carried(run) == {"b": "o1"}
+
+
+def test_a_task_that_is_with_a_robot_that_is_gone_is_named_and_can_come_again():
+    for gone in (log_entries.Leave("a"), log_entries.Evict("a", 0)):
+        plan = make_plan(
+            shop_net(), ["Idle"] * 2, ["Orders"], idle=["Idle"], tasks=Tasks(("Orders",), ())
+        )
+        run = Run(plan)
+        run.feed(submit(1))
+        assert run.fail("a") == []
+        assert "waits for the operator, with task o1" in faults(run)[-1]
+        run.feed(log_entries.SetPlace("a", "Idle"))
+        assert "keeps task o1 in Idle: Deliver gives it back to no queue" in faults(run)[-1]
+        assert not run.state.with_again(submit(1), run.game.net).again
+        run.feed(gone)
+        assert "goes with task o1, which Idle gives back to no queue" in faults(run)[-1]
+        assert run.feed(submit(1)) == []  # one that comes twice
+        again = run.state.with_again(submit(1), run.game.net)
+        assert again.again and run.feed(again, again) == ["order", "take"]
+        assert carried(run) == {"b": "o1"}
+        run.feed(submit(2))
+        run.feed(log_entries.Stop())
+        text = "the run ends with 2 tasks that are not done: o1 with b, o2 in Orders"
+        assert text in faults(run)
+
+
+@pytest.mark.parametrize("gives_back", [False, True])
+@pytest.mark.parametrize("returns", [False, True])
+def test_the_verifier_follows_tasks_that_return_and_that_come_again(tmp_path, gives_back, returns):
+    plan = shop(2).game.plan
+    if not gives_back:
+        plan = dataclasses.replace(plan, on_evict={})
+    story = Story(plan).start()
+    story.slot(1.0, submit(1, pose=1))
+    story.slot(2.0, log_entries.SetPlace("a", "Idle", returns=returns))
+    story.slot(3.0, log_entries.Leave("a"))
+    team = story.ledger.state
+    story.slot(4.0, team.with_again(submit(1, pose=2), plan.net))
+    story.slot(5.0, submit(2))
+    story.slot(6.0, log_entries.Done("b", 0, team.robots["b"].visit, "delivered"))
+    log = read_log(story.save(tmp_path / "run.jsonl"))
+    assert verify([log]).violation is None
+    done = [m.id for r in story.records for f in r.get("firings", ()) for m in tasks_of(f)]
+    assert done == ["o1"]
+
+
+def tasks_of(firing: Any) -> Any:
+    return [TaskMove(*move) for move in firing.get("tasks", ()) if move[2] == "done"]
+
+
+def test_a_plan_without_a_queue_names_the_tasks_that_robots_keep():
+    run = shop()
+    run.feed(submit(1))
+    plan = make_plan(shop_net(), ["Idle"], ["Orders"], idle=["Idle"])
+    stage = plan_change.stage_of(plan, {})
+    run.feed(stage, log_entries.Staged("a", 0, 1), log_entries.Adopt(1))
+    assert run.state.adopted is not None
+    assert "keeps task o1, and the plan has no queue" in faults(run)
 
 
 def test_a_second_task_pushes_out_the_first_and_that_is_told():

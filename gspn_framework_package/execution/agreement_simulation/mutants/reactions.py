@@ -146,9 +146,9 @@ def _never_done() -> ContextManager[Any]:
 
 def _keeps_what_it_gives_back() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def give_back(self: Any, robot: Any, marking: Any) -> None:
+        def give_back(self: Any, robot: Any, marking: Any, **how: Any) -> None:
             task = robot.task
-            original(self, robot, marking)
+            original(self, robot, marking, **how)
             robot.task = task
 
         return give_back
@@ -158,8 +158,8 @@ def _keeps_what_it_gives_back() -> ContextManager[Any]:
 
 def _returns_to_the_end() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def give_back(self: Any, robot: Any, marking: Any) -> None:
-            original(self, robot, marking)
+        def give_back(self: Any, robot: Any, marking: Any, **how: Any) -> None:
+            original(self, robot, marking, **how)
             for p, queue in self.state.queues.items():
                 self.state.queues[p] = queue[1:] + queue[:1]
 
