@@ -8,9 +8,10 @@ from __future__ import annotations
 import re
 from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
+from gspn_framework_package.visualizer.editing.palette import TYPED
 from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER
 
-API_VERSION = "1.0.0"
+API_VERSION = "1.1.0"
 """Version of the interface: the first number grows with each change that a client has to follow,
 the second with each addition."""
 
@@ -21,6 +22,18 @@ WHOLE: Schema = {"type": "integer", "minimum": 0}
 FLAG: Schema = {"type": "boolean"}
 OBJECT: Schema = {"type": "object"}
 NAMES: Schema = {"type": "array", "items": TEXT}
+NUMBER: Schema = {"type": "number"}
+COUNTS: Schema = {"type": "array", "items": WHOLE}
+OBJECTS: Schema = {"type": "array", "items": OBJECT}
+POINTS: Schema = {
+    "type": "object",
+    "additionalProperties": {"type": "array", "items": NUMBER},
+}
+
+
+def _or_null(schema: Schema) -> Schema:
+    return {**schema, "type": [schema["type"], "null"]}
+
 
 PARAMETERS: Dict[str, Tuple[Schema, str]] = {
     "id": (TEXT, "the open net, as /api/open answered; in /api/hello, 'first' is the one shown"),
@@ -38,7 +51,7 @@ PARAMETERS: Dict[str, Tuple[Schema, str]] = {
         "history: the first day, YYYY-MM-DD",
     ),
     "transition": (TEXT, "name of a transition"),
-    "kind": ({"enum": ["action", "service", "message"]}, "kind of a ROS type"),
+    "kind": ({**TEXT, "enum": list(TYPED)}, "kind of an action that has a type of ROS"),
     "type": (TEXT, "name of a ROS type, such as std_msgs/String"),
     "by": (TEXT, "what the rows are grouped by, separated by commas"),
     "until": (TEXT, "the day before which to end, YYYY-MM-DD"),
@@ -55,7 +68,7 @@ class ApiOperation(NamedTuple):
     :ivar query: names of its parameters; with a question mark if it may be missing.
     :ivar body: the fields of its JSON object, with their schemas; with a question mark if it may
         be missing.
-    :ivar answer: the fields of its answer.
+    :ivar answer: the fields of its answer, likewise; none if it only says that it is done.
     :ivar media: the type of its answer.
     """
 
@@ -67,13 +80,59 @@ class ApiOperation(NamedTuple):
     media: str = "application/json"
 
 
+def _object(fields: Mapping[str, Schema]) -> Schema:
+    """An object with these fields, and perhaps others."""
+    return {
+        "type": "object",
+        "properties": {name.rstrip("?"): schema for name, schema in fields.items()},
+        "required": [name for name in fields if not name.endswith("?")],
+    }
+
+
+def _list(fields: Mapping[str, Schema]) -> Schema:
+    return {"type": "array", "items": _object(fields)}
+
+
+BOARD = _object(
+    {
+        "n": WHOLE,
+        "t": NUMBER,
+        "marking": COUNTS,
+        "enabled": COUNTS,
+        "counts": COUNTS,
+        "robots": _list({"name": TEXT, "place?": {"type": "integer"}, "phase?": TEXT}),
+        "notes": OBJECTS,
+        "status": OBJECT,
+        "data?": OBJECT,
+        "plan?": WHOLE,
+    }
+)
+NODES = _list({"name": TEXT})
+SCENE = _object(
+    {
+        "name": TEXT,
+        "hash": TEXT,
+        "places": NODES,
+        "transitions": NODES,
+        "arcs": {"type": "array", "items": COUNTS},
+        "layout": OBJECT,
+        "subnets": OBJECTS,
+        "plan": _or_null(OBJECT),
+    }
+)
+CHANGES = _list({"kind": TEXT, "name": TEXT, "what": TEXT})
+NEW_PLAN = {"path": TEXT, "id": TEXT}
 DOCUMENT = {"document": OBJECT}
 CHECKED = {**DOCUMENT, "page?": TEXT}
 EPOCH = {"epoch": TEXT}
 HISTORY = ("since?", "until?", "robot?", "place?")
 
 OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
-    ("GET", "/api/openapi.json"): ApiOperation("describe_interface", "This document."),
+    ("GET", "/api/openapi.json"): ApiOperation(
+        "describe_interface",
+        "This document.",
+        answer={"openapi": TEXT, "info": OBJECT, "paths": OBJECT},
+    ),
     ("POST", "/api/login"): ApiOperation(
         "login", "Exchange a token for a cookie, as the page does.", body={"token": TEXT}
     ),
@@ -82,9 +141,9 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Who serves, in which role the client is, and which files can be opened.",
         answer={
             "version": TEXT,
-            "role": {"enum": ["operator", "viewer"]},
-            "first": {"type": ["string", "null"]},
-            "files": {"type": "array", "items": OBJECT},
+            "role": {**TEXT, "enum": ["operator", "viewer"]},
+            "first": _or_null(TEXT),
+            "files": _list({"path": TEXT, "kind": TEXT}),
         },
     ),
     ("POST", "/api/open"): ApiOperation(
@@ -109,7 +168,7 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "session",
         "An open net: its title, and its picture with all places, transitions and arcs.",
         ("id",),
-        answer={"id": TEXT, "title": TEXT, "executable": FLAG, "scene": OBJECT},
+        answer={"id": TEXT, "title": TEXT, "executable": FLAG, "scene": SCENE},
     ),
     ("POST", "/api/do"): ApiOperation(
         "command",
@@ -118,33 +177,57 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "it is refused if another run is shown.",
         ("id",),
         {"command": TEXT, "run?": TEXT},
+        {
+            "message?": TEXT,
+            "fired?": WHOLE,
+            "dead?": FLAG,
+            "back?": WHOLE,
+            "engine?": TEXT,
+            "places?": {"type": "array", "items": {"type": "array", "items": NUMBER}},
+            "transitions?": {"type": "array", "items": {"type": "array", "items": NUMBER}},
+            "routes?": OBJECT,
+        },
     ),
     ("GET", "/api/state"): ApiOperation(
-        "state_at", "The board after an event.", ("id", "at"), answer={**EPOCH, "board": OBJECT}
+        "state_at", "The board after an event.", ("id", "at"), answer={**EPOCH, "board": BOARD}
     ),
     ("GET", "/api/scene"): ApiOperation(
-        "scene", "The picture of the net of one of the plans.", ("id", "plan?"), answer=EPOCH
+        "scene",
+        "The picture of the net of one of the plans.",
+        ("id", "plan?"),
+        answer={**EPOCH, "scene": SCENE},
     ),
     ("GET", "/api/reasons"): ApiOperation(
-        "reasons", "Why a transition cannot fire.", ("id", "transition", "at?")
+        "reasons",
+        "Why a transition cannot fire.",
+        ("id", "transition", "at?"),
+        answer={"transition": TEXT, "enabled": FLAG, "reasons": NAMES, "at": WHOLE},
     ),
     ("GET", "/api/slot"): ApiOperation(
         "after_slot",
         "The event that is the first after a slot of the log.",
         ("id", "slot"),
-        answer={**EPOCH, "event": {}},
+        answer={**EPOCH, "event": _or_null(WHOLE)},
     ),
     ("GET", "/api/events"): ApiOperation(
         "events",
         "Events of the past.",
         ("id", "after", "to", "limit?"),
-        answer={**EPOCH, "events": {"type": "array", "items": OBJECT}},
+        answer={**EPOCH, "events": _list({"n": WHOLE, "t": NUMBER, "k": TEXT})},
     ),
     ("GET", "/api/poll"): ApiOperation(
         "poll",
         "What is new since a cursor: first a snapshot of the board, later events.",
         ("id", "since?"),
-        answer={"cursor": TEXT, "snapshot?": OBJECT, "events?": {"type": "array"}},
+        answer={
+            "cursor": TEXT,
+            "snapshot?": _object(
+                {**EPOCH, "mode": TEXT, "info": OBJECT, "oldest": WHOLE, "board": BOARD}
+            ),
+            "events?": _list({"n": WHOLE, "t": NUMBER, "k": TEXT}),
+            "latest?": OBJECT,
+            "more?": FLAG,
+        },
     ),
     ("GET", "/api/stream"): ApiOperation(
         "stream",
@@ -161,40 +244,64 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         {"job": TEXT, "event": WHOLE},
     ),
     ("GET", "/api/analysis/{job}"): ApiOperation(
-        "analysis_progress", "How far a computation is, and its result."
+        "analysis_progress",
+        "How far a computation is, and its result.",
+        answer={
+            "state": TEXT,
+            "seconds": NUMBER,
+            "progress": {},
+            "result": _or_null(OBJECT),
+            "error": _or_null(TEXT),
+            "saves_as": _or_null(TEXT),
+        },
     ),
     ("POST", "/api/analysis/{job}/cancel"): ApiOperation("analysis_cancel", "End a computation."),
     ("GET", "/api/optimised"): ApiOperation(
         "latest_policy",
         "The policy that was last computed for a net.",
         ("id",),
-        answer={"job": {"type": ["string", "null"]}},
+        answer={"job": _or_null(TEXT)},
     ),
     ("GET", "/api/analysis/{job}/rows"): ApiOperation(
-        "policy_rows", "Rows of a computed policy.", ("from?", "limit?")
+        "policy_rows",
+        "Rows of a computed policy.",
+        ("from?", "limit?"),
+        answer={"places": NAMES, "total": WHOLE, "changed": WHOLE, "rows": OBJECTS},
     ),
     ("GET", "/api/analysis/{job}/choices"): ApiOperation(
-        "policy_choices", "What a computed policy chooses after an event.", ("id", "at?")
+        "policy_choices",
+        "What a computed policy chooses after an event.",
+        ("id", "at?"),
+        answer={"at": WHOLE, "choices": OBJECTS},
     ),
     ("GET", "/api/analysis/{job}/plan"): ApiOperation(
-        "policy_plan", "The plan with a computed policy, as a file."
+        "policy_plan",
+        "The plan with a computed policy, as a file.",
+        answer={"net": OBJECT, "actions": OBJECT, "policy?": OBJECT},
     ),
     ("POST", "/api/analysis/{job}/save"): ApiOperation(
         "policy_save",
         "Save that plan beside its own.",
         body={"name": TEXT, "overwrite?": FLAG},
-        answer={"name": TEXT, "path": TEXT},
+        answer={"name": TEXT, "path": _or_null(TEXT)},
     ),
     ("GET", "/api/deploy/targets"): ApiOperation(
         "deploy_targets",
         "The runs that can go on under another plan.",
-        answer={"runs": {"type": "array", "items": OBJECT}},
+        answer={"runs": _list({"id": TEXT, "title": TEXT, "run": _or_null(TEXT)})},
     ),
     ("POST", "/api/deploy/look"): ApiOperation(
         "deploy_look",
         "What would change for a run under another plan: a file, or a computed policy.",
         ("id",),
         {"path?": TEXT, "job?": TEXT},
+        {
+            "present": TEXT,
+            "plan": TEXT,
+            "changes": CHANGES,
+            "gone": _list({"name": TEXT, "kind": TEXT}),
+            "names": OBJECT,
+        },
     ),
     ("POST", "/api/deploy"): ApiOperation(
         "deploy",
@@ -202,34 +309,67 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         ("id",),
         {"path?": TEXT, "job?": TEXT, "map?": OBJECT},
     ),
-    ("GET", "/api/deploy"): ApiOperation("deploy_progress", "How far that is.", ("id",)),
+    ("GET", "/api/deploy"): ApiOperation(
+        "deploy_progress",
+        "How far that is; no state if none was deployed.",
+        ("id",),
+        answer={"state?": TEXT, "plan?": TEXT, "says?": TEXT, "votes?": OBJECT},
+    ),
     ("GET", "/api/history/names"): ApiOperation(
-        "history_names", "The robots, places and days of the fleet's history."
+        "history_names",
+        "The robots, places and days of the fleet's history.",
+        answer={"robots": NAMES, "places": NAMES, "days": NAMES},
     ),
     ("GET", "/api/history/report"): ApiOperation(
-        "history_report", "A report on the fleet's history.", ("by?", *HISTORY)
+        "history_report",
+        "A report on the fleet's history.",
+        ("by?", *HISTORY),
+        answer={"rows": OBJECTS, "left_out": WHOLE},
     ),
     ("GET", "/api/history/moments"): ApiOperation(
-        "history_moments", "What happened, each with the net that replays it.", HISTORY
+        "history_moments",
+        "What happened, each with the net that replays it.",
+        HISTORY,
+        answer={"moments": _list({"id": TEXT})},
     ),
     ("GET", "/api/edit"): ApiOperation(
-        "edit_open", "A plan of the folder as a document.", ("id",), answer={"document": OBJECT}
+        "edit_open",
+        "A plan of the folder as a document.",
+        ("id",),
+        answer={
+            "path": TEXT,
+            "etag": TEXT,
+            "document": OBJECT,
+            "files": OBJECT,
+            "scale": NUMBER,
+            "laid_out": FLAG,
+            "notes": NAMES,
+            "draft": _or_null(OBJECT),
+            "read_only": TEXT,
+        },
     ),
     ("POST", "/api/edit/save"): ApiOperation(
         "edit_save",
         "Save a document; 412 if the files have changed since.",
         ("id",),
         {"etag": TEXT, **DOCUMENT},
-        {"etag": TEXT, "written": NAMES, "notes": NAMES},
+        {"etag": TEXT, "files": OBJECT, "written": NAMES, "notes": NAMES},
     ),
     ("POST", "/api/edit/save_as"): ApiOperation(
-        "edit_save_as", "Save it under a new name.", ("id",), {"name": TEXT, **DOCUMENT}
+        "edit_save_as", "Save it under a new name.", ("id",), {"name": TEXT, **DOCUMENT}, NEW_PLAN
     ),
     ("POST", "/api/edit/new"): ApiOperation(
-        "edit_new", "Make a plan from a template.", body={"template": TEXT, "name": TEXT}
+        "edit_new",
+        "Make a plan from a template, or an empty one.",
+        body={"template?": TEXT, "name": TEXT},
+        answer=NEW_PLAN,
     ),
     ("POST", "/api/edit/draft"): ApiOperation(
-        "edit_draft", "Keep a document that is not saved.", ("id",), {"etag": TEXT, **DOCUMENT}
+        "edit_draft",
+        "Keep a document that is not saved; null forgets it.",
+        ("id",),
+        {"etag": TEXT, "document": _or_null(OBJECT)},
+        {"kept": FLAG},
     ),
     ("POST", "/api/edit/export"): ApiOperation(
         "edit_export",
@@ -239,27 +379,66 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         media="application/octet-stream",
     ),
     ("POST", "/api/edit/check"): ApiOperation(
-        "edit_check", "Check a document.", ("id",), {**CHECKED, "full?": FLAG, "standalone?": FLAG}
+        "edit_check",
+        "Check a document; cancelled if another check took its place.",
+        ("id",),
+        {**CHECKED, "full?": FLAG, "standalone?": FLAG},
+        {
+            "valid?": FLAG,
+            "decided?": FLAG,
+            "states?": WHOLE,
+            "findings?": _list(
+                {"level": TEXT, "text": TEXT, "hint": TEXT, "check": TEXT, "elements": OBJECTS}
+            ),
+            "cancelled?": FLAG,
+        },
     ),
     ("POST", "/api/edit/choices"): ApiOperation(
         "edit_choices",
         "What the policy of a document chooses in a marking.",
         ("id",),
         {**CHECKED, "marking": OBJECT},
+        {"places?": OBJECTS, "enabled?": NAMES, "over?": FLAG, "cancelled?": FLAG},
     ),
     ("POST", "/api/edit/diff"): ApiOperation(
-        "edit_diff", "The difference of two documents.", ("id",), {"to": OBJECT, "from": {}}
+        "edit_diff",
+        "The difference of two documents; from 'saved', the files, or 'running', what runs.",
+        ("id",),
+        {"to": OBJECT, "from": {"oneOf": [TEXT, OBJECT]}},
+        {"changes?": CHANGES, "cancelled?": FLAG},
     ),
     ("POST", "/api/edit/layout"): ApiOperation(
-        "edit_layout", "Positions for the nodes of a document.", ("id",), DOCUMENT
+        "edit_layout",
+        "Positions for the nodes of a document.",
+        ("id",),
+        DOCUMENT,
+        {"places": POINTS, "transitions": POINTS},
     ),
     ("GET", "/api/edit/palette"): ApiOperation(
-        "edit_palette", "What the actions of a plan can be chosen from.", ("id",)
+        "edit_palette",
+        "What the actions of a plan can be chosen from.",
+        ("id",),
+        answer={
+            "functions": _list({"name": TEXT, "doc": TEXT}),
+            "plans": _list({"file": TEXT, "name": TEXT}),
+            "kinds": NAMES,
+            "types": OBJECT,
+            "ros": _or_null(OBJECT),
+        },
     ),
     ("GET", "/api/edit/fields"): ApiOperation(
-        "edit_fields", "The fields of a ROS type.", ("kind", "type")
+        "edit_fields",
+        "The fields of a ROS type.",
+        ("kind", "type"),
+        answer={"sent": {}, "received": {}, "why": TEXT},
     ),
 }
+
+TEXTS: Dict[str, Schema] = {
+    "text/event-stream": TEXT,
+    "application/octet-stream": {**TEXT, "format": "binary"},
+}
+"""The types of answers that are not JSON."""
 
 ABOUT = f"""The page of `gspn serve`, `gspn replay` and the node `visualizer`, for other programs.
 
@@ -295,7 +474,8 @@ def interface(version: str) -> Dict[str, Any]:
                     "name": HEADER,
                     "in": "header",
                     "required": True,
-                    "schema": {"const": "1"},
+                    # not a "const": generators of clients do not take one in a header
+                    "schema": {**TEXT, "default": "1"},
                     "description": "no form of another page can send it",
                 }
             },
@@ -321,7 +501,7 @@ def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any
                 "description": "the answer",
                 "content": {operation.media: {"schema": _object(operation.answer)}}
                 if operation.media == "application/json"
-                else {operation.media: {}},
+                else {operation.media: {"schema": TEXTS[operation.media]}},
             },
             "default": {
                 "description": "why not: 400 wrong input, 401 and 403 not allowed, 409 refused",
@@ -345,13 +525,4 @@ def _parameter(name: str, where: str, required: bool) -> Dict[str, Any]:
         "required": required,
         "schema": schema,
         "description": about,
-    }
-
-
-def _object(fields: Mapping[str, Schema]) -> Schema:
-    """An object with these fields, and perhaps others."""
-    return {
-        "type": "object",
-        "properties": {name.rstrip("?"): schema for name, schema in fields.items()},
-        "required": [name for name in fields if not name.endswith("?")],
     }

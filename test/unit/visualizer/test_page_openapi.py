@@ -2,6 +2,7 @@
 the client in the documents works."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import jsonschema
 import pytest
 from page_client import PageClient, folder_project, small_net
 
+from gspn_framework_package.formats import encode_net, format_named
 from gspn_framework_package.visualizer.app import create_app
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.guard import Guard
@@ -60,6 +62,36 @@ def test_the_description_is_whole(page):
             jsonschema.Draft7Validator.check_schema(p["schema"])
 
 
+DONE = {"login", "analysis_cancel", "deploy"}  # their answers say nothing else
+
+
+def test_generators_of_clients_find_all_that_they_need(page):
+    """They leave out an operation that has a constant in its header, and leave untyped what is not
+    described."""
+    document = page.get("/api/openapi.json").get_json()
+    header = document["components"]["parameters"]["page"]
+    assert header["schema"] == {"type": "string", "default": "1"} and header["in"] == "header"
+    for operation in operations(page).values():
+        for parameter in operation["parameters"]:
+            assert "$ref" in parameter or parameter["schema"]["type"] in ("string", "integer")
+        for media, content in operation["responses"]["200"]["content"].items():
+            schema = content["schema"]
+            typed = media != "application/json" or bool(schema["properties"])
+            assert typed != (operation["operationId"] in DONE), operation["operationId"]
+        assert not [part for part in parts_of(operation) if "const" in part]
+        for part in parts_of(operation):
+            assert part.get("type") != "array" or "items" in part, operation["operationId"]
+
+
+def parts_of(value):
+    """All objects in a JSON value."""
+    if isinstance(value, list):
+        return [part for item in value for part in parts_of(item)]
+    if not isinstance(value, dict):
+        return []
+    return [value, *(part for item in value.values() for part in parts_of(item))]
+
+
 def test_answers_are_as_described(page):
     described = operations(page)
     page.do("step")
@@ -76,6 +108,9 @@ def test_answers_are_as_described(page):
         "/api/analysis/no_such_job",
         "/api/session?id=nothing",
         "/api/history/names",
+        "/api/openapi.json",
+        "/api/reasons?id=small&transition=t",
+        "/api/deploy?id=small",
     ):
         plain = re.sub("no_such_job", "{job}", path.partition("?")[0])
         responses, answer = described["GET", plain]["responses"], page.get(path)
@@ -89,6 +124,39 @@ def test_answers_are_as_described(page):
             schema = document["components"]["schemas"]["Error"]
         jsonschema.validate(answer.get_json(), schema)
     assert page.get("/api/session?id=nothing").status_code == 400
+
+
+def test_answers_to_orders_and_edits_are_as_described(tmp_path):
+    shutil.copytree(str(ROOT / "plans" / "patrol"), str(tmp_path / "patrol"))
+    page = PageClient(Project(Folder(str(tmp_path)), edits=True))
+    described = operations(page)
+
+    def answer(method, path, body=None):
+        found = page.get(path) if method == "GET" else page.post(path, body)
+        assert found.status_code == 200, (path, found.get_data())
+        operation = described[method, path.partition("?")[0]]
+        schema = operation["responses"]["200"]["content"]["application/json"]["schema"]
+        jsonschema.validate(found.get_json(), schema)
+        said = set(found.get_json()) - {"revision"}
+        assert said <= set(schema["properties"]), path
+        return found.get_json()
+
+    key = "?id=" + answer("POST", "/api/open", {"path": "patrol"})["id"]
+    for command in ("step", "back", "reset", "clear", "layout"):
+        answer("POST", "/api/do" + key, {"command": command})
+    answer("POST", "/api/analysis" + key, {})
+    opened = answer("GET", "/api/edit" + key)
+    document = {"document": opened["document"]}
+    answer("POST", "/api/edit/check" + key, document)
+    answer("POST", "/api/edit/choices" + key, {**document, "marking": {}})
+    answer("POST", "/api/edit/diff" + key, {"to": opened["document"], "from": "saved"})
+    answer("POST", "/api/edit/layout" + key, document)
+    answer("POST", "/api/edit/draft" + key, {**document, "etag": opened["etag"]})
+    answer("POST", "/api/edit/save" + key, {**document, "etag": opened["etag"]})
+    answer("POST", "/api/edit/save_as" + key, {**document, "name": "copy"})
+    answer("POST", "/api/edit/new", {"name": "mine"})
+    answer("GET", "/api/edit/palette" + key)
+    answer("GET", "/api/edit/fields?kind=publish&type=std_msgs/String")
 
 
 def test_a_field_that_is_described_as_needed_is_needed(tmp_path):
@@ -111,13 +179,19 @@ def test_a_viewer_may_read_the_description_and_nobody_without_a_token():
     assert refused.status_code == 403 and "read-only" in refused.get_json()["error"]
 
 
-def test_the_client_in_the_documents_works():
+@pytest.mark.parametrize("served", ["net", "folder"])
+def test_the_client_in_the_documents_works(served, tmp_path):
     text = (ROOT / "docs" / "tools.md").read_text(encoding="utf-8")
+    others = [path for path in (ROOT / "docs").glob("*.md") if "urllib" in path.read_text("utf-8")]
+    assert [path.name for path in others] == ["tools.md"]  # each is to be run by a test
     client = re.search(r":caption: look\.py\n(.*?)```", text, re.DOTALL).group(1)
     order = re.search(r'`(ask\("do.*?)`', text).group(1)
     assert len([line for line in client.splitlines() if line.strip()]) <= 14
-    project = Project()
-    project.show(Session("small", Document("small", small_net())))
+    project = Project(Folder(str(tmp_path)) if served == "folder" else None)
+    if served == "net":
+        project.show(Session("small", Document("small", small_net())))
+    else:
+        (tmp_path / "small.xml").write_bytes(encode_net(small_net(), format_named("pipe"))[0])
     server = WebServer(project, port=0, token="o" * 20)
     server.start()
     try:
@@ -130,7 +204,8 @@ def test_the_client_in_the_documents_works():
             timeout=60,
         )
         assert done.stderr == "" and done.stdout.split() == ["a", "1", "b", "0"]
-        board = project.sessions.get("small").hub.board()
+        (session,) = project.sessions.all()
+        board = session.hub.board()
         assert board.n == 1
     finally:
         server.stop()
