@@ -405,8 +405,8 @@ class Monitor:
         return any(_explains(other, alarm) for other in self.on)
 
     def _estimated(self, alarm: Alarm) -> Alarm:
-        """An alarm that lasts with what was observed up to now. When it is raised, its sum has just
-        seen what departs most, which overstates the change."""
+        """An alarm that lasts with what was observed up to now. When it is raised, little is
+        known, and mostly what departs most."""
         seen = [
             f
             for f in self._recent
