@@ -170,6 +170,7 @@ def plan_from_json(
     agreement = data.get("agreement", {})
     resources = frozenset(data.get("resource_places", ()))
     robots = _robots(data.get("robots"), file)
+    inner = {part.names[p] for part in parts for p in part.plan.resource_places}
     until = data.get("until")
     if until is not None:
         try:
@@ -182,7 +183,7 @@ def plan_from_json(
         policy=policy,
         actions={p: action_from_json(p, a) for p, a in data["actions"].items()},
         resource_places=resources,
-        robots=robots if robots is not None else deal_robots(net, resources),
+        robots=robots if robots is not None else deal_robots(net, resources | inner),
         spawn=tuple(data.get("spawn", ())),
         synchronisation=Synchronisation(data.get("synchronisation", "full")),
         transport=Transport(data.get("transport", "ros")),

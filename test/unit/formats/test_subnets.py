@@ -213,6 +213,12 @@ def test_a_subnet_comes_with_all_that_its_plan_says(folder):
     )
 
 
+def test_tokens_of_a_resource_in_a_subnet_are_no_robots(folder):
+    unnamed = {key: value for key, value in HOME.items() if key != "robots"}
+    plan = read_plan(folder(unnamed))
+    assert [robot.place for robot in plan.robots] == ["Work", "Left.Approach"]
+
+
 def test_each_policy_decides_for_its_own_places(folder):
     plan = read_plan(folder())
     table, net = plan.policy.bind(plan.net), plan.net
