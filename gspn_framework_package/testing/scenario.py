@@ -32,6 +32,7 @@ from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import Step
 from gspn_framework_package.execution.virtual_time import VirtualRun, failed, timed_out
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import DataError, UsageError
@@ -192,7 +193,8 @@ class Scenario:
             default, as the plan says.
         :param result: the transition that it names, "" for none; by default, as the plan says.
         :param data: the data that it writes.
-        :param fails: that it fails, for this reason ("aborted", "no server", ...).
+        :param fails: that it fails, for this reason ("aborted", "no server", ...). Where the plan
+            leads that outcome of the action to a transition, the robot asks for it.
         :param act: called when the attempt begins, in place of ``result``, ``data`` and ``fails``:
             returns a result or a pair (result, data), and raises ActionFailed to fail.
         :param times: for so many attempts; by default for all that follow.
@@ -573,7 +575,7 @@ class Scenario:
         if rule.act is not None:
             entry = self._acted(command, rule.act)
         elif rule.fails is not None:
-            entry = failed(command, rule.fails, "as the test says")
+            entry = self._failed(command, rule.fails, "as the test says")
         elif rule.result is not None or rule.data:
             result = rule.result
             if result is None:
@@ -592,7 +594,7 @@ class Scenario:
         try:
             result = read_result(act(self.attempts[-1]))
         except (ActionFailed, DataError) as error:
-            return failed(command, "aborted", str(error))
+            return self._failed(command, "aborted", str(error))
         return self._done(command, *result)
 
     def _call(self, command: StartAction) -> Optional[Tuple[float, log_entries.Entry]]:
@@ -622,6 +624,15 @@ class Scenario:
         except Exception as error:  # as in a run
             entry = failed(command, "aborted", "%s: %s" % (type(error).__name__, error))
         return self._in_time(command, clock.seconds, entry)
+
+    def _failed(self, command: StartAction, reason: str, detail: str) -> log_entries.Entry:
+        """The end of an attempt that failed: as on ROS, a transition if the plan leads this outcome
+        of its action to one."""
+        action = self.plan.action(command.robot, command.place)
+        transition = outcomes_of(action).get(reason)
+        if transition is None:
+            return failed(command, reason, detail)
+        return self._done(command, transition, NOTHING)
 
     def _done(self, command: StartAction, result: str, data: Mapping[str, Any]) -> log_entries.Done:
         meant = self.plan.transition_meant(command.place, result)

@@ -146,7 +146,7 @@ class EventFit(NamedTuple):
 class PlaceFit(NamedTuple):
     """What was learned about an action place.
 
-    :ivar n: observed durations: of attempts that succeeded.
+    :ivar n: observed durations: of attempts that succeeded, or of those that failed if all did.
     :ivar censored: attempts that were cut off, also by a timeout.
     :ivar fit: the distribution; None if there was too little data.
     :ivar test: the test of fit; None if there is none.
@@ -341,7 +341,10 @@ class _Learning:
         done = [a for a in attempts if a.completed and not a.failed]
         failed = [a for a in attempts if a.completed and a.failed and a.failed != _TIMEOUT]
         cut = [a for a in attempts if not a.completed or a.failed == _TIMEOUT]
-        sample = _sample(done, cut)
+        if not done:  # failures are all that is known, also of the time that an attempt takes
+            failed += [a for a in cut if a.completed]
+            cut = [a for a in cut if not a.completed]
+        sample = _sample(done or failed, cut)
         fit, test = self._duration(place, sample, generator)
         if fit is not None:
             self._compare_groups(place, done, cut, fit.duration)
@@ -487,8 +490,18 @@ class _Learning:
 
     def _failure(self, place: str, failed: int, ended: int) -> Optional[OutcomeFit]:
         if ended == failed and failed:
-            self.notes.append("%s: all %d attempts failed" % (place, failed))
-            return None
+            share = (failed - 0.5) / ended  # a plan needs some hope: below 1, inside the interval
+            self.notes.append(
+                "%s: all %d attempts failed; the probability %.4g is half an attempt below 1, the "
+                "duration is that of failures, and how a success would end stays as in the plan"
+                % (place, failed, share)
+            )
+            return OutcomeFit(failed, ended, share, wilson(failed, ended))
+        if ended < ENOUGH and failed:
+            self.notes.append(
+                "%s: %d of %d attempts failed, which are too few to learn how often; the plan says "
+                "%g" % (place, failed, ended, self.plan.failures.get(place, 0.0))
+            )
         if ended < ENOUGH or (not failed and not self.plan.failures.get(place)):
             return None
         return OutcomeFit(failed, ended, failed / ended, wilson(failed, ended))

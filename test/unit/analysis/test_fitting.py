@@ -31,6 +31,7 @@ from gspn_framework_package.analysis.fitting.testing import (
     test_of_fit,
     wilson,
 )
+from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.plot import fit_figure
 from gspn_framework_package.execution.attempts import gather
@@ -379,6 +380,31 @@ def test_a_plan_learns_and_keeps_the_rest() -> None:
     assert new.evidence["durations", "A"] == (100, ("one.jsonl",), a.fit.interval)
     assert ("durations", "B") not in new.evidence
     assert (new.until, new.seed, new.net.transition("ab").rate) == ("B >= 3", 4, 3.0)
+
+
+@pytest.mark.parametrize("reason", ["aborted", "timeout"])
+@pytest.mark.parametrize("count", [62, 2])
+def test_attempts_that_all_failed_are_learned(reason: str, count: int) -> None:
+    """The plan with it does not predict that they succeed."""
+    plan = small_plan(timeouts={"A": 0.4} if reason == "timeout" else {})
+    report = fit_plan(plan, attempts([0.4] * count, failed=reason))
+    failure = report.places["A"].failure
+    assert failure is not None and (failure.seen, failure.total) == (count, count)
+    assert failure.interval[0] < failure.probability < failure.interval[1]
+    assert any("A: all %d attempts failed" % count in note for note in report.notes)
+    new = report.apply(plan, ["one.jsonl"])
+    assert new.failures["A"] == pytest.approx(1 - 0.5 / count)
+    if count > 2:
+        assert new.durations["A"].mean == pytest.approx(0.4)
+        found = simulate(new, time=100.0, replications=20, seed=3)
+        assert found.throughput["ab"].mean + found.throughput["aa"].mean < 0.05
+
+
+def test_too_few_failures_are_told() -> None:
+    seen = attempts([0.4], failed="aborted") + attempts([0.5, 0.5], result="ab")
+    report = fit_plan(small_plan(), seen)
+    assert report.places["A"].failure is None
+    assert any("A: 1 of 3 attempts failed, which are too few" in note for note in report.notes)
 
 
 def test_the_report_has_the_agreed_form() -> None:

@@ -12,7 +12,7 @@ import pytest
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.execution.event_log import read_log, replay
-from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import GspnError, UsageError
@@ -157,6 +157,30 @@ def test_robots_are_lost_and_join() -> None:
     run.join("a", "Idle")
     run.advance()
     assert run.marking == {"Idle": 3}
+
+
+@pytest.mark.parametrize("how", ["fails", "act"])
+def test_an_outcome_that_the_plan_leads_to_a_transition_fires_it(how: str) -> None:
+    plan = shop()
+    deliver = ServerAction("a/BAction", "deliver", {}, {"aborted": "low", "rejected": ""})
+    plan = replace(plan, actions={**plan.actions, "Deliver": deliver}).validate()
+
+    def fail(attempt: ActionAttempt) -> None:
+        raise ActionFailed("no way")
+
+    run = Scenario(plan)
+    if how == "fails":
+        run.action("Deliver", seconds=2.0, fails="aborted", times=1)
+    else:
+        run.action("Deliver", seconds=2.0, act=fail, times=1)
+    run.submit("order")
+    run.advance(3.0)
+    run.check_fired("take", "low")
+    run.check_no_faults()
+    assert run.place("a") == "Charge"
+    run.action("Deliver", seconds=2.0, fails="preempted")  # the plan does not mention it
+    run.advance(70.0)
+    assert run.phase("a") == "failed"
 
 
 def test_a_check_that_fails_shows_the_course_of_the_run() -> None:
