@@ -8,7 +8,7 @@ import os
 from typing import Any, Dict, List, Tuple
 
 from gspn_framework_package.cli.team_client import add_team_options, team_client
-from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
 
@@ -58,21 +58,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan, have it staged and adopted; return 0 if the team follows it, else 1."""
-    from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.execution.plan_change import stage_of
     from gspn_framework_package.formats.plan_file import read_plan
+    from gspn_framework_package.ros.check_all import check_all
+    from gspn_framework_package.team.verdict import obey
 
     mapping = read_mapping(args.map)
     plan = read_plan(args.plan)
     if args.standalone is not None and args.stage_only:
         raise UsageError("--stage-only needs a team: a run without ROS adopts a plan or refuses it")
-    report = check(plan, standalone=args.standalone is not None)
-    if report.refused:
-        raise RefusedError(
-            "the plan was refused", file=plan.file, hint="gspn check says why: %s" % args.plan
-        )
     if args.standalone is not None:
-        return _into_run(args, plan, mapping)
+        return _into_run(args, plan, mapping)  # which has its own verdict
+    obey(check_all(plan), plan)
     from gspn_framework_package.team.deploy_team import DeployTeam
 
     client = team_client(args)

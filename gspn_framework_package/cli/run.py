@@ -13,8 +13,11 @@ import uuid
 from dataclasses import replace
 from typing import Any, Dict, List, Optional, Sequence
 
-from gspn_framework_package.analysis.preflight import check
-from gspn_framework_package.analysis.preflight.while_running import why_refused
+from gspn_framework_package.analysis.preflight.while_running import (
+    CHECK_MARKINGS,
+    keeps_robots,
+    why_refused,
+)
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
 from gspn_framework_package.execution.breakpoints import BreakpointFile
@@ -28,6 +31,7 @@ from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.verdict import obey, verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,9 +133,9 @@ def _door(executor: StandaloneExecutor) -> Optional[RunDoor]:
         plan = read_plan(request.plan)
         if request.folder is not None:
             plan = replace(plan, folder=request.folder or began_with.folder)
-        executor.deploy(
-            plan, request.mapping, request.wait, lambda here: why_refused(here, standalone=True)
-        )
+        agents = not keeps_robots(executor.plan)
+        obey(verdict(plan, standalone=agents, limit=CHECK_MARKINGS), plan)
+        executor.deploy(plan, request.mapping, request.wait, lambda here: why_refused(here, agents))
         return "the run goes on under the plan '%s'" % plan.name
 
     try:
@@ -155,10 +159,12 @@ def _plan(args: argparse.Namespace) -> Plan:
         print("note: %s" % note, file=sys.stderr)
     if not args.allow_commands:
         refuse_commands(plan, ALLOW)
-    report = check(plan, standalone=True)
+    report = verdict(plan, standalone=True)
     if report.refused:
         print(report, file=sys.stderr)
         raise RefusedError("the plan was refused", file=plan.file, hint="see the report above")
+    for doubt in report.doubts:
+        print("warning: the plan %s: see 'gspn check --standalone'" % doubt, file=sys.stderr)
     return plan
 
 

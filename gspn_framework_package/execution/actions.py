@@ -63,7 +63,6 @@ is imported.
 
 from __future__ import annotations
 
-import ast
 import copy
 import inspect
 import json
@@ -89,7 +88,7 @@ from typing import (
 )
 
 from gspn_framework_package.execution.firing import StartAction
-from gspn_framework_package.execution.plan_modules import is_installed, load_module
+from gspn_framework_package.execution.plan_modules import load_module
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
@@ -290,16 +289,37 @@ class PythonFunction:
             parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
         except (TypeError, ValueError):  # built in, without a signature
             parameters = []
+        return self.asked_of(parameters, element, settings)
+
+    @classmethod
+    def asked_of(
+        cls,
+        parameters: Iterable[inspect.Parameter],
+        element: str,
+        settings: Mapping[str, Any] = NO_SETTINGS,
+    ) -> FrozenSet[str]:
+        """The :attr:`known` names among the parameters of a function, apart from its settings.
+
+        :raises PlanError: a parameter is neither known nor a setting, a setting has no parameter,
+            or its value does not fit the default or the annotation of the parameter.
+        """
         names: Set[str] = set()
         unused = set(settings)
         missing = inspect.Parameter.empty
         for parameter in parameters:
             if parameter.kind is parameter.VAR_KEYWORD:
-                names.update(self.known)
+                names.update(cls.known)
                 unused.clear()
             elif parameter.name in unused and parameter.kind is not parameter.POSITIONAL_ONLY:
                 unused.remove(parameter.name)
-            elif parameter.name in self.known:
+                wanted = _not_fitting(settings[parameter.name], parameter)
+                if wanted:
+                    raise PlanError(
+                        "its setting '%s' takes %s, and not %s"
+                        % (parameter.name, wanted, json.dumps(settings[parameter.name])[:80]),
+                        element=element,
+                    )
+            elif parameter.name in cls.known:
                 if parameter.kind is parameter.POSITIONAL_ONLY:
                     raise PlanError(
                         "its parameter '%s' cannot be given by name" % parameter.name,
@@ -308,15 +328,42 @@ class PythonFunction:
                 names.add(parameter.name)
             elif parameter.kind is not parameter.VAR_POSITIONAL and parameter.default is missing:
                 raise PlanError(
-                    "its parameter '%s' is nothing that an %s can ask for"
-                    % (parameter.name, self.role),
+                    "its parameter '%s' is nothing that an %s can ask for, and has no value"
+                    % (parameter.name, cls.role),
                     element=element,
                     hint="there are: %s; the value of any other stands in the plan, under settings"
-                    % ", ".join(self.known),
+                    % ", ".join(cls.known),
                 )
         if unused:
             raise _no_parameter(element, unused)
         return frozenset(names)
+
+
+_JSON_KINDS: Dict[type, Tuple[str, Tuple[type, ...]]] = {
+    bool: ("true or false", (bool, int)),
+    int: ("a number", (int, float)),
+    float: ("a number", (int, float)),
+    str: ("a text", (str,)),
+    list: ("a list", (list,)),
+    tuple: ("a list", (list,)),
+    dict: ("an object", (dict,)),
+}
+"""Type of a parameter -> what it takes, for people, and the types of its values in JSON."""
+
+
+def _not_fitting(value: Any, parameter: inspect.Parameter) -> str:
+    """What a parameter takes, if a value from a plan certainly is not that; otherwise ""."""
+    annotation: Any = parameter.annotation
+    if isinstance(annotation, str):  # as "from __future__ import annotations" leaves it
+        annotation = {kind.__name__: kind for kind in _JSON_KINDS}.get(annotation)
+    for kind in (annotation, type(parameter.default)):
+        known = isinstance(kind, type) and kind in _JSON_KINDS
+        if known and not isinstance(value, _JSON_KINDS[kind][1]):
+            # a default of None or "" often stands for a value of another type
+            if kind is str and annotation is not str:
+                continue
+            return _JSON_KINDS[kind][0]
+    return ""
 
 
 class PythonAction(PythonFunction):
@@ -441,57 +488,6 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
                 loaded[key] = load_action(plan.folder, bound.function, bound.settings)
             result[place] = loaded[key]
     return result
-
-
-def missing_function(folder: Optional[str], name: str) -> Optional[str]:
-    """What is missing for the action ``module.function``, judging by the source without running it;
-    None if nothing is missing or the source does not show it.
-
-    :param folder: the plan's folder.
-    :param name: ``module.function``.
-    """
-    folder, name = split_function(folder, name)
-    module, _, function = name.rpartition(".")
-    path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
-    file = next(
-        (
-            f
-            for f in (path + ".py", os.path.join(path, "__init__.py"))
-            if path and os.path.isfile(f)
-        ),
-        None,
-    )
-    if file is None:
-        if is_installed(module):
-            return None
-        return "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
-    try:
-        with open(file, "rb") as source:
-            tree = ast.parse(source.read(), file)
-    except (OSError, SyntaxError, ValueError) as error:
-        line = ", line %s" % error.lineno if isinstance(error, SyntaxError) and error.lineno else ""
-        return "%s%s: it cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
-    defined = set()
-    waiting: list[ast.AST] = list(tree.body)
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            defined.add(node.name)  # names inside it do not belong to the module
-        elif isinstance(node, (ast.Import, ast.ImportFrom)):
-            defined |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            defined.add(node.id)
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in (
-            "globals",
-            "setattr",
-            "exec",
-        ):
-            return None
-        else:
-            waiting += ast.iter_child_nodes(node)
-    if function in defined or "*" in defined or "__getattr__" in defined:
-        return None
-    return "there is no '%s' in %s" % (function, file)
 
 
 def _no_parameter(element: str, settings: Iterable[str]) -> PlanError:

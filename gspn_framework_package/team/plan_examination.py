@@ -73,10 +73,10 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
 
 def _findings(plan: Plan) -> Tuple[List[str], List[str]]:
     """One warning for each kind of finding, and the reasons why the plan must not run."""
-    from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.analysis.preflight.report import Severity
+    from gspn_framework_package.team.verdict import verdict
 
-    report = check(plan)
+    report = verdict(plan)
     warnings: Dict[str, List[str]] = {}
     for item in report.items:
         if item.severity is Severity.WARNING:

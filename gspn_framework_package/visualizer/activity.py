@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
+from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
@@ -42,6 +43,13 @@ class Activity:
         """The number of the last event of a slot of the log that is shown; None if that is not
         known so far."""
         return None
+
+    def verdict(self, plan: Plan) -> PreflightReport:
+        """What the check says of a plan that is to be deployed.
+
+        :raises GspnError: it is no valid plan, or none can be deployed here.
+        """
+        raise RefusedError("no plan can be deployed here", hint="start a run first")
 
     def deploy(
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]

@@ -14,6 +14,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple
 
 import flask
 
+from gspn_framework_package.analysis.preflight.report import PreflightReport, Severity
 from gspn_framework_package.formats.difference import difference
 from gspn_framework_package.formats.edited_document import split
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
@@ -22,6 +23,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.deploy_team import Votes
 from gspn_framework_package.visualizer.activity import Fields, text_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
+from gspn_framework_package.visualizer.editing.findings import LEVELS
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
 
@@ -97,10 +99,12 @@ def _mapping(fields: Fields) -> Dict[str, str]:
     return found
 
 
-def proposal(old: Plan, new: Plan) -> Dict[str, Any]:
+def proposal(old: Plan, new: Plan, report: PreflightReport) -> Dict[str, Any]:
     """What a person decides on.
 
-    :returns: the ``changes``; the places and transitions that are ``gone``, each with its ``kind``
+    :param report: what the check says of the new plan.
+    :returns: the ``verdict`` of the check, whether it is ``refused``, and its ``findings``; the
+        ``changes``; the places and transitions that are ``gone``, each with its ``kind``
         and whether its tokens can be dropped; and the names that they may have got, by kind.
     """
     before, after = (split(plan_to_json(plan)) for plan in (old, new))
@@ -116,6 +120,13 @@ def proposal(old: Plan, new: Plan) -> Dict[str, Any]:
     return {
         "present": old.name,
         "plan": new.name,
+        "verdict": report.verdict,
+        "refused": report.refused,
+        "findings": [
+            {"level": LEVELS[item.severity], "text": item.text}
+            for item in report.items
+            if item.severity is not Severity.OK
+        ],
         "changes": [change.to_json() for change in changes],
         "gone": [{"name": name, "kind": kind} for name, kind in gone],
         # the names that are new come first
@@ -171,7 +182,8 @@ def add_routes(
         present = shown.document_at(shown.hub.board().plan).plan
         if present is None:
             raise InputError("what runs there is not a plan")
-        return proposal(present, plan_in(body()))
+        plan = plan_in(body())
+        return proposal(present, plan, shown.activity.verdict(plan))
 
     @app.route("/api/deploy", methods=["POST"])
     def deploy() -> Dict[str, Any]:

@@ -298,6 +298,9 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         {
             "present": TEXT,
             "plan": TEXT,
+            "verdict": TEXT,
+            "refused": FLAG,
+            "findings": _list({"level": TEXT, "text": TEXT}),
             "changes": CHANGES,
             "gone": _list({"name": TEXT, "kind": TEXT}),
             "names": OBJECT,
@@ -385,6 +388,7 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         {**CHECKED, "full?": FLAG, "standalone?": FLAG},
         {
             "valid?": FLAG,
+            "doubts?": NAMES,
             "decided?": FLAG,
             "states?": WHOLE,
             "findings?": _list(

@@ -7,13 +7,14 @@ import json
 import queue
 from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, Mapping, Protocol, Tuple
 
-from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution.breakpoints import Breakpoints
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.check_all import check_all
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
+from gspn_framework_package.team.verdict import obey
 from gspn_framework_package.visualizer.activity import Fields, Handler, names_field, text_field
 from gspn_framework_package.visualizer.lookout import (
     ANSWER_TIME,
@@ -99,9 +100,7 @@ class PageOrders:
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
     ) -> DeployOutcome:
         """See :class:`Activity`; the robots find its functions where those of their plan are."""
-        report = check(plan)
-        if report.refused:
-            raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
+        obey(check_all(plan), plan)
         line = self._lookout.line(ANSWER_TIME)
 
         def order(command: str, text: str) -> Tuple[bool, str]:

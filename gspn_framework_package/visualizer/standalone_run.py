@@ -10,8 +10,12 @@ import time
 import uuid
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
-from gspn_framework_package.analysis.preflight import check
-from gspn_framework_package.analysis.preflight.while_running import why_refused
+from gspn_framework_package.analysis.preflight.report import PreflightReport
+from gspn_framework_package.analysis.preflight.while_running import (
+    CHECK_MARKINGS,
+    keeps_robots,
+    why_refused,
+)
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.execution.event_log import EventLogWriter, header
@@ -22,6 +26,7 @@ from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.model.errors import ExecutionError, GspnError, LogError, RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
+from gspn_framework_package.team.verdict import obey, verdict
 from gspn_framework_package.visualizer.activity import (
     Activity,
     Fields,
@@ -66,9 +71,7 @@ class StandaloneRun(Activity, Listener):
         super().__init__()
         plan = document.plan
         assert plan is not None
-        report = check(plan, standalone=True)
-        if report.refused:
-            raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
+        obey(verdict(plan, standalone=True), plan)
         self._plan = plan
         self._executor = StandaloneExecutor(plan, self)
         self._breakpoints = self._executor.breakpoint_file = BreakpointFile(plan)
@@ -115,15 +118,18 @@ class StandaloneRun(Activity, Listener):
         """See :class:`Activity`."""
         if self._told_end:
             raise RefusedError("the run is over")
-        report = check(plan, standalone=True)
-        if report.refused:
-            raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
+        agents = not keeps_robots(self._plan)
+        obey(self.verdict(plan), plan)
         tell({SERVER: None})
         try:
-            self._executor.deploy(plan, mapping, check=lambda here: why_refused(here, True))
+            self._executor.deploy(plan, mapping, check=lambda here: why_refused(here, agents))
         except GspnError as error:
             return DeployOutcome(False, str(error), votes={SERVER: str(error)})
         return DeployOutcome(True, "the run follows the plan '%s'" % plan.name, votes={SERVER: ""})
+
+    def verdict(self, plan: Plan) -> PreflightReport:
+        """See :class:`Activity`."""
+        return verdict(plan, standalone=not keeps_robots(self._plan), limit=CHECK_MARKINGS)
 
     def _record(self, runs: str) -> None:
         """Begin an event log: a new file, named after the run."""

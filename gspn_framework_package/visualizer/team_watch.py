@@ -26,6 +26,8 @@ from typing import (
     Tuple,
 )
 
+from gspn_framework_package.analysis.preflight.report import PreflightReport
+from gspn_framework_package.analysis.preflight.while_running import CHECK_MARKINGS
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import NewNames
@@ -33,6 +35,7 @@ from gspn_framework_package.execution.told_data import order_text
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.check_all import check_all
 from gspn_framework_package.team.addressing import read_status
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
@@ -152,6 +155,10 @@ class TeamWatch(Activity):
     def ask_soon(self) -> None:
         """See :class:`OrderedTeam`."""
         self._ask_now.set()
+
+    def verdict(self, plan: Plan) -> PreflightReport:
+        """See :class:`Activity`."""
+        return check_all(plan, limit=CHECK_MARKINGS)
 
     def deploy(
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]

@@ -1,10 +1,13 @@
 """What ``gspn check`` says beyond the check itself: functions that are not there, and nets."""
 
 import json
+import re
 
 import pytest
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.execution.actions import load_action
+from gspn_framework_package.model.errors import PlanError
 
 PLAN = {
     "net": {
@@ -97,8 +100,8 @@ def test_the_modules_of_another_plan_are_not_taken(tmp_path, capsys):
     capsys.readouterr()
     assert main(["check", str(tmp_path / "lacks")]) == 1
     assert "there is no only_here.py beside the plan" in capsys.readouterr().out
-    assert main(["run", str(tmp_path / "lacks"), "--seconds", "0.1", "--quiet"]) == 2
-    assert "there is no module 'only_here'" in capsys.readouterr().err
+    assert main(["run", str(tmp_path / "lacks"), "--seconds", "0.1", "--quiet"]) == 1
+    assert "there is no only_here.py beside the plan" in capsys.readouterr().err
 
 
 def test_a_net_is_told_as_a_net(tmp_path, capsys):
@@ -148,3 +151,36 @@ def test_a_simulated_log_is_valid_and_never_overwrites(tmp_path, capsys):
     net = tmp_path / "net.json"
     net.write_text(json.dumps(PLAN["net"]))
     assert main(["simulate", str(net), "--format", "json", "--log", log]) == 2
+
+
+SETTINGS = {
+    "def go(seconds=0.5):\n    pass\n": "its setting 'seconds' takes a number, and not \"0.5\"",
+    "def go(seconds: float):\n    pass\n": "its setting 'seconds' takes a number",
+    "def go(seconds='0.5'):\n    pass\n": "",
+    "def go(seconds=None):\n    pass\n": "",
+    "def go(**more):\n    pass\n": "",
+    "def go():\n    pass\n": "it has no parameter for the setting 'seconds'",
+    "def go(seconds, speed):\n    pass\n": "its parameter 'speed' is nothing that an action can",
+    "def go(place, seconds, *, speed=2):\n    pass\n": "",
+    "class go:\n    def __init__(self, seconds=1):\n        pass\n    def __call__(self):\n"
+    "        pass\n": "its setting 'seconds' takes a number",
+    "class Base:\n    def __init__(self, seconds=[]):\n        pass\nclass go(Base):\n"
+    "    def __call__(self):\n        pass\n": "its setting 'seconds' takes a list",
+    "from other import Base\nclass go(Base):\n    pass\n": "",  # the source does not show it
+    "import functools\n@functools.lru_cache\ndef go():\n    pass\n": "",
+}
+
+
+@pytest.mark.parametrize("source", SETTINGS)
+def test_settings_that_a_function_cannot_take_are_refused(tmp_path, capsys, source):
+    action = {"function": "work.go", "settings": {"seconds": "0.5"}}
+    (tmp_path / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": action, "Q": None})))
+    (tmp_path / "work.py").write_text(source)
+    text = SETTINGS[source]
+    assert main(["check", str(tmp_path)]) == (1 if text else 0)
+    assert text in capsys.readouterr().out
+    if text:  # as in a run
+        assert main(["run", str(tmp_path), "--seconds", "1"]) == 1
+        assert text in capsys.readouterr().err
+        with pytest.raises(PlanError, match=re.escape(text)):
+            load_action(str(tmp_path), "work.go", action["settings"])

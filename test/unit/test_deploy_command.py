@@ -20,6 +20,8 @@ from gspn_framework_package.execution.run_door import (
     chosen_run,
     running_plans,
 )
+from gspn_framework_package.formats.net_json import net_to_json
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 
 
@@ -103,7 +105,7 @@ def test_a_patrol_gets_a_computed_policy_and_then_a_fifth_location(tmp_path, sta
     patrol(broken, "door", "window", "gate", "yard", "hall")
     (broken / "actions.py").write_text("def other():\n    pass\n")
     assert main(["deploy", str(broken), "--standalone"]) == 1
-    assert "has no 'TakeTime'" in capsys.readouterr().out
+    assert "there is no 'TakeTime'" in capsys.readouterr().out
     assert main(["deploy", five, "--standalone"]) == 0
     output.wait_for("plan", plan="five")
     output.wait_for("firing", transition="arrived_hall")
@@ -118,6 +120,22 @@ def test_a_patrol_gets_a_computed_policy_and_then_a_fifth_location(tmp_path, sta
     assert main(["verify", log]) == 0
     out = capsys.readouterr().out
     assert "adopted the plan 'four'" in out and "adopted the plan 'five'" in out
+
+
+def test_a_plan_that_ends_robots_does_not_follow_one_that_keeps_them(tmp_path, started, capsys):
+    four = patrol(tmp_path / "four", "door", "window", "gate", "yard")
+    run, output = started(four)
+    output.wait_for("firing", transition="arrived_gate")
+    data = json.loads((tmp_path / "four" / "plan.json").read_text())
+    data["net"] = net_to_json(read_plan(four).net)
+    data["net"]["transitions"].append({"name": "gone", "timed": True, "rate": 1})
+    data["net"]["arcs"].append({"from": "Go_gate", "to": "gone"})
+    new = tmp_path / "four" / "taking.json"
+    new.write_text(json.dumps(data))
+    capsys.readouterr()
+    assert main(["deploy", str(new), "--standalone", four]) == 1
+    assert "gone takes 1 robot(s) and puts 0" in capsys.readouterr().out
+    output.wait_for("firing", transition="arrived_gate")
 
 
 def test_a_run_is_found_and_answers(tmp_path, own_folder):

@@ -16,7 +16,11 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices
 from gspn_framework_package.analysis.graph import ShortestWays, adjacency
-from gspn_framework_package.analysis.plan.structure import only_written, terminal_places
+from gspn_framework_package.analysis.plan.structure import (
+    idle_places,
+    only_written,
+    terminal_places,
+)
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.condition import parse_condition
@@ -179,6 +183,16 @@ class PlanMarkings:
             )
         return self._findings(np.flatnonzero(dead & self._ways.reached))
 
+    def without_robots(self) -> Iterator[Finding]:
+        """Markings in which no robot is left and nothing can happen any more."""
+        over = self._over.copy()
+        over[self._sources[self.allowed & ~self._is_loss]] = True
+        over[self.space.explored :] = True
+        for p, place in enumerate(self.net.places):
+            if place.name not in self.plan.resource_places:
+                over |= self.space.column(p) > 0
+        return self._findings(np.flatnonzero(~over & self._ways.reached))
+
     # -- other questions ---------------------------------------------------------------------------
 
     def firing(self, transition: int) -> Optional[Finding]:
@@ -212,10 +226,14 @@ class PlanMarkings:
 
     def timeless_traps(self, timeless: List[int]) -> Iterator[Finding]:
         """Markings from which no firing sequence of the ``timeless`` transitions ever ends."""
-        arcs = np.isin(self.space.transitions, timeless) & self.allowed
+        own = np.zeros(len(self.net.transitions), dtype=bool)
+        own[timeless] = True
+        arcs = own[self.space.transitions] & self.allowed
         arcs &= self._ways_with_losses.reached[self._sources]
+        rests = self._settle_precedence(arcs)
         alive = np.zeros(len(self.space), dtype=bool)
         alive[self._sources[arcs]] = True
+        alive &= ~rests
         # Repeatedly remove the states from which some firing leads to a state with none left.
         backward = adjacency(len(self.space), self.space.targets[arcs], self._sources[arcs])
         frontier = np.flatnonzero(~alive)
@@ -224,6 +242,70 @@ class PlanMarkings:
             frontier = before[alive[before]]
             alive[frontier] = False
         return self._findings(np.flatnonzero(alive))
+
+    def _settle_precedence(self, arcs: Booleans) -> Booleans:
+        """Remove from the timeless ``arcs`` those that others take precedence of, as in a run: what
+        takes resources alone goes first, then higher priorities.
+
+        :returns: the states in which every robot may have drawn what cannot fire now, so that
+            nothing happens for the time being.
+        """
+        net, size = self.net, len(self.space)
+        timed = np.array([t.timed for t in net.transitions], dtype=bool)
+        urgency = np.where(timed, -1, [t.priority for t in net.transitions])
+        urgency_of = urgency[self.space.transitions]
+        robots = [
+            p for p, place in enumerate(net.places) if place.name not in self.plan.resource_places
+        ]
+        idle = idle_places(self.plan, everybody=True)
+        takes_robots = np.zeros(len(net.transitions), dtype=bool)
+        for p in robots:
+            takes_robots[list(net.consumers[p])] = True
+        alone = arcs & ~takes_robots[self.space.transitions]
+        most = np.full(size, -2)  # the highest urgency that must go first
+        np.maximum.at(most, self._sources[alone], urgency_of[alone])
+        first = np.zeros(size, dtype=bool)
+        first[self._sources[alone]] = True
+        arcs &= ~first[self._sources] | (alone & (urgency_of == most[self._sources]))
+        rests = ~first
+        floor = np.full(size, -2)
+        asked = alone.copy()
+        for p in robots:
+            leaving = [t for t in net.consumers[p] if t < self._own]
+            here = arcs & np.isin(self.space.transitions, leaving)
+            if not here.any():
+                continue
+            top = np.full(size, -2)
+            np.maximum.at(top, self._sources[here], urgency_of[here])
+            asked |= here & (urgency_of == top[self._sources])  # its robots draw among these
+            waits = self._may_draw_in_vain(p, leaving, top, arcs)
+            rests &= waits | (top < -1)
+            if self._number[p] in idle:
+                floor = np.maximum(floor, np.where(waits, -2, top))
+        arcs &= asked & (urgency_of >= floor[self._sources])
+        return rests
+
+    def _may_draw_in_vain(
+        self, p: int, leaving: List[int], top: Indices, arcs: Booleans
+    ) -> Booleans:
+        """The states in which a robot in place number ``p`` may draw, by a row of the policy, a
+        transition that cannot fire as long as nobody ends an action.
+
+        :param top: for each state, the highest priority of those that can.
+        :param arcs: the arcs of the transitions that can.
+        """
+        waits = np.zeros(len(self.space), dtype=bool)
+        if not self.plan.policy.rows:
+            return waits
+        for t in leaving:
+            if self.net.transitions[t].timed:
+                continue
+            states = np.flatnonzero((top >= -1) & (top <= self.net.transitions[t].priority))
+            fires = np.zeros(len(self.space), dtype=bool)
+            fires[self._sources[arcs & (self.space.transitions == t)]] = True
+            states = states[~fires[states]]
+            waits[states[self._answers.drawn(p, t, states)]] = True
+        return waits
 
     # -- helpers -----------------------------------------------------------------------------------
 
@@ -274,6 +356,17 @@ class _Answers:
             return not matched and not self._plan.strict and weighty
 
         return self._per_state(p, states, verdict)
+
+    def drawn(self, p: int, t: int, states: Indices) -> Booleans:
+        """Boolean array: the ``states`` in which a row gives ``t`` some probability for a robot in
+        place ``p``."""
+        return self._per_state(
+            p,
+            states,
+            lambda distribution, matched: (
+                distribution is not None and any(chosen == t for chosen, _ in distribution.choices)
+            ),
+        )
 
     def silent(self, p: int, states: Indices) -> Booleans:
         """Boolean array: the ``states`` in which no row of the policy matches for a robot in place

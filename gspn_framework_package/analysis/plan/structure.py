@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import FailureKind, Plan
 
 
 class RobotFlow(NamedTuple):
@@ -75,22 +75,57 @@ def fires_alone(net: Net, t: int, place: int) -> bool:
     )
 
 
-def timeless_transitions(plan: Plan) -> List[int]:
-    """Numbers of the immediate transitions that can follow another one with no action in between:
-    those that take no robot, or take robots only from places where some robot has no action."""
+def idle_places(plan: Plan, *, everybody: bool = False) -> Set[int]:
+    """Numbers of the action places in which some robot has no action, so that it is done at once.
+
+    :param everybody: only those in which no robot has one.
+    """
+    every = all if everybody else any
+    found = set()
+    for name in plan.action_places:
+        bound = [robot.actions[name] for robot in plan.robots if name in robot.actions]
+        if name in plan.actions:
+            bound.append(plan.actions[name])
+        if bound and every(action is None for action in bound):
+            found.add(plan.net.place_number(name))
+    return found
+
+
+def asked_at_once(plan: Plan, place: int) -> Optional[int]:
+    """The exponential transition that a robot without an action asks for in place number ``place``
+    as soon as it is there; None if it asks for none."""
     net = plan.net
-    idle = {
-        net.place_number(name)
-        for name in plan.action_places
-        if plan.actions.get(name) is None
-        or any(r.actions.get(name, True) is None for r in plan.robots)
-    }
+    leaving = plan.of_action(place)
+    if not leaving or any(not net.transitions[t].timed for t in net.consumers[place]):
+        return None
+    if len(leaving) == 1:
+        return leaving[0]
+    rule = plan.failure_rule(net.places[place].name)  # nobody says which: the action has failed
+    if rule.kind is not FailureKind.FIRE:
+        return None
+    t = net.transition_number(rule.transition)
+    return t if t in net.consumers[place] else None
+
+
+def timeless_transitions(plan: Plan) -> List[int]:
+    """Numbers of the transitions that can follow another one with no action in between: those that
+    take robots only from places where some robot has no action, or, if they are immediate, no
+    robot. A robot without an action asks for the one exponential transition of its place at once.
+    """
+    net = plan.net
+    idle = idle_places(plan)
     acts = {net.place_number(name) for name in plan.action_places}
-    return [
-        t
-        for t, transition in enumerate(net.transitions)
-        if not transition.timed and all(p in idle for p, _ in net.inputs[t] if p in acts)
-    ]
+    at_once = {p: asked_at_once(plan, p) for p in idle}
+    found = []
+    for t, transition in enumerate(net.transitions):
+        movers = [p for p, _ in net.inputs[t] if p in acts]
+        if transition.timed:
+            timeless = bool(movers) and all(at_once.get(p) == t for p in movers)
+        else:
+            timeless = idle.issuperset(movers)
+        if timeless:
+            found.append(t)
+    return found
 
 
 def find_cycle(net: Net, transitions: List[int]) -> List[str]:

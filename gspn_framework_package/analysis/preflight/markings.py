@@ -7,7 +7,11 @@ from dataclasses import replace
 from typing import Any, Dict, Iterable, List, Optional, Sequence
 
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
-from gspn_framework_package.analysis.plan.structure import only_written, robot_flows
+from gspn_framework_package.analysis.plan.structure import (
+    idle_places,
+    only_written,
+    robot_flows,
+)
 from gspn_framework_package.analysis.preflight.report import (
     LISTED,
     Checklist,
@@ -79,6 +83,7 @@ class MarkingChecks:
             )
         answers = {
             "conservative": self._decide_conservative,
+            "agents_left": self._decide_agents_left,
             "timeless_cycle": self._decide_cycle,
             "resource_bounds": self._decide_bounds,
             "dead_markings": self._decide_dead,
@@ -138,15 +143,32 @@ class MarkingChecks:
                 "whether %s, which would create or destroy robots, can fire" % names(culprits),
             )
 
+    def _decide_agents_left(self, markings: PlanMarkings) -> None:
+        gone = next(markings.without_robots(), None)
+        if gone is not None:
+            self._list.add(
+                "agents_left",
+                Severity.REFUSED,
+                "every agent can end: after %s none is left, and none can come; let the last "
+                "transition lead into a place without outputs" % sequence(gone.sequence),
+                **gone.to_json(),
+            )
+        elif not markings.complete:
+            self._undecided(markings, "agents_left", "whether every agent can end")
+
     def _decide_cycle(self, markings: PlanMarkings) -> None:
         traps = list(itertools.islice(markings.timeless_traps(self._structure.timeless), 1))
         if traps:
             self._list.add(
                 "timeless_cycle",
                 Severity.REFUSED,
-                "immediate transitions fire without end, with no action "
-                "or a time between them, after %s, in %s"
-                % (sequence(traps[0].sequence), marking_text(traps[0].marking)),
+                "transitions fire without end, with no action or time between them, after %s, in "
+                "%s: the run would end at once%s"
+                % (
+                    sequence(traps[0].sequence),
+                    marking_text(traps[0].marking),
+                    self._whose_action_is_missing(),
+                ),
                 cycle=self._structure.cycle,
                 **traps[0].to_json(),
             )
@@ -154,8 +176,7 @@ class MarkingChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.OK,
-                "the cycle %s of immediate transitions always ends"
-                % " -> ".join(self._structure.cycle),
+                "the cycle %s takes no time, and always ends" % " -> ".join(self._structure.cycle),
                 cycle=self._structure.cycle,
                 decided_by="exploration",
             )
@@ -165,6 +186,18 @@ class MarkingChecks:
                 "timeless_cycle",
                 "whether the cycle %s can go on without end" % " -> ".join(self._structure.cycle),
             )
+
+    def _whose_action_is_missing(self) -> str:
+        """What to do about a cycle without time, if places in it have no action."""
+        idle = idle_places(self.plan)
+        places = dict.fromkeys(p for p in self._structure.cycle if p in self.net.place_index)
+        listed = [p for p in places if self.net.place_number(p) in idle]
+        return (
+            "; robots have no action (null) in %s, and pass at once: give one of these places an "
+            "action" % names(listed)
+            if listed
+            else ""
+        )
 
     def _decide_bounds(self, markings: PlanMarkings) -> None:
         if markings.complete:
@@ -213,8 +246,15 @@ class MarkingChecks:
 
     def _decide_dead(self, markings: PlanMarkings) -> None:
         found = list(markings.dead(after_losses=False))
+        at_once = [finding for finding in found if not finding.sequence]
         self._tell_findings(
-            "dead_markings", Severity.WARNING, found, "dead marking: nothing goes on"
+            "dead_markings", Severity.REFUSED, at_once, "nothing can ever fire: dead marking"
+        )
+        self._tell_findings(
+            "dead_markings",
+            Severity.WARNING,
+            [finding for finding in found if finding.sequence],
+            "dead marking: nothing goes on",
         )
         lost = list(markings.dead(after_losses=True))
         if lost:
@@ -251,7 +291,11 @@ class MarkingChecks:
         )
         waiting = list(markings.undecided_choices())
         self._tell_findings(
-            "policy", Severity.WARNING, waiting, "neither the policy nor a weight above 0 decides"
+            "policy",
+            Severity.WARNING,
+            waiting,
+            "neither the policy nor a weight above 0 decides",
+            waits=True,
         )
         if not gaps and not waiting and markings.complete:
             self._list.add(
@@ -274,7 +318,7 @@ class MarkingChecks:
         return list(kinds.values())
 
     def _tell_findings(
-        self, check: str, severity: Severity, found: Sequence[Finding], what: str
+        self, check: str, severity: Severity, found: Sequence[Finding], what: str, **details: Any
     ) -> None:
         for finding in found[:LISTED]:
             where = " for a robot in %s" % finding.place if finding.place else ""
@@ -284,6 +328,7 @@ class MarkingChecks:
                 "%s%s in %s, reached by %s"
                 % (what, where, marking_text(finding.marking), sequence(finding.sequence)),
                 **finding.to_json(),
+                **details,
             )
         if len(found) > LISTED:
             self._list.add(

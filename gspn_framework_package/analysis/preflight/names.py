@@ -7,8 +7,10 @@ import itertools
 from importlib.util import find_spec
 from typing import Any, Callable, Dict, List, Optional
 
+from gspn_framework_package.analysis.plan.structure import asked_at_once, idle_places
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
 from gspn_framework_package.model.action import Action
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Transition
 from gspn_framework_package.model.plan import Plan, Transport
 
@@ -38,6 +40,7 @@ class NameChecks:
         self._look_at_initial()
         self._look_at_overlaps()
         self._look_at_idle_places()
+        self._look_at_the_beginning()
         self._look_at_decision_places()
         self._look_at_times()
         self._look_at_transport()
@@ -159,23 +162,51 @@ class NameChecks:
             )
 
     def _look_at_idle_places(self) -> None:
-        """Warn of places without an action that have several exponential outputs and no other:
-        nothing decides which of them a robot requests."""
-        for name in self.plan.action_places:
+        """Refuse places without an action that have several exponential outputs and no other:
+        nothing decides which of them a robot requests, so it fails there at once."""
+        for p in sorted(idle_places(self.plan)):
+            name = self.net.places[p].name
             leaving = self._of_action(name)
             if (
                 name in self.plan.actions
-                and self.plan.actions[name] is None
                 and len(leaving) > 1
-                and all(t.timed for t in leaving)
+                and asked_at_once(self.plan, p) is None
+                and all(self.net.transitions[t].timed for t in self.net.consumers[p])
             ):
                 self._list.add(
                     "unasked",
-                    Severity.WARNING,
+                    Severity.REFUSED,
                     "%s has no action, and only exponential outputs (%s): nobody "
-                    "says which one to ask for" % (name, names(t.name for t in leaving)),
+                    "says which one to ask for, so robots fail there at once; give it an action"
+                    % (name, names(t.name for t in leaving)),
                     place=name,
                 )
+
+    def _look_at_the_beginning(self) -> None:
+        """Refuse a plan whose run would be over as it begins."""
+        plan, net = self.plan, self.net
+        if plan.until and parse_condition(plan.until, [p.name for p in net.places]).holds(
+            net.initial_marking
+        ):
+            self._list.add(
+                "ends_at_once",
+                Severity.REFUSED,
+                "the condition 'until' (%s) holds at the start: the run would be over as it begins"
+                % plan.until,
+            )
+        acts = {net.place_number(name) for name in plan.action_places}
+        takes_time = plan.events or any(
+            t.timed and not acts.intersection(p for p, _ in net.inputs[number])
+            for number, t in enumerate(net.transitions)
+        )
+        if acts and acts == idle_places(plan, everybody=True) and not takes_time:
+            self._list.add(
+                "ends_at_once",
+                Severity.REFUSED,
+                "no place has an action (all are null): nothing takes time, and the run would be "
+                "over as it begins; give a place an action",
+                places=list(plan.action_places),
+            )
 
     def _look_at_decision_places(self) -> None:
         places = [

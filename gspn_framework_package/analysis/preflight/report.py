@@ -48,6 +48,42 @@ class PreflightReport(NamedTuple):
         return any(item.severity is Severity.REFUSED for item in self.items)
 
     @property
+    def doubts(self) -> Tuple[str, ...]:
+        """What speaks against a plan that may run, in a few words each: a run can get stuck, robots
+        can wait for good, or transitions never fire."""
+        if self.refused:
+            return ()
+        warnings = [item for item in self.items if item.severity is Severity.WARNING]
+        dead = [i for i in warnings if i.check == "dead_markings" and "marking" in i.details]
+        counts = [i.details.get("count", 0) for i in warnings if i.check == "dead_markings"]
+        number = max([len(dead), *counts])
+        never = [t for i in warnings if i.check == "never_fire" for t in i.details["transitions"]]
+        found = []
+        if number:
+            found.append("can get stuck (%d dead marking%s)" % (number, "s"[: number > 1]))
+        if any(item.details.get("waits") for item in warnings):
+            found.append("can let robots wait for good")
+        if never:
+            found.append(
+                "has %d transition%s"
+                % (len(never), " that never fires" if len(never) == 1 else "s that never fire")
+            )
+        return tuple(found)
+
+    @property
+    def verdict(self) -> str:
+        """What the check comes to, in a few words."""
+        if self.refused:
+            return "refused"
+        return ", but ".join(filter(None, ("may run", ", and ".join(self.doubts))))
+
+    @property
+    def why(self) -> str:
+        """The first reasons why the plan must not run; "" if it may."""
+        refused = [item.text for item in self.items if item.severity is Severity.REFUSED]
+        return "; ".join(refused[:3])
+
+    @property
     def exit_code(self) -> int:
         """0: the plan may run (perhaps with warnings); 1: it is refused."""
         return int(self.refused)
@@ -61,6 +97,7 @@ class PreflightReport(NamedTuple):
         return {
             "plan": self.plan,
             "accepted": not self.refused,
+            "verdict": self.verdict,
             "exit_code": self.exit_code,
             "warnings": sum(item.severity is Severity.WARNING for item in self.items),
             "states": self.states,
@@ -87,8 +124,9 @@ class PreflightReport(NamedTuple):
             else "%d markings visited%s"
             % (self.states, "" if self.complete else ", and possibly more")
         )
-        verdict = "refused" if self.refused else "may run"
-        return "\n".join(lines + ["%s %s (%s, %.3f s)" % (self.plan, verdict, how, self.seconds)])
+        return "\n".join(
+            lines + ["%s %s (%s, %.3f s)" % (self.plan, self.verdict, how, self.seconds)]
+        )
 
 
 LISTED = 10

@@ -25,7 +25,7 @@ class StructureChecks:
 
     :ivar open: the questions that only markings can decide.
     :ivar unbalanced: numbers of the transitions that would create or destroy robots.
-    :ivar timeless: numbers of the immediate transitions that may follow each other in zero time.
+    :ivar timeless: numbers of the transitions that may follow each other in zero time.
     :ivar cycle: a cycle of these, by names; empty if there is none.
     :ivar written: the counters that nothing reads.
     :ivar resource_bounds: the bounds of the other resource places, as far as known.
@@ -60,6 +60,8 @@ class StructureChecks:
             self._list.add(
                 "conservative", Severity.OK, "not checked: agents may be created and destroyed"
             )
+            if any(flow.put < flow.taken for flow in flows):
+                self.open.append("agents_left")
             return
         creating = [t for t, flow in enumerate(flows) if not flow.taken and flow.put]
         for t in creating:
@@ -92,8 +94,7 @@ class StructureChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.OK,
-                "immediate transitions cannot go round without an action or a time between them "
-                "(by structure)",
+                "robots cannot go round without an action or a time between them (by structure)",
                 decided_by="structure",
             )
         elif len(cycle) == 1:
@@ -221,6 +222,7 @@ class StructureChecks:
                 "a row of the policy always matches, and none speaks of a robot in %s: "
                 "it waits there for good, unless its action names a transition" % names(ignored),
                 places=ignored,
+                waits=True,
             )
         if not asking:
             self._list.add(

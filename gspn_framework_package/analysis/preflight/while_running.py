@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from typing import Callable
 
+from gspn_framework_package.analysis.plan.structure import robot_flows
 from gspn_framework_package.analysis.preflight.check_plan import check
-from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.model.errors import CancelledError, GspnError
 from gspn_framework_package.model.plan import Plan
 
@@ -17,26 +18,40 @@ not speak against the plan."""
 CHECK_MARKINGS = 50_000
 """Markings that this check visits at most."""
 
+MARKINGS_AT_LAST = 50
+"""Markings that it visits when the time is over, for what the structure and these show."""
+
+
+def keeps_robots(plan: Plan) -> bool:
+    """Whether the plan creates and destroys no robots. A run without ROS whose plan keeps them goes
+    on only under plans that do."""
+    return all(flow.taken == flow.put for flow in robot_flows(plan))
+
+
+def report_soon(
+    plan: Plan, standalone: bool = False, clock: Callable[[], float] = time.monotonic
+) -> PreflightReport:
+    """What the check finds in :data:`CHECK_TIME`.
+
+    :param standalone: whether transitions may create and destroy tokens: in a run without ROS
+        whose present plan does.
+    :raises GspnError: it is no valid plan.
+    """
+    deadline = clock() + CHECK_TIME
+    try:
+        return check(
+            plan, standalone=standalone, limit=CHECK_MARKINGS, cancel=lambda: clock() > deadline
+        )
+    except CancelledError:
+        return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST)
+
 
 def why_refused(
     plan: Plan, standalone: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> str:
-    """What the check has against a plan that begins where the team is; "" for nothing.
-
-    :param standalone: whether this is a run without ROS, whose transitions may create and destroy
-        tokens.
-    """
-    deadline = clock() + CHECK_TIME
+    """What the check has against a plan that begins where the team is; "" for nothing. The
+    parameters are those of :func:`report_soon`."""
     try:
-        report = check(
-            plan,
-            standalone=standalone,
-            limit=CHECK_MARKINGS,
-            cancel=lambda: clock() > deadline,
-        )
-    except CancelledError:
-        return ""
+        return report_soon(plan, standalone, clock).why
     except GspnError as error:
         return str(error)
-    refused = [item.text for item in report.items if item.severity is Severity.REFUSED]
-    return "; ".join(refused[:3])

@@ -68,8 +68,8 @@ def findings(
     :param limit: most markings to visit.
     :param seconds: how long to visit markings.
     :param standalone: the tokens are agents, not robots.
-    :returns: ``findings``, whether it is ``valid`` (no errors) and all is ``decided``, and how many
-        ``states`` were visited.
+    :returns: ``findings``, whether it is ``valid`` (no errors) and all is ``decided``, its
+        ``doubts`` (see :class:`PreflightReport`), and how many ``states`` were visited.
     :raises CancelledError: ``cancel`` returned true.
     """
     nodes = DocumentNodes(document)
@@ -78,7 +78,7 @@ def findings(
         plan = plan_of_document(document, path, root)
     except GspnError:
         found = list(_faults(document, path, root, cancel))
-        return {"findings": found, "valid": False, "decided": True, "states": 0}
+        return {"findings": found, "valid": False, "doubts": [], "decided": True, "states": 0}
     end = time.monotonic() + seconds
 
     def over() -> bool:
@@ -100,6 +100,7 @@ def findings(
     return {
         "findings": found,
         "valid": not report.refused,
+        "doubts": report.doubts,
         "decided": report.complete
         and not any(item.details.get("undecided") for item in report.items),
         "states": report.states,

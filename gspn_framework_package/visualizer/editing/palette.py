@@ -9,6 +9,7 @@ import re
 from typing import Any, Dict, Iterator, List, Mapping, Optional
 
 from gspn_framework_package.execution.actions import PARAMETERS
+from gspn_framework_package.execution.function_source import method_of
 from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.model.action import KINDS
 from gspn_framework_package.model.errors import GspnError, UsageError
@@ -89,7 +90,7 @@ def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]
     settings: List[Dict[str, Any]] = []
     call: Optional[ast.FunctionDef] = node
     if isinstance(node, ast.ClassDef):
-        made, call = _method(node, "__init__", tree), _method(node, "__call__", tree)
+        made, call = method_of(node, "__init__", tree), method_of(node, "__call__", tree)
         if call is None:
             return None
         settings = _parameters(made, True) if made is not None else []
@@ -106,22 +107,6 @@ def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]
         "cancellable": "is_cancelled" in names,
         "event": "emit" in names,
     }
-
-
-def _method(
-    node: ast.ClassDef, name: str, tree: ast.Module, deep: int = 0
-) -> Optional[ast.FunctionDef]:
-    """A method of a class, or of one of its bases in the same file."""
-    for inside in node.body:
-        if isinstance(inside, ast.FunctionDef) and inside.name == name:
-            return inside
-    bases = [base.id for base in node.bases if isinstance(base, ast.Name)]
-    for other in tree.body:
-        if isinstance(other, ast.ClassDef) and other.name in bases and deep < 8:
-            found = _method(other, name, tree, deep + 1)
-            if found is not None:
-                return found
-    return None
 
 
 def _parameters(function: ast.FunctionDef, bound: bool) -> List[Dict[str, Any]]:

@@ -13,7 +13,14 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, PlanError
-from gspn_framework_package.model.plan import Plan, RobotSpec, Timing, Transport
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    Plan,
+    RobotSpec,
+    Timing,
+    Transport,
+)
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 PLANS = Path(__file__).parents[3] / "plans"
@@ -424,7 +431,13 @@ def test_servers_of_transitions_and_places_that_decide():
 def test_nobody_asks_for_one_of_several_exponential_transitions():
     builder = loop().exponential("other", inputs="a", outputs="b", servers=None)
     assert not check(make_plan(builder)).of("unasked")
-    assert check(make_plan(builder, idle=["a"])).of("unasked")[0].details["place"] == "a"
+    plan = make_plan(builder, idle=["a"])
+    (item,) = check(plan).of("unasked")
+    assert item.details["place"] == "a" and item.severity is Severity.REFUSED
+    says = {"a": FailureRule(FailureKind.FIRE, transition="other")}
+    assert not check(replace(plan, on_failure=says)).refused
+    nowhere = replace(make_plan(builder, idle=["a", "b"]), on_failure=says)
+    assert severities(check(nowhere), "timeless_cycle") == [Severity.REFUSED]
 
 
 def test_servers_that_do_not_answer_are_refused():
@@ -505,3 +518,97 @@ def test_a_missing_zenoh_library_is_reported(monkeypatch, there):
     builder = NetBuilder().place("A", tokens=1).immediate("t", inputs="A", outputs="A")
     found = severities(check(make_plan(builder, transport=Transport.ZENOH)), "transport")
     assert found == ([] if there else [Severity.WARNING])
+
+
+def null_ring(*timed):
+    """One robot goes round in places without an action; ``timed`` ones are left by exponential
+    transitions."""
+    names = ["x", "y", "z"]
+    builder = NetBuilder("null").place("x", tokens=1).place("y").place("z")
+    builder.place("rest")
+    for name, target in zip(names, [*names[1:], names[0]]):
+        kind = builder.exponential if name in timed else builder.immediate
+        kind("leave_" + name, inputs=name, outputs=target)
+    return builder
+
+
+@pytest.mark.parametrize("timed", ["", "x", "xy", "xyz"])
+def test_an_exponential_transition_takes_no_time_after_a_place_without_an_action(timed):
+    ways = null_ring(*timed).exponential("never", inputs="rest", outputs="rest")
+    report = check(make_plan(ways, idle=["x", "y", "z"]))
+    (item,) = report.of("timeless_cycle")
+    assert item.severity is Severity.REFUSED and "x" in item.text and "give one" in item.text
+    assert check(make_plan(ways, idle=["x", "y"])).exit_code == 0
+
+
+def test_what_takes_precedence_is_no_way_out():
+    """The way out of a cycle without time has a lower priority, or comes after the resources."""
+
+    def plan(priority, **more):
+        builder = NetBuilder().place("a", tokens=1).place("b").place("c")
+        builder.immediate("round", inputs="a", outputs="b")
+        builder.immediate("back", inputs="b", outputs="a", priority=priority)
+        builder.immediate("out", inputs="b", outputs="c")
+        builder.exponential("home", inputs="c", outputs="a")
+        return make_plan(builder, idle=["a", "b"], **more)
+
+    assert severities(check(plan(1)), "timeless_cycle") == [Severity.OK]
+    assert severities(check(plan(2)), "timeless_cycle") == [Severity.REFUSED]
+
+
+def test_a_policy_that_may_draw_a_partner_who_is_busy_is_a_way_out():
+    builder = NetBuilder().place("a", tokens=1).place("b", tokens=1).place("c")
+    builder.immediate("round", inputs="a", outputs="a")
+    builder.immediate("meet", inputs=["a", "b"], outputs=["c", "b"])
+    builder.exponential("home", inputs="c", outputs="a")
+    builder.exponential("on", inputs="b", outputs="b")
+    by_weight = make_plan(builder, idle=["a"])
+    assert severities(check(by_weight), "timeless_cycle") == [Severity.REFUSED]
+    drawn = replace(by_weight, policy=policy(((None,), {"round": 0.5, "meet": 0.5}), places=["a"]))
+    assert severities(check(drawn), "timeless_cycle") == [Severity.OK]
+
+
+def test_what_ends_as_it_begins_is_refused():
+    ends = NetBuilder().place("a", tokens=1).place("b").exponential("go", inputs="a", outputs="b")
+    (item,) = check(make_plan(ends, idle=["a", "b"])).of("ends_at_once")
+    assert item.severity is Severity.REFUSED and "no place has an action" in item.text
+    assert not check(make_plan(ends, idle=["b"])).refused
+    (item,) = check(replace(make_plan(loop()), until="a >= 1")).of("ends_at_once")
+    assert item.severity is Severity.REFUSED and "'until'" in item.text
+    stuck = NetBuilder().place("a", tokens=1).place("key").place("b")
+    stuck.exponential("go", inputs=["a", "key"], outputs="b")
+    report = check(make_plan(stuck, resources=["key"]))
+    assert severities(report, "dead_markings") == [Severity.REFUSED]
+
+
+def test_what_gets_stuck_or_never_comes_about_is_in_the_verdict():
+    builder = loop().place("key", tokens=2).place("nowhere")
+    builder.exponential("lose", inputs=["a", "key"], outputs="nowhere")
+    builder.exponential("leave", inputs={"nowhere": 3}, outputs={"a": 3})
+    report = check(make_plan(builder, resources=["key"]))
+    assert not report.refused and report.verdict == (
+        "may run, but can get stuck (1 dead marking), and has 1 transition that never fires"
+    )
+    assert report.to_json()["verdict"] == report.verdict and report.verdict in str(report)
+    assert check(make_plan(loop())).verdict == "may run"
+
+
+def test_agents_may_end_but_not_all():
+    builder = loop().place("arrivals")
+    builder.exponential("last", inputs="b")
+    plan = make_plan(builder, resources=["arrivals"])
+    (item,) = check(plan, standalone=True).of("agents_left")
+    assert item.severity is Severity.REFUSED and item.details["sequence"][-1] == "last"
+    more = make_plan(builder.exponential("come", outputs="a"), resources=["arrivals"])
+    assert not check(more, standalone=True, limit=500).refused
+
+
+def test_robots_are_not_counted_without_an_action_of_their_own():
+    """The team has no action in `b`, but every robot has one of its own."""
+    ring = null_ring("z")
+    plan = make_plan(ring, idle=["x", "y", "z"])
+    own = tuple(r._replace(actions={"y": DO}) for r in plan.robots)
+    actions = {p: a for p, a in plan.actions.items() if p != "y"}
+    assert severities(check(replace(plan, robots=own, actions=actions)), "timeless_cycle") == [
+        Severity.OK
+    ]

@@ -18,7 +18,7 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.plan import Timing
 
-OK, WARNING = Severity.OK, Severity.WARNING
+OK, WARNING, REFUSED = Severity.OK, Severity.WARNING, Severity.REFUSED
 
 
 def said(plan, name, **options):
@@ -108,7 +108,7 @@ def test_an_event_is_no_way_out_if_it_may_be_blocked():
     blocked = builder.exponential("call", rate=1, inputs=["a", "tool"], outputs="a").build()
     resources = frozenset(["tool"])
     plan = plan_of(blocked, events={"call": EVENT}, resource_places=resources)
-    assert [item.severity for item in check(plan).of("dead_markings")] == [WARNING]
+    assert [item.severity for item in check(plan).of("dead_markings")] == [REFUSED]
 
 
 # -- tasks -----------------------------------------------------------------------------------------

@@ -8,12 +8,11 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from gspn_framework_package.analysis import preflight
 from gspn_framework_package.analysis.preflight.report import CheckItem, PreflightReport, Severity
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.ros.node_main import check_plan
-from gspn_framework_package.team import plan_examination
+from gspn_framework_package.team import plan_examination, verdict
 from gspn_framework_package.team.own_process import in_own_process
 
 
@@ -28,7 +27,7 @@ def test_findings_of_one_kind_are_one_warning(monkeypatch):
         )
     ]
     report = PreflightReport("rendezvous", tuple(items), 0, True, 0.0)
-    monkeypatch.setattr(preflight, "check", lambda plan: report)
+    monkeypatch.setattr(verdict, "check", lambda plan: report)
     monkeypatch.setattr(plan_examination, "in_own_process", lambda function, plan: function(plan))
     warnings = []
     check_plan(read_plan("plans/rendezvous"), warnings.append)

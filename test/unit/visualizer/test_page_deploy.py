@@ -111,6 +111,27 @@ def test_a_refusal_says_why_and_the_run_goes_on_as_it_did(client, path, fields, 
     assert "plan" not in board and board["status"]["running"]
 
 
+def taking_robots(places):
+    """A round that the last robot leaves for good."""
+    data = plan(places, "taking")
+    data["net"]["transitions"].append({"name": "gone", "timed": True, "rate": 1})
+    data["net"]["arcs"].append({"from": places[0], "to": "gone"})
+    return data
+
+
+def test_what_the_check_refuses_is_shown_and_not_deployed(client, tmp_path):
+    (tmp_path / "taking.json").write_text(json.dumps(taking_robots("ABCD")))
+    for key, answer in (("broken", "there is no 'none'"), ("taking", "gone takes 1 robot(s)")):
+        look = client.post("/api/deploy/look" + KEY, {"path": key + ".json"}).get_json()
+        assert look["refused"] and look["verdict"] == "refused"
+        assert answer in look["findings"][0]["text"] and look["findings"][0]["level"] == "error"
+        state, says = deploy(client, key + ".json")
+        assert state == "refused" and answer in says
+    assert client.board("file-four.json")["marking"] == [1, 0, 0, 0]
+    look = client.post("/api/deploy/look" + KEY, {"path": "renamed.json"}).get_json()
+    assert not look["refused"] and look["verdict"] == "may run"
+
+
 def test_without_a_run_there_is_nothing_to_deploy_to(client):
     client.post("/api/open", {"path": "renamed.json"})
     answer = client.post("/api/deploy?id=file-renamed.json", {"path": "four.json"})

@@ -90,7 +90,11 @@ def test_what_takes_too_long_is_not_called_decided() -> None:
 def a_document() -> Dict[str, Any]:
     """A plan that passes: a robot goes round."""
     return {
-        "plan": {"plan": "round", "actions": {"A": None, "B": None}, "robots": {"r": "A"}},
+        "plan": {
+            "plan": "round",
+            "actions": {"A": "actions.wait", "B": None},
+            "robots": {"r": "A"},
+        },
         "net": {
             "places": [{"name": "A", "tokens": 1}, {"name": "B"}],
             "transitions": [

@@ -291,14 +291,14 @@ def test_a_check_before_a_start_holds_nobody_and_is_not_begun_twice(served, monk
     client = served(a="wait")
     key = client.post("/api/open", {"path": "ring"}).get_json()["id"]
     under_way, go_on = threading.Event(), threading.Event()
-    check = standalone_run.check
+    check = standalone_run.verdict
 
     def slow(*args, **options):
         under_way.set()
         assert go_on.wait(30)
         return check(*args, **options)
 
-    monkeypatch.setattr(standalone_run, "check", slow)
+    monkeypatch.setattr(standalone_run, "verdict", slow)
     threading.Thread(target=client.do, args=("start", key), kwargs={"confirmed": True}).start()
     assert under_way.wait(30)
     assert client.do("step", session=key).status_code == 200

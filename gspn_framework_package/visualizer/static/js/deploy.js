@@ -4,6 +4,7 @@ import { h, ask, plural } from "./dom.js";
 import { get, post } from "./api.js";
 import { changeList } from "./edit/diff_view.js";
 
+const FINDINGS = 20; // findings of the check that are listed
 const POLL = 250; // ms between two questions for the votes
 const DROPPED = "\u0000"; // an option that no name can be: the tokens of a resource place are dropped
 
@@ -37,6 +38,27 @@ function mappingForm({ gone, names }) {
     ),
   );
   return { element, read };
+}
+
+/** What the check says of the new plan, errors first. */
+function verdictOf({ verdict, refused, findings }) {
+  const words = { error: "Error", warning: "Warning" };
+  return h(
+    "section",
+    { "aria-label": "What the check says", id: "dp-verdict" },
+    h("p", { class: refused ? "wrong" : "", text: `The check: ${verdict}.` }),
+    h(
+      "ul",
+      { class: "ed-changes" },
+      findings.slice(0, FINDINGS).map(({ level, text }) =>
+        h("li", {
+          class: level === "error" ? "diff-removed" : "diff-changed",
+          text: `${words[level]}: ${text}`,
+        }),
+      ),
+      findings.length > FINDINGS && h("li", { text: `and ${findings.length - FINDINGS} more` }),
+    ),
+  );
 }
 
 /** The votes in words. */
@@ -95,14 +117,17 @@ async function deployTo(id, what, run) {
           `The run “${run || look.present}” follows “${look.present}” now. ` +
           "Its robots look at the new plan; if all can follow it, they go on under it without stopping.",
       }),
+      verdictOf(look),
       h("h3", { text: plural(look.changes.length, "change") }),
       changeList(look.changes),
-      element,
+      !look.refused && element,
     ],
-    [
-      ["Cancel", ""],
-      ["Deploy to the team", "deploy", "primary"],
-    ],
+    look.refused
+      ? [["Close", "", "primary"]]
+      : [
+          ["Cancel", ""],
+          ["Deploy to the team", "deploy", "primary"],
+        ],
     begin,
   );
   return answer === "deploy" && follow(id, look.plan);

@@ -179,7 +179,11 @@ function hints(form, kind, value, place) {
     const known = functions.find(({ name }) => name === value.function);
     return {
       function: { names: of(functions), placeholder: "module.function" },
-      settings: { names: () => (known?.parameters ?? []).map(parameterName) },
+      settings: {
+        names: () => (known?.parameters ?? []).map(parameterName),
+        // of the type that the function takes
+        start: (_, name) => known?.parameters.find((it) => it.name === name)?.default ?? "",
+      },
       server: { placeholder: "the name of the place" },
     };
   }

@@ -117,21 +117,22 @@ export class Checks {
     return answer;
   }
 
-  verdict({ valid, findings }) {
+  verdict({ valid, doubts, findings }) {
     const count = (level) => findings.filter((finding) => finding.level === level).length;
     const warnings = count("warning");
     const more = warnings ? `, ${plural(warnings, "warning")}` : "";
-    if (valid) return `May run${more}`;
     const errors = count("error"); // without any, what there is cannot be judged yet
-    return errors ? `Not valid: ${plural(errors, "error")}${more}` : `Not finished${more}`;
+    if (!valid)
+      return errors ? `Not valid: ${plural(errors, "error")}${more}` : `Not finished${more}`;
+    return doubts.length ? `May run, but ${doubts.join(", and ")}${more}` : `May run${more}`;
   }
 
   show(answer) {
-    const { valid, decided, findings } = answer;
+    const { valid, doubts, decided, findings } = answer;
     this.mode.findings = findings;
     const wrong = !valid && findings.some(({ level }) => level === "error");
     this.tell(
-      wrong ? "invalid" : valid && decided ? "checked" : "undecided",
+      wrong ? "invalid" : !valid || !decided ? "undecided" : doubts.length ? "doubtful" : "checked",
       `${this.verdict(answer)}.${decided ? "" : " Not all questions could be decided."}`,
     );
     this.mark(findings);

@@ -87,8 +87,13 @@ export function valueField(form, lens, label, { kinds = null, remove = null } = 
   );
 }
 
-/** The fields of an object with any names. */
-export function fields(form, lens, label, { names = null, check = () => "" } = {}) {
+/** The fields of an object with any names. `start`: name -> the value of a new one. */
+export function fields(
+  form,
+  lens,
+  label,
+  { names = null, check = () => "", start = () => "" } = {},
+) {
   const value = lens.get() ?? {};
   const inside = (name) => lens.at(name, { given: true });
   return h(
@@ -120,7 +125,7 @@ export function fields(form, lens, label, { names = null, check = () => "" } = {
             : check(name),
       (name) => {
         form.wanted = inside(name).key;
-        form.put(inside(name), "", `Add ${label} ${name}`);
+        form.put(inside(name), start(name), `Add ${label} ${name}`);
       },
       names,
     ),

@@ -225,6 +225,7 @@ export function schemaField(form, part, lens, title, given = {}, required = fals
         title,
         fields(form, lens, title, {
           names: hint.names?.(form.state),
+          start: hint.start && ((name) => hint.start(form.state, name)),
           check: (name) =>
             schema.propertyNames
               ? problemOf({ type: "string", ...schema.propertyNames }, name, root)

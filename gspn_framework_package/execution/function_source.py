@@ -1,0 +1,166 @@
+"""What the source of a plan's function shows without running it: whether it is there, and can take
+its settings."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import os
+from typing import Any, List, Mapping, Optional, Tuple, Type
+
+from gspn_framework_package.execution.actions import PythonFunction, split_function
+from gspn_framework_package.execution.plan_modules import is_installed
+from gspn_framework_package.model.errors import PlanError
+
+
+def why_not_callable(
+    folder: Optional[str], name: str, settings: Mapping[str, Any], kind: Type[PythonFunction]
+) -> str:
+    """Why the function ``module.function`` of a plan cannot be called with its settings; "" if
+    nothing is wrong or the source does not show it.
+
+    :param folder: the plan's folder.
+    :param kind: what the function is for.
+    """
+    folder, name = split_function(folder, name)
+    module, _, function = name.rpartition(".")
+    path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
+    file = next(
+        (
+            f
+            for f in (path + ".py", os.path.join(path, "__init__.py"))
+            if path and os.path.isfile(f)
+        ),
+        None,
+    )
+    if file is None:
+        if is_installed(module):
+            return ""
+        return "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
+    try:
+        with open(file, "rb") as source:
+            tree = ast.parse(source.read(), file)
+    except (OSError, SyntaxError, ValueError) as error:
+        line = ", line %s" % error.lineno if isinstance(error, SyntaxError) and error.lineno else ""
+        return "%s%s: it cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
+    defined = set()
+    waiting: List[ast.AST] = list(tree.body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            defined.add(node.name)  # names inside it do not belong to the module
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            defined |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            defined.add(node.id)
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in (
+            "globals",
+            "setattr",
+            "exec",
+        ):
+            return ""
+        else:
+            waiting += ast.iter_child_nodes(node)
+    if function not in defined and "*" not in defined and "__getattr__" not in defined:
+        return "there is no '%s' in %s" % (function, file)
+    parameters = _parameters(tree, function)
+    if parameters is not None:
+        try:
+            kind.asked_of(parameters, "", settings)
+        except PlanError as error:
+            return error.message
+    return ""
+
+
+def _parameters(tree: ast.Module, name: str) -> Optional[List[inspect.Parameter]]:
+    """The parameters of a function of a module, or of ``__init__`` of a class; None if the source
+    does not show them for certain."""
+    found = [node for node in tree.body if getattr(node, "name", "") == name]
+    if len(found) != 1:
+        return None
+    (node,) = found
+    if isinstance(node, ast.ClassDef):
+        if node.decorator_list or node.keywords or not _bases_are_here(node, tree):
+            return None
+        begin = method_of(node, "__init__", tree)
+        return [] if begin is None else _listed(begin, bound=True)
+    if not isinstance(node, ast.FunctionDef) or not all(map(_is_ours, node.decorator_list)):
+        return None
+    return _listed(node, bound=False)
+
+
+def _is_ours(decorator: ast.expr) -> bool:
+    return isinstance(decorator, ast.Name) and decorator.id == "action"
+
+
+def _bases_are_here(node: ast.ClassDef, tree: ast.Module, deep: int = 0) -> bool:
+    """Whether all bases of a class are classes of the same file."""
+    for base in node.bases:
+        if isinstance(base, ast.Name) and base.id == "object":
+            continue
+        inside = [
+            other
+            for other in tree.body
+            if isinstance(other, ast.ClassDef) and other.name == getattr(base, "id", "")
+        ]
+        if len(inside) != 1 or deep > 8 or not _bases_are_here(inside[0], tree, deep + 1):
+            return False
+    return True
+
+
+def method_of(
+    node: ast.ClassDef, name: str, tree: ast.Module, deep: int = 0
+) -> Optional[ast.FunctionDef]:
+    """A method of a class, or of one of its bases in the same file."""
+    for inside in node.body:
+        if isinstance(inside, ast.FunctionDef) and inside.name == name:
+            return inside
+    bases = [base.id for base in node.bases if isinstance(base, ast.Name)]
+    for other in tree.body:
+        if isinstance(other, ast.ClassDef) and other.name in bases and deep < 8:
+            found = method_of(other, name, tree, deep + 1)
+            if found is not None:
+                return found
+    return None
+
+
+def _listed(function: ast.FunctionDef, bound: bool) -> List[inspect.Parameter]:
+    """The parameters of a function, without the first one if it is ``bound``. A default that is no
+    plain value is an ``object``."""
+    if function.decorator_list and bound:
+        return [inspect.Parameter("more", inspect.Parameter.VAR_KEYWORD)]
+    arguments, kinds = function.args, inspect.Parameter
+    only = getattr(arguments, "posonlyargs", [])
+    listed: List[Tuple[ast.arg, Any]] = [(a, kinds.POSITIONAL_ONLY) for a in only]
+    listed += [(a, kinds.POSITIONAL_OR_KEYWORD) for a in arguments.args]
+    missing: List[Optional[ast.expr]] = [None] * (len(listed) - len(arguments.defaults))
+    pairs: List[Tuple[Any, Optional[ast.expr]]] = list(
+        zip(listed, [*missing, *arguments.defaults])
+    )[int(bound) :]
+    pairs += [
+        ((a, kinds.KEYWORD_ONLY), default)
+        for a, default in zip(arguments.kwonlyargs, arguments.kw_defaults)
+    ]
+    found = [
+        kinds(argument.arg, kind, default=_value(default), annotation=_annotation(argument))
+        for (argument, kind), default in pairs
+    ]
+    if arguments.kwarg is not None:
+        found.append(kinds(arguments.kwarg.arg, kinds.VAR_KEYWORD))
+    return found
+
+
+def _annotation(argument: ast.arg) -> Any:
+    found = argument.annotation
+    if isinstance(found, ast.Name):
+        return found.id
+    return inspect.Parameter.empty if found is None else "?"
+
+
+def _value(default: Optional[ast.expr]) -> Any:
+    if default is None:
+        return inspect.Parameter.empty
+    try:
+        return ast.literal_eval(default)
+    except (ValueError, TypeError, SyntaxError, RecursionError):
+        return object()

@@ -1,0 +1,100 @@
+"""The verdict on a plan before it runs: the check, and what the files beside the plan show.
+
+Whoever starts a plan, deploys it or shows it asks this, so that all say the same; with ROS,
+``ros.check_all`` adds what the types of messages show.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, List
+
+from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.analysis.preflight.report import CheckItem, PreflightReport, Severity
+from gspn_framework_package.execution.actions import PythonAction
+from gspn_framework_package.execution.breakpoints import BreakpointFile
+from gspn_framework_package.execution.event_functions import EventFunction
+from gspn_framework_package.execution.function_source import why_not_callable
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.errors import InputError, RefusedError
+from gspn_framework_package.model.plan import Plan
+
+
+def verdict(plan: Plan, **options: Any) -> PreflightReport:
+    """Check a plan, without running anything of it.
+
+    :param plan: the plan.
+    :param options: see :func:`~gspn_framework_package.analysis.preflight.check_plan.check`.
+    :raises GspnError: as there.
+    """
+    report = check(plan, **options)
+    return report._replace(
+        items=(
+            *_name_subnets(plan),
+            *_look_at_functions(plan),
+            *_look_at_breakpoints(plan),
+            *report.items,
+        )
+    )
+
+
+def obey(report: PreflightReport, plan: Plan) -> None:
+    """:raises RefusedError: the plan must not run."""
+    if report.refused:
+        raise RefusedError("the check refuses the plan: %s" % report.why, file=plan.file)
+
+
+def _name_subnets(plan: Plan) -> List[CheckItem]:
+    """Say which parts of the net are plans of their own."""
+    return [
+        CheckItem(
+            "subnets",
+            Severity.OK,
+            "%s is the plan '%s': robots enter %s and leave from %s"
+            % (name, subnet.plan, subnet.entry, subnet.exit),
+            {"subnet": name, **subnet.to_json()},
+        )
+        for name, subnet in plan.subnets.items()
+    ]
+
+
+def _look_at_functions(plan: Plan) -> List[CheckItem]:
+    """Report functions that are missing or cannot take their settings, as far as the source shows
+    without running it."""
+    found: Dict[str, CheckItem] = {}
+    for place, action in plan.bindings():
+        if not isinstance(action, FunctionAction):
+            continue
+        why = why_not_callable(plan.folder, action.function, action.settings, PythonAction)
+        if why:
+            text = "%s in %s: %s" % (action.function, place, why)
+            found.setdefault(action.function + why, _function_item(text, place=place))
+    for transition, source in plan.events.items():
+        if not source.function:
+            continue
+        why = why_not_callable(plan.folder, source.function, source.settings, EventFunction)
+        if why:
+            text = "%s for the event '%s': %s" % (source.function, transition, why)
+            found[transition] = _function_item(text, transition=transition)
+    return list(found.values())
+
+
+def _function_item(text: str, **details: str) -> CheckItem:
+    return CheckItem("functions", Severity.REFUSED, text, details)
+
+
+def _look_at_breakpoints(plan: Plan) -> List[CheckItem]:
+    """Warn of breakpoints that are kept beside the plan: they halt robots in every run."""
+    file = BreakpointFile(plan)
+    try:
+        file.changed()
+    except InputError as error:
+        text = "%s; robots ignore it" % error
+        return [CheckItem("breakpoints", Severity.WARNING, text, {"file": file.path})]
+    if not any(file.breakpoints):
+        return []
+    text = "robots halt at %s in every run of this plan here: %s says so" % (
+        file.breakpoints.told,
+        os.path.basename(file.path),
+    )
+    return [CheckItem("breakpoints", Severity.WARNING, text, file.breakpoints.to_json())]
