@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 import re
-from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor, open_executor
 from gspn_framework_package.analysis.monitoring.comparison import (
@@ -64,9 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replications",
         type=numbers.replications,
-        default=REPLICATIONS,
         metavar="N",
-        help="simulated runs for the prediction (default %(default)s; fewer if they are very long)",
+        help="simulated runs for the prediction (default %d; fewer if they are long)"
+        % REPLICATIONS,
     )
     parser.add_argument(
         "--seed",
@@ -220,7 +220,7 @@ def _compare(
     runs: List[_Run],
     notes: List[str],
     alarm_every: float,
-    replications: int,
+    replications: Optional[int],
     seed: int,
     progress: ProgressLine,
     executor: Executor,

@@ -32,11 +32,18 @@ GROUPS = 40
 """Groups of replications with the same parameters, if some parameters are uncertain."""
 
 _BATCH = 50
-"""Replications that are computed together, if no parameters are uncertain."""
+"""Most replications that are computed together, if no parameters are uncertain."""
 
 LEAST_REPLICATIONS = 80
+USUAL_FIRINGS = 500_000
+"""Long runs are replicated less often, so that about this many firings are simulated: some seconds
+in plain Python."""
+
 MOST_FIRINGS = 20_000_000
-"""Very long runs are replicated less often, so that about this many firings are simulated."""
+"""The same, if a number of replications was asked for."""
+
+_WORTH_WAITING = 2_000_000
+"""More firings than this are worth the time that numba takes to compile, not only to load."""
 
 PATIENCE = 10.0
 """A run that came to its condition is compared with runs that may take this many times as long."""
@@ -79,7 +86,7 @@ class RunSample(NamedTuple):
 def predict(
     spans: Sequence[Span],
     *,
-    replications: int = REPLICATIONS,
+    replications: Optional[int] = None,
     seed: int = 0,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
@@ -88,7 +95,8 @@ def predict(
     """Simulate runs like those of ``spans``.
 
     :param spans: runs of one net; the same parameters are drawn for all of them.
-    :param replications: how many of each; fewer, if they are very long.
+    :param replications: how many of each; fewer, if they are very long. None: 1000, or fewer, if
+        they are long.
     :param on: who computes: this process, by default. The result is the same.
     :raises RefusedError: the plan cannot be simulated, for example for a timeless cycle.
     :raises CancelledError: ``cancel`` returned true.
@@ -106,20 +114,32 @@ def predict(
 
     executor = on or LocalExecutor()
     watch = Watch(progress, cancel)
-    usual = math.ceil(replications / GROUPS) if uncertain else _BATCH
-    first = min(usual, 10, replications)  # a first look at how long they are
+    most = USUAL_FIRINGS if replications is None else MOST_FIRINGS
+    wanted = REPLICATIONS if replications is None else replications
+    # a first look at how long they are
+    first = min(math.ceil(wanted / GROUPS) if uncertain else _BATCH, 10, wanted)
     done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
     each = max(done[0].firings.sum() / first, 1.0)
-    affordable = max(int(MOST_FIRINGS / each), min(replications, LEAST_REPLICATIONS))
-    rest = min(replications, affordable) - first
-    # each group alone is too small for the simulation to find it worth while
-    compiled = rest * each / executor.workers > machine.WORTH_COMPILING
+    affordable = max(int(most / each), min(wanted, LEAST_REPLICATIONS))
+    rest = max(min(wanted, affordable) - first, 0)
+    # so few that the simulation of a group alone does not find it worth while to compile
+    usual = min(_BATCH, max(int(machine.WORTH_COMPILING / each), 1))
+    if uncertain:
+        usual = max(math.ceil(rest / GROUPS), 1)
+    compiled = _worth_compiling(rest * each / executor.workers)
     items = [
         group(number, min(usual, rest - made), compiled=compiled)
         for number, made in enumerate(range(0, rest, usual), 1)
     ]
     done += executor.ordered(items, "runs predicted", watch)
     return RunSample(*(np.concatenate(parts) for parts in zip(*done)))
+
+
+def _worth_compiling(firings: float) -> bool:
+    """Whether the compiled kernel is sooner done with so many firings."""
+    if firings <= machine.WORTH_COMPILING or not machine.may_compile():
+        return False
+    return firings > _WORTH_WAITING or machine.is_loaded() or machine.is_cached()
 
 
 class _Group(NamedTuple):
@@ -135,7 +155,7 @@ class _Group(NamedTuple):
 
 def _play_group(spans: Sequence[Span], group: _Group, watch: Watch) -> RunSample:
     size, parameters = group.size, group.parameters
-    if group.compiled and machine.may_compile():
+    if group.compiled and machine.may_compile():  # also where a worker computes
         machine.compiled_kernel()
     seconds = np.zeros(size)
     came = np.ones(size, dtype=bool)

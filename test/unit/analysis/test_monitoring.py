@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gspn_framework_package.analysis.monitoring import prediction
 from gspn_framework_package.analysis.monitoring.choices import BLOCK, ChoiceTest
 from gspn_framework_package.analysis.monitoring.comparison import (
     Observed,
@@ -351,6 +352,18 @@ def test_a_choice_that_no_row_allows_is_noticed() -> None:
 
 
 # -- prediction ------------------------------------------------------------------------------------
+
+
+def test_long_runs_are_replicated_less_often_unless_it_was_asked(monkeypatch: Any) -> None:
+    monkeypatch.setattr(prediction, "USUAL_FIRINGS", 8000)
+    learned = {("durations", "Work"): Evidence(50, ("a",), (0.8, 1.3))}
+    plan = _plan(Duration.gamma(4.0, 1.0), evidence=learned)
+    sample = prediction.predict([prediction.Span(plan, 12.0)], seed=2)
+    assert 100 < sample.size < 300
+    assert len(np.unique(sample.group)) > 30  # as many draws of what is not known
+    assert 6000 < sample.firings.sum() < 10000
+    asked = prediction.predict([prediction.Span(plan, 12.0)], replications=300, seed=2)
+    assert asked.size == 300
 
 
 def test_parameters_are_drawn_from_their_intervals() -> None:
