@@ -209,6 +209,9 @@ def keys_of(part: Part, analysis: Analysis) -> Tuple[str, ...]:
     return (*keys, UNGUARDED) if part is Part.STRUCTURE else keys
 
 
+SURE = 1e-6
+"""A mean whose estimated relative error is larger is reported as unsure."""
+
 COMPONENTS = 10
 """The most probable recurrent classes are reported individually, up to this many; the others are
 only counted."""
@@ -483,6 +486,9 @@ class ReportWork:
             )
             data = _measures(measures)
             data["mean_waiting_time"] = measures.mean_waiting_time
+            unsure = _unsure(measures, Measures(chain, steady.errors))
+            if unsure:
+                data["unsure"] = unsure
             data["residual"] = steady.residual
             data["method"] = steady.method
             told = steady.likeliest(COMPONENTS)
@@ -594,6 +600,17 @@ class ReportWork:
     def finish(self) -> None:
         """Add the reasons for what is not answered."""
         self.data["undecided"] = self.undecided
+
+
+def _unsure(measures: Measures, errors: Measures) -> Dict[str, Dict[str, float]]:
+    """The estimated relative errors of those means that are not known to :data:`SURE`."""
+    found: Dict[str, Dict[str, float]] = {}
+    for key in ("mean_tokens", "throughput"):
+        values, doubts = getattr(measures, key), getattr(errors, key)
+        for name, value in values.items():
+            if doubts[name] > SURE * value:
+                found.setdefault(key, {})[name] = doubts[name] / value if value > 0 else math.inf
+    return found
 
 
 def _measures(measures: Measures) -> Dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from decimal import Decimal
 from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence
@@ -277,6 +278,13 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     yield "    %-32s %14s" % ("transition", "throughput 1/s")
     for transition, value in steady["throughput"].items():
         yield "    %-32s %14s" % (transition, _number(value))
+    for measure, errors in steady.get("unsure", {}).items():
+        for name, error in errors.items():
+            yield "    unsure: %s of %s, by about %.0e of the value" % (
+                measure.replace("_", " "),
+                name,
+                error if isinstance(error, float) else math.inf,
+            )
     if "reward" in steady:
         yield "    reward per second: %s" % _number(steady["reward"])
 

@@ -2,7 +2,8 @@
 
 Small systems are solved by sparse LU decomposition, large ones by Gauss-Seidel sweeps (compiled by
 numba if it is installed, otherwise one triangular solve per sweep) with Anderson acceleration. An
-answer is accepted by its residual, whatever the method.
+answer is accepted by its residual, whatever the method. The residual is relative to the largest
+term, so it says little about unknowns that are far smaller: :func:`polished` does.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ ACCEPTED_TIMES = 1e-4
 relative error, which is usually far smaller; rounding alone comes close only if a time is 10^11
 times a sojourn."""
 
+GTH_SIZE = 500
+"""Stationary distributions over up to this many states are computed without subtractions."""
+
 DIRECT_SIZE = 2_000
 """Up to this many unknowns, LU is tried first."""
 
@@ -56,6 +60,16 @@ _WORTH_LOADING = 1_000_000
 """Matrix entries above which compiled sweeps save more than the half second it takes to load
 numba."""
 
+_POLISHED, _POLISHING = 5, 20
+"""Sweeps between two looks at the relative changes of all unknowns, and how many looks at most,
+unless the solution itself took far more sweeps."""
+
+_SLOWEST = 0.99
+"""Changes that become smaller more slowly than by this factor are taken to do so by this one."""
+
+_SURE = 1e-9
+"""Relative error of all unknowns with which the polishing ends."""
+
 _PATIENCE = 100
 """If the residual has not halved in this many strides, an acceptable answer is taken: the rest is
 rounding."""
@@ -66,7 +80,7 @@ class LinearSolution(NamedTuple):
 
     :ivar values: float array: the unknowns.
     :ivar residual: see :func:`residual`.
-    :ivar method: ``LU`` or ``Gauss-Seidel``.
+    :ivar method: ``GTH``, ``LU`` or ``Gauss-Seidel``.
     :ivar sweeps: number of sweeps done.
     """
 
@@ -155,8 +169,10 @@ def _better(first: Optional[LinearSolution], second: LinearSolution) -> LinearSo
 def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> LinearSolution:
     """Sparse LU; for the homogeneous system, one unknown is set to 1 and its equation dropped."""
     size = len(diagonal)
-    if rhs is None and size == 1:
-        return LinearSolution(np.ones(1), 0.0, "LU")
+    if rhs is None and size <= GTH_SIZE:
+        found = _gth(matrix)
+        if np.isfinite(found).all():
+            return LinearSolution(found, residual(matrix, diagonal, rhs, found), "GTH")
     system = (sparse.diags(diagonal) - matrix).tocsc()
     try:
         with warnings.catch_warnings():
@@ -177,6 +193,86 @@ def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> LinearSo
     return LinearSolution(values, residual(matrix, diagonal, rhs, values), "LU")
 
 
+def _gth(matrix: Matrix) -> Floats:
+    """The stationary distribution by Gaussian elimination without subtractions, so that each entry
+    has nearly all digits, however small (W. K. Grassmann, M. I. Taksar, D. P. Heyman, *Regenerative
+    Analysis and Steady State Distributions for Markov Chains*, Operations Research 33, 1985)."""
+    rates = matrix.T.toarray()
+    size = len(rates)
+    values = np.ones(size)
+    with np.errstate(all="ignore"):  # a ratio that no float can hold gives no finite values
+        for k in range(size - 1, 0, -1):
+            rates[:k, k] /= rates[k, :k].sum()
+            rates[:k, :k] += np.outer(rates[:k, k], rates[k, :k])
+        for k in range(1, size):
+            values[k] = values[:k] @ rates[:k, k]
+        values /= values.sum()
+    return values
+
+
+def polished(
+    matrix: Matrix,
+    diagonal: Floats,
+    rhs: Optional[Floats],
+    found: LinearSolution,
+    order: Optional[Indices] = None,
+    watch: Optional[Watch] = None,
+) -> Tuple[LinearSolution, Floats]:
+    """A solution with more digits of its small unknowns, and the estimated relative error of each.
+
+    Sweeps add only what is positive, so each unknown gets as many digits as those that it depends
+    on. The error is estimated from how fast the changes become smaller. The arguments are those of
+    :func:`solve`, with the solution.
+    """
+    size = len(diagonal)
+    rounding = np.finfo(float).eps * size
+    if found.method == "GTH":
+        return found, np.full(size, rounding)
+    if order is not None:
+        place, matrix = _in_order(matrix, order)
+        there, errors = polished(
+            matrix,
+            diagonal[order],
+            None if rhs is None else rhs[order],
+            found._replace(values=found.values[order]),
+            None,
+            watch,
+        )
+        return there._replace(values=there.values[place]), errors[place]
+    constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
+    sweep = sweeper(matrix, diagonal, constant, False)
+    values = np.maximum(found.values, 0.0)  # rounding may have left something below 0
+    before, errors = np.ones(size), np.ones(size)
+    most = max(_POLISHING, found.sweeps // (2 * _POLISHED))
+    for number in range(1, most + 1):
+        earlier = values.copy()
+        for _ in range(_POLISHED):
+            values = sweep(values)
+        if rhs is None:
+            values /= values.sum()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = np.where(values > 0, np.abs(values - earlier) / values, 0.0)
+            speed = np.clip(np.where(before > 0, change / before, 0.0), 0.0, _SLOWEST)
+        errors = np.minimum(change * (speed / (1 - speed) + 1), 1.0) + rounding
+        if number > 1 and float(errors.max(initial=0.0)) <= _SURE:
+            break
+        before = change
+        if watch is not None:
+            watch.step("sweeps for the small values", number * _POLISHED)
+    worst = residual(matrix, diagonal, rhs, values)
+    return LinearSolution(values, worst, found.method, found.sweeps), errors
+
+
+def _in_order(matrix: Matrix, order: Indices) -> Tuple[Indices, Matrix]:
+    """The new place of each unknown, and the matrix with its unknowns in another order."""
+    place = np.empty(len(order), dtype=matrix.indices.dtype)
+    place[order] = np.arange(len(order), dtype=place.dtype)
+    matrix = matrix[order]
+    matrix.indices = place[matrix.indices]
+    matrix.has_sorted_indices = False
+    return place, matrix
+
+
 def _swept_in_order(
     matrix: Matrix,
     diagonal: Floats,
@@ -188,11 +284,7 @@ def _swept_in_order(
 ) -> LinearSolution:
     if order is None:
         return _swept(matrix, diagonal, rhs, backward, watch, start)
-    place = np.empty(len(order), dtype=matrix.indices.dtype)
-    place[order] = np.arange(len(order), dtype=place.dtype)
-    sorted_matrix = matrix[order]
-    sorted_matrix.indices = place[sorted_matrix.indices]
-    sorted_matrix.has_sorted_indices = False
+    place, sorted_matrix = _in_order(matrix, order)
     found = _swept(
         sorted_matrix,
         diagonal[order],

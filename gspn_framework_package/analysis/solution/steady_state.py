@@ -24,7 +24,7 @@ chapter 3. The chain of the tangible markings of a GSPN is defined as in M. Ajmo
 from __future__ import annotations
 
 import math
-from typing import Iterator, List, NamedTuple, Optional
+from typing import Iterator, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
@@ -33,7 +33,12 @@ from scipy.sparse import linalg
 from gspn_framework_package.analysis.arrays import Floats, Indices, Matrix
 from gspn_framework_package.analysis.chain.markov_chain import Chain, Component
 from gspn_framework_package.analysis.graph import flat_ranges
-from gspn_framework_package.analysis.solution.linear import ACCEPTED, LinearSolution, solve
+from gspn_framework_package.analysis.solution.linear import (
+    ACCEPTED,
+    LinearSolution,
+    polished,
+    solve,
+)
 from gspn_framework_package.analysis.solution.ordering import sweep_order
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 
@@ -47,6 +52,7 @@ class SteadyState(NamedTuple):
       of ending up in it.
     :ivar residual: the largest residual of the linear systems behind it, relative to the largest
       term of the system.
+    :ivar errors: float array: the estimated absolute error of each entry of the distribution.
     :ivar method: how the largest of these systems was solved.
     """
 
@@ -54,6 +60,7 @@ class SteadyState(NamedTuple):
     distribution: Floats
     components: List[Component]
     residual: float
+    errors: Floats
     method: str
 
     def likeliest(self, number: int) -> List[Component]:
@@ -81,36 +88,43 @@ def steady_state(
     """
     watch = Watch(progress, cancel, seconds=seconds)
     classes = chain.bottom_components()
-    reached = _absorption(chain, classes, watch)
-    distribution = np.zeros(len(chain))
+    reached, doubts = _absorption(chain, classes, watch)
+    distribution, errors = np.zeros(len(chain)), np.zeros(len(chain))
     components, worst, method, largest = [], reached.residual, reached.method, 0
-    for states, probability, solution in zip(
-        classes, reached.values, _stationary_in_each(chain, classes, watch)
+    for states, probability, doubt, (solution, relative) in zip(
+        classes, reached.values, doubts, _stationary_in_each(chain, classes, watch)
     ):
         components.append(Component(states, float(probability), solution.values))
         distribution[states] = probability * solution.values
+        errors[states] = distribution[states] * np.minimum(relative + doubt, 1.0)
         worst = max(worst, solution.residual)
         if len(states) > largest:
             largest, method = len(states), solution.method
-    return SteadyState(chain, distribution, components, worst, method)
+    return SteadyState(chain, distribution, components, worst, errors, method)
 
 
 def _stationary_in_each(
     chain: Chain, classes: List[Indices], watch: Watch
-) -> Iterator[LinearSolution]:
-    """The stationary distribution over each recurrent class, in their order."""
+) -> Iterator[Tuple[LinearSolution, Floats]]:
+    """The stationary distribution over each recurrent class, in their order, and the relative error
+    of its entries."""
     several = [states for states in classes if 1 < len(states) <= TOGETHER]
     together = iter(_stationary_together(chain, several) if len(several) > 1 else [])
     for count, states in enumerate(classes):
         if count % 64 == 0:
             watch.step("recurrent classes", count)
         if len(states) == 1:
-            yield LinearSolution(np.ones(1), 0.0, "LU")
+            yield LinearSolution(np.ones(1), 0.0, "LU"), np.zeros(1)
             continue
         solution = next(together, None) if len(states) <= TOGETHER else None
         if solution is None or not solution.residual <= ACCEPTED:
-            solution = stationary(chain, states, watch)
-        yield solution
+            yield _stationary(chain, states, watch)
+            continue
+        # each imbalance may be that of any entry
+        terms = chain.exit_rates[states] * solution.values
+        wrong = max(solution.residual, np.finfo(float).eps) * terms.max()
+        with np.errstate(divide="ignore"):
+            yield solution, np.minimum(np.where(terms > 0, wrong / terms, 0.0), 1.0)
 
 
 def _stationary_together(chain: Chain, classes: List[Indices]) -> List[LinearSolution]:
@@ -160,22 +174,34 @@ def _part(matrix: Matrix, states: Indices, size: int) -> Matrix:
 
 def stationary(chain: Chain, states: Indices, watch: Optional[Watch] = None) -> LinearSolution:
     """The stationary distribution over a recurrent class."""
+    return _stationary(chain, states, watch)[0]
+
+
+def _stationary(
+    chain: Chain, states: Indices, watch: Optional[Watch]
+) -> Tuple[LinearSolution, Floats]:
+    """The same, with the relative error of each entry."""
     if len(states) == 1:
-        return LinearSolution(np.ones(1), 0.0, "LU")
+        return LinearSolution(np.ones(1), 0.0, "LU"), np.zeros(1)
     whole = len(states) == len(chain)
     inflow = chain.inflow if whole else _part(chain.inflow, states, len(chain))
     exits = chain.exit_rates if whole else chain.exit_rates[states]
-    return solve(inflow, exits, None, order=sweep_order(chain, states), watch=watch)
+    order = sweep_order(chain, states)
+    found = solve(inflow, exits, None, order=order, watch=watch)
+    return polished(inflow, exits, None, found, order, watch)
 
 
-def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> LinearSolution:
-    """The probability of ending up in each class."""
+def _absorption(
+    chain: Chain, classes: List[Indices], watch: Watch
+) -> Tuple[LinearSolution, Floats]:
+    """The probability of ending up in each class, and its relative error."""
     if len(classes) == 1:
-        return LinearSolution(np.ones(1), 0.0, "LU")
+        return LinearSolution(np.ones(1), 0.0, "LU"), np.zeros(1)
     transient = np.ones(len(chain), dtype=bool)
     transient[np.concatenate(classes)] = False
     inside = np.flatnonzero(transient)
     inflow = chain.initial.copy()
+    doubt = np.zeros(len(chain))
     worst, method = 0.0, "LU"
     if len(inside) and chain.initial[inside].any():
         among = _part(chain.inflow, inside, len(chain))
@@ -183,10 +209,16 @@ def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> LinearSol
         times = solve(
             among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch
         )
-        flows = chain.rates[inside].T @ times.values
-        inflow = inflow + flows
+        times, relative = polished(
+            among, chain.exit_rates[inside], chain.initial[inside], times, order, watch
+        )
+        inflow = inflow + chain.rates[inside].T @ times.values
+        doubt = chain.rates[inside].T @ (times.values * relative)
         worst, method = times.residual, times.method
     order = np.concatenate(classes)
     begins = np.cumsum([0] + [len(states) for states in classes[:-1]])
     values = np.add.reduceat(inflow[order], begins)
-    return LinearSolution(values / values.sum(), worst, method)
+    errors = np.add.reduceat(doubt[order], begins)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = np.where(values > 0, errors / values, 0.0)
+    return LinearSolution(values / values.sum(), worst, method), errors

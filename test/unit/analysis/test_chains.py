@@ -2,6 +2,7 @@
 times, rewards."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.benchmark.large_nets import endings
 from gspn_framework_package.benchmark.nets import kanban, polling
+from gspn_framework_package.cli.analysis_text import analysis_text
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
@@ -315,6 +317,63 @@ def test_mean_times_are_right_where_they_are_long():
     assert expected > 5e8
     assert passage.residual < 1e-5  # a bound of the relative error
     assert passage.mean_time == pytest.approx(expected, rel=2e-6)
+
+
+def two_queues(size, fail):
+    """Two queues with a load of a half each, and beside them a machine that fails rarely."""
+    builder = NetBuilder("queues").place("up", tokens=1).place("down")
+    builder.exponential("fail", rate=fail, inputs="up", outputs="down")
+    builder.exponential("repair", rate=1.0, inputs="down", outputs="up")
+    full = {}
+    for queue in ("a", "b"):
+        builder.place(queue).place("free_" + queue, tokens=size)
+        builder.exponential("to_" + queue, rate=1.0, inputs="free_" + queue, outputs=queue)
+        builder.exponential("from_" + queue, rate=2.0, inputs=queue, outputs="free_" + queue)
+        full[queue] = size
+    return builder.exponential("both_full", rate=1.0, inputs=full, outputs=full).build()
+
+
+@pytest.mark.parametrize("size", [7, 20, 40])
+def test_a_value_that_is_far_smaller_than_the_others_has_its_digits(size):
+    analysis = Analysis(two_queues(size, 1e-13))
+    assert analysis.measures.mean_tokens["down"] == pytest.approx(1e-13, rel=1e-9)
+    assert (analysis.steady.distribution >= 0).all()
+
+
+def test_what_has_no_digits_is_said_to_be_unsure():
+    size = 40
+    data = report(Analysis(two_queues(size, 1e-13)), Questions(structure=False))
+    steady = data["steady_state"]
+    true = (0.5**size / (2 - 0.5**size)) ** 2
+    wrong = abs(steady["throughput"]["both_full"] / true - 1)
+    assert wrong > 1e-3
+    assert list(steady["unsure"]) == ["throughput"]
+    assert set(steady["unsure"]["throughput"]) == {"both_full"}
+    assert steady["unsure"]["throughput"]["both_full"] > 0.5 * wrong
+    assert "unsure: throughput of both_full, by about" in "\n".join(analysis_text(data))
+    assert "unsure" not in report(Analysis(two_queues(20, 1e-13)))["steady_state"]
+
+
+@pytest.mark.parametrize("seed", [0, 16])
+def test_stationary_distributions_of_stiff_chains_are_right_in_every_entry(seed):
+    generator = np.random.default_rng(seed)
+    size = 8
+    rates = 10.0 ** generator.uniform(-9, 9, (size, size)) * (generator.random((size, size)) < 0.3)
+    rates[np.arange(size), (np.arange(size) + 1) % size] = 10.0 ** generator.uniform(-9, 9, size)
+    np.fill_diagonal(rates, 0.0)
+    left = [[Fraction(rate) for rate in row] for row in rates.tolist()]
+    for k in range(size - 1, 0, -1):  # the states that are left, seen when they are visited
+        out = sum(left[k][:k])
+        for i in range(k):
+            left[i][k] /= out
+            for j in range(k):
+                left[i][j] += left[i][k] * left[k][j]
+    exact = [Fraction(1)]
+    for k in range(1, size):
+        exact.append(sum(exact[i] * left[i][k] for i in range(k)))
+    exact = [float(value / sum(exact)) for value in exact]
+    found = solve(sparse.csr_matrix(rates.T), rates.sum(axis=1), None)
+    np.testing.assert_allclose(found.values, exact, rtol=1e-13)
 
 
 def test_an_answer_with_a_bad_residual_is_not_given(monkeypatch):
