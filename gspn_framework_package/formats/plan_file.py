@@ -27,6 +27,7 @@ from gspn_framework_package.formats.registry import (
 )
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.subnets import expand, fill_parameters
+from gspn_framework_package.model.data import kind_of
 from gspn_framework_package.model.errors import GspnError, InputError, PlanError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -136,9 +137,7 @@ def _open(path: str) -> Tuple[str, JsonDocument]:
         error.located(file=path)
         raise
     if not isinstance(document.data, dict):
-        raise PlanError(
-            "a plan is a JSON object, not a %s" % type(document.data).__name__, file=path
-        )
+        raise PlanError("a plan is a JSON object, not %s" % kind_of(document.data), file=path)
     return path, document
 
 

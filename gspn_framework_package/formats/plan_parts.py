@@ -16,6 +16,7 @@ from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import is_plan, read_net_or_plan
 from gspn_framework_package.formats.plan_json import check_schema, plan_to_short_json
 from gspn_framework_package.formats.registry import read_net_with_notes
+from gspn_framework_package.model.data import kind_of
 from gspn_framework_package.model.errors import GspnError, PlanError
 
 JsonObject = Dict[str, Any]
@@ -65,7 +66,7 @@ def read_parts(path: str, resolve: Callable[[str], str] = os.path.normpath) -> P
         return PlanParts({}, net_to_json(net), None, "", path, "", ReadOptions(), False, (*notes,))
     data = read_json(path)
     if not isinstance(data, dict):
-        raise PlanError("a plan is a JSON object, not a %s" % type(data).__name__, file=path)
+        raise PlanError("a plan is a JSON object, not %s" % kind_of(data), file=path)
     if thesis_input.is_thesis_input(data):
         return _of_thesis(path, data)
     folder = os.path.dirname(os.path.abspath(path))

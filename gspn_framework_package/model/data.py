@@ -46,6 +46,22 @@ def full_name(name: str) -> str:
     return "%s.%s" % split(name)
 
 
+_KINDS: Dict[type, str] = {
+    dict: "an object",
+    list: "a list",
+    str: "a text",
+    bool: "true or false",
+    int: "a number",
+    float: "a number",
+    type(None): "null",
+}
+
+
+def kind_of(value: Any) -> str:
+    """What a JSON value is, in words and with its article; of anything else, its class."""
+    return _KINDS.get(type(value), "the Python type %s" % type(value).__name__)
+
+
 def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, Any]:
     """Return a copy of the data that an action or a task brings, as JSON keeps it (a tuple becomes
     a list, a key of a map becomes text).
@@ -55,7 +71,7 @@ def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, A
     :raises DataError: a name is not one, or a value is not JSON or too long.
     """
     if not isinstance(values, collections.abc.Mapping):
-        raise DataError("data is a JSON object, not a %s" % type(values).__name__)
+        raise DataError("data is a JSON object, not %s" % kind_of(values))
     if len(values) > NAMES_LIMIT:
         raise DataError("%d names of data; at most %d are kept" % (len(values), NAMES_LIMIT))
     kept = {}

@@ -1,6 +1,7 @@
 """The layout of a net: the positions of its nodes and the routes of its arcs.
 
-Positions in the file are used if every node has one. Otherwise Graphviz lays the net out: ``dot``
+Positions in the file are used if it has any; nodes without one are put below the others. Otherwise
+Graphviz lays the net out: ``dot``
 in layers, with a deadline; ``sfdp`` if that takes too long. A grid is used if both fail, and if
 there are no arcs. A layout is computed once for a net and cached by its hash.
 
@@ -28,6 +29,9 @@ PLACE_RADIUS = 20.0
 
 NEAREST = 68.0
 """Positions from a file are scaled until the two nearest nodes are this far apart."""
+
+ROW = 90.0
+"""Distance of the nodes that get a place below the others, times the distance of the nearest."""
 
 LABEL_HEIGHT = 16.0
 LABEL_CHARACTERS = 22
@@ -207,17 +211,33 @@ def _names(net: Net) -> List[str]:
 
 
 def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
-    """The positions of the file, scaled to the symbols; None if some are missing, or if not all are
+    """The positions of the file, scaled to the symbols; None if it has none, or if not all are
     different."""
     nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
     points = {node.name: node.position for node in nodes if node.position is not None}
-    if len(points) < len(nodes):
+    if not points or len(points) == 1 < len(nodes):
         return None
+    missing = [node.name for node in nodes if node.name not in points]
+    points.update(below([*points.values()], missing))
     nearest = nearest_distance(list(points.values()))
     if nearest < 1.0:
         return None
     scale = min(max(0.3, NEAREST / nearest), 8.0)
     return {name: (x * scale, y * scale) for name, (x, y) in points.items()}
+
+
+def below(known: List[Point], missing: List[str]) -> Dict[str, Point]:
+    """Rows of places for the ``missing`` nodes, below the points that are ``known``."""
+    if not missing:
+        return {}
+    nearest = nearest_distance(known)
+    step = ROW * (nearest / NEAREST if 0 < nearest < math.inf else 1.0)
+    left, bottom = min(x for x, _ in known), max(y for _, y in known)
+    columns = max(1, math.ceil(math.sqrt(len(missing) * 1.6)))
+    return {
+        name: (left + step * (i % columns), bottom + step * (1 + i // columns))
+        for i, name in enumerate(missing)
+    }
 
 
 def nearest_distance(points: List[Point]) -> float:

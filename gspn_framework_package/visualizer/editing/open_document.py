@@ -5,22 +5,19 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_parts import JsonObject, PlanParts, read_parts
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError
 from gspn_framework_package.visualizer.documents import Folder, check_size
-from gspn_framework_package.visualizer.layout import NEAREST, lay_out, nearest_distance
+from gspn_framework_package.visualizer.layout import NEAREST, below, lay_out, nearest_distance
 
 Point = Tuple[float, float]
 
 TRIES = 5
 """How often files are read that change while they are being read."""
-
-ROW = 90.0
-"""Distance of the nodes that get a place below the others, times the distance of the nearest."""
 
 
 class Opened(NamedTuple):
@@ -123,7 +120,8 @@ def with_positions(net: JsonObject) -> Tuple[JsonObject, bool]:
     if nodes and (not known or len(spots) == 1 < len(nodes)):
         return _placed(net, lay_out(net_from_json(net)).positions, True), True
     missing = [n["name"] for n in nodes if n["name"] not in known]
-    return _placed(net, _below([*known.values()], missing), False), False
+    found = [(float(x), float(y)) for x, y in known.values()]
+    return _placed(net, below(found, missing), False), False
 
 
 def _placed(net: JsonObject, positions: Dict[str, Point], anew: bool) -> JsonObject:
@@ -137,20 +135,6 @@ def _placed(net: JsonObject, positions: Dict[str, Point], anew: bool) -> JsonObj
         **net,
         "places": [placed(node) for node in net["places"]],
         "transitions": [placed(node) for node in net["transitions"]],
-    }
-
-
-def _below(known: List[Any], missing: List[str]) -> Dict[str, Point]:
-    """Rows of places for the ``missing`` nodes, below those that have one."""
-    if not missing:
-        return {}
-    nearest = nearest_distance([(float(x), float(y)) for x, y in known])
-    step = ROW * (nearest / NEAREST if 0 < nearest < math.inf else 1.0)
-    left, bottom = min(x for x, _ in known), max(y for _, y in known)
-    columns = max(1, math.ceil(math.sqrt(len(missing) * 1.6)))
-    return {
-        name: (left + step * (i % columns), bottom + step * (1 + i // columns))
-        for i, name in enumerate(missing)
     }
 
 

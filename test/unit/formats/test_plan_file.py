@@ -155,6 +155,8 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
         ('{"net": ', "plan.json:1: it is not JSON"),
         ('{"net": "a", "net": "b"}', "the key 'net' occurs twice"),
         ("[1]", "a plan is a JSON object, not a list"),
+        ("1", "a plan is a JSON object, not a number"),
+        ("null", "a plan is a JSON object, not null"),
         ("[" * 100000, "nested too deeply"),
         ({"actions": {}}, "'net' is a required property"),
         (changed(colour="red"), "'colour' was unexpected.*known here: .*synchronisation"),

@@ -8,10 +8,11 @@ import math
 import pytest
 
 from gspn_framework_package.benchmark.nets import kanban, philosophers
-from gspn_framework_package.formats.net_json import net_from_json
+from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.visualizer import layout
+from gspn_framework_package.visualizer.editing.open_document import with_positions
 from gspn_framework_package.visualizer.layout import PLACE_RADIUS, lay_out
 
 
@@ -70,6 +71,21 @@ def test_positions_that_lie_on_each_other_are_not_used():
         [Place("a", position=(0.0, 0.0))], [Transition("t", position=(0.0, 0.0))], [Arc("a", "t")]
     )
     assert lay_out(net).engine == "dot"
+
+
+def test_a_node_without_a_position_leaves_the_drawing_of_the_others():
+    net = drawn()
+    places = [*net.places, Place("new"), Place("newer")]
+    found, before = lay_out(Net(places, net.transitions, net.arcs)), lay_out(net)
+    assert found.engine == "file"
+    for name, where in before.positions.items():
+        assert found.positions[name] == pytest.approx(where)
+    assert nearest(found.positions) >= 2 * PLACE_RADIUS
+    edited = with_positions(net_to_json(Net(places, net.transitions, net.arcs)))[0]
+    scale = before.positions["p1"][0] / 30.0
+    new = {node["name"]: node["position"] for node in edited["places"]}
+    for name in ("new", "newer"):  # every mode shows them in one place
+        assert found.positions[name] == pytest.approx([v * scale for v in new[name]], abs=1)
 
 
 def test_without_graphviz_a_grid_does(monkeypatch):

@@ -5,7 +5,7 @@
 import { h } from "./dom.js";
 
 export class Subnets {
-  /** `list`: the element for the buttons. A subnet of more than one place is folded at first. */
+  /** `list`: the element for the buttons. A subnet of more than one node is folded at first. */
   constructor(view, list) {
     this.view = view;
     this.list = list;
@@ -15,7 +15,7 @@ export class Subnets {
         ...subnet.places.map((p) => view.places[p]),
         ...subnet.transitions.map((t) => view.transitions[t]),
       ]),
-      folded: subnet.places.length > 1,
+      folded: subnet.places.length + subnet.transitions.length > 1,
     }));
     this.all.forEach((subnet, i) => {
       const entry = view.places[subnet.entry];
