@@ -71,7 +71,7 @@ def simulate_to_log(
     else:
         print_notes(notes)
         print("\n".join(_text(result, args.log)))
-    return 0
+    return int(run.state.fault)
 
 
 def _json(result: VirtualResult) -> Dict[str, Any]:

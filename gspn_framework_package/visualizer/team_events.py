@@ -244,6 +244,8 @@ class TeamEvents:
     def _stalled(self, state: TeamState) -> str:
         """Why nothing more can happen without intervention; "" while something can."""
         active = state.active()
+        if not active and state.created and not self.game.plan.simulate_environment:
+            return "nobody is left"
         waiting = [r for r in active if r.phase in (Phase.DONE, Phase.FAILED)]
         if state.paused or not waiting or any(r.phase is Phase.DOING for r in active):
             return ""

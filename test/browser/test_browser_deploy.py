@@ -14,8 +14,12 @@ def plan(places, name):
 
 def test_an_edited_plan_is_deployed_to_the_run(serve_folder, open_page, tmp_path):
     (tmp_path / "actions.py").write_text(ACTIONS)
-    for name, places in (("three", "ABC"), ("four", "AXCD")):
-        (tmp_path / (name + ".json")).write_text(json.dumps(plan(places, name)))
+    for name, places in (("three", "ABC"), ("four", "AXCD"), ("taking", "ABC")):
+        data = plan(places, name)
+        if name == "taking":
+            data["net"]["transitions"].append({"name": "gone", "timed": True, "rate": 1})
+            data["net"]["arcs"].append({"from": "A", "to": "gone"})
+        (tmp_path / (name + ".json")).write_text(json.dumps(data))
     site = serve_folder(tmp_path, edits=True)
     live = open_page(site.address + "#file-three.json")
     live.click("#start")
@@ -27,6 +31,7 @@ def test_an_edited_plan_is_deployed_to_the_run(serve_folder, open_page, tmp_path
     page.click("#ed-deploy")
     page.wait_for_selector("dialog h2:has-text('Deploy “four” to the team?')")
     assert "place X" in page.inner_text("dialog .ed-changes")
+    assert "The check: may run." in page.inner_text("#dp-verdict")
     page.click("dialog button:has-text('Cancel')")
     page.click("#ed-deploy")
     page.select_option("#dp-map select[data-name='B']", "X")
@@ -40,6 +45,13 @@ def test_an_edited_plan_is_deployed_to_the_run(serve_folder, open_page, tmp_path
         *"AXCD"
     ]
     live.wait_for_function("() => document.querySelector('#log').innerText.includes('leave_D')")
+    page.click("dialog button:has-text('Close')")
+    page.goto(site.address + "#file-taking.json&edit")
+    page.reload()
+    page.click("#ed-deploy")
+    page.wait_for_selector("#dp-verdict li:has-text('Error: gone takes 1 robot(s) and puts 0')")
+    assert "The check: refused." in page.inner_text("#dp-verdict")
+    assert page.locator("dialog button:has-text('Deploy to the team')").count() == 0
     site.session("file-three.json").command("stop", {})
     page.click("dialog button:has-text('Close')")
     page.click("#ed-deploy")

@@ -184,3 +184,17 @@ def test_settings_that_a_function_cannot_take_are_refused(tmp_path, capsys, sour
         assert text in capsys.readouterr().err
         with pytest.raises(PlanError, match=re.escape(text)):
             load_action(str(tmp_path), "work.go", action["settings"])
+
+
+def test_all_commands_refuse_a_plan_that_would_end_at_once(tmp_path, capsys):
+    data = json.loads(json.dumps(PLAN))
+    data["net"]["transitions"][0] = {"name": "T"}
+    (tmp_path / "plan.json").write_text(json.dumps({**data, "actions": {"P": None, "Q": None}}))
+    plan, log = str(tmp_path), str(tmp_path / "run.jsonl")
+    assert main(["check", plan]) == 1
+    assert "P, Q, and pass at once: give one of these places an action" in capsys.readouterr().out
+    assert main(["run", plan]) == 1
+    assert main(["simulate", plan, "--time", "5"]) == 1
+    assert main(["simulate", plan, "--time", "5", "--log", log]) == 1
+    assert main(["deploy", plan]) == 1
+    assert "the check refuses the plan: no place has an action" in capsys.readouterr().err

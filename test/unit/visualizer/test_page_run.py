@@ -247,6 +247,7 @@ def test_orders_do_what_they_say(served):
     wait_for(lambda: client.board(key)["marking"][3] == 1, what="the firing")
     assert client.do("leave", session=key, robot="r").status_code == 200
     wait_for(lambda: robot().get("phase") == "left", what="the robot to leave")
+    assert status(client, key)["stalled"] == "nobody is left"
 
 
 @pytest.mark.parametrize(

@@ -47,17 +47,15 @@ function verdictOf({ verdict, refused, findings }) {
     "section",
     { "aria-label": "What the check says", id: "dp-verdict" },
     h("p", { class: refused ? "wrong" : "", text: `The check: ${verdict}.` }),
-    h(
-      "ul",
-      { class: "ed-changes" },
-      findings.slice(0, FINDINGS).map(({ level, text }) =>
-        h("li", {
-          class: level === "error" ? "diff-removed" : "diff-changed",
-          text: `${words[level]}: ${text}`,
-        }),
+    findings.length > 0 &&
+      h(
+        "ul",
+        { class: `ed-level ${refused ? "error" : "warning"}` },
+        findings
+          .slice(0, FINDINGS)
+          .map(({ level, text }) => h("li", { text: `${words[level]}: ${text}` })),
+        findings.length > FINDINGS && h("li", { text: `and ${findings.length - FINDINGS} more` }),
       ),
-      findings.length > FINDINGS && h("li", { text: `and ${findings.length - FINDINGS} more` }),
-    ),
   );
 }
 

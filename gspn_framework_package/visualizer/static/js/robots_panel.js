@@ -125,7 +125,9 @@ export class RobotsPanel {
           text:
             model.mode === "SIMULATE"
               ? "A simulation moves anonymous tokens. Robots appear in a live run or a replay."
-              : "No robot has been heard yet.",
+              : model.head.status.stalled
+                ? "No robot is left."
+                : "No robot has been heard yet.",
         }),
       );
     }
