@@ -20,8 +20,9 @@ class RosFacts:
 
     - ``activity`` (std_msgs/String, JSON: see
       :meth:`~gspn_framework_package.team.self_report.SelfReport.activity`) and ``robot_activity``
-      (RobotActivity), at most ten a second;
-    - ``marking`` (Marking) and ``team_state`` (TeamState), while somebody subscribes.
+      (RobotActivity), at most ten times a second;
+    - ``marking`` (Marking) and ``team_state`` (TeamState), while somebody subscribes, at most five
+      times a second.
 
     :param namespace: absolute namespace of the robot.
     """

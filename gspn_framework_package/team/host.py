@@ -112,13 +112,13 @@ class ReplicaHost(Worker):
         self._numbers = itertools.count(1)
         self._answers: Dict[str, Callable[[Any], None]] = {}
         self._wake_at = 0.0
-        self._visit = (0, 0)
+        self._visit = self._begun = (0, 0)
         self._leave_at: Optional[float] = None
         self._breakpoints = BreakpointFile(plan)
         self._look_at = 0.0
         self._running = True
         self._progress: List[int] = []
-        self._attempt = 0
+        self._attempt = 1
         self._told_visit = 0
         self._gone: Dict[str, Phase] = {}
         self._told_length = -1
@@ -427,7 +427,7 @@ class ReplicaHost(Worker):
     def _start_action(self, command: StartAction) -> None:
         again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""
         self._narrator.say("does %s%s (visit %d)" % (command.place, again, command.visit))
-        self._progress, self._attempt = [], command.attempt
+        self._begun, self._progress, self._attempt = self._replica.visit, [], command.attempt
         self._actions.start(command, time.monotonic())
 
     def _cancel_action(self, command: CancelAction) -> None:
@@ -552,7 +552,9 @@ class ReplicaHost(Worker):
         return self._replica.ledger.state.adopted
 
     def _activity(self) -> Dict[str, Any]:
-        return self._report.activity(self.plan.hash(), self._attempt, self._progress)
+        begun = self._begun == self._replica.visit  # otherwise these are those of a place before
+        attempt, progress = (self._attempt, self._progress) if begun else (1, [])
+        return self._report.activity(self.plan.hash(), attempt, progress)
 
     def breakpoints(self, argument: str) -> str:
         """See :class:`Worker`."""

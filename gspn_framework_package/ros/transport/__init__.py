@@ -38,11 +38,13 @@ that it is no longer needed. To remove a module, put rospy's own code back and r
     restarted (``test/rostest/faults``).
 ``node_process``
     *Faults:* ``init_node`` fails without a master; it lets only five connections wait, so a team
-    that starts all at once loses some for seconds; after ``rosnode kill`` the process may end
+    that starts all at once loses some for seconds; a publisher that is told of twice in a moment is
+    connected twice, and cut off once; after ``rosnode kill`` the process may end
     before the node is unregistered; every log line queries the master for a parameter, without a
     time limit; a forked process keeps the name of its parent; threads that lose their socket at the
     end print tracebacks.
     *Touches:* ``rospy.impl.tcpros_base._tcpros_server`` (its ``server_sock``),
+    ``rospy.impl.masterslave.ROSHandler._connect_topic``,
     ``rospy.core._shutdown_lock``, ``rospy.impl.paramserver.get_param_server_cache``,
     ``rospy.impl.rosout.RosOutHandler``, ``rospy.names._set_caller_id`` and ``reload_mappings``,
     ``threading.excepthook``.

@@ -12,12 +12,14 @@ import resource
 import signal
 import sys
 import threading
-from typing import Any, Callable, Optional
+import weakref
+from typing import Any, Callable, MutableMapping, Optional, Tuple
 
 import rosgraph
 import rospkg
 import rospy
 from rospy.impl import tcpros_base
+from rospy.impl.masterslave import ROSHandler
 from rospy.impl.paramserver import get_param_server_cache
 from rospy.impl.rosout import RosOutHandler
 
@@ -60,6 +62,7 @@ def run_node(
         if ending.is_set():
             return 128 + ending.signals[0]
         before()
+        connect_once()
         rospy.init_node(name, disable_signals=True)
         accept_many_connections()
         publish_log_lines_on_a_thread()
@@ -120,6 +123,23 @@ def be_node(name: str, namespace: str) -> None:
     os.environ["ROS_NAMESPACE"] = namespace
     rospy.names.reload_mappings(sys.argv)
     rospy.names._set_caller_id(rospy.names.ns_join(namespace, "unnamed"))
+
+
+def connect_once() -> None:
+    """Let a node connect to a publisher of a topic once. When others start at the same time, the
+    master tells of a publisher several times in a moment; rospy then connects as often, and cuts
+    off all but the last, at which the publisher complains of an inbound connection that failed."""
+    connect: Callable[[ROSHandler, str, str], Any] = ROSHandler._connect_topic
+    connecting: MutableMapping[Tuple[str, str], Any] = weakref.WeakValueDictionary()
+    mutex = threading.Lock()
+
+    def connect_after_others(handler: ROSHandler, topic: str, publisher: str) -> Any:
+        with mutex:
+            turn = connecting.setdefault((topic, publisher), threading.Lock())
+        with turn:
+            return connect(handler, topic, publisher)
+
+    ROSHandler._connect_topic = connect_after_others
 
 
 def share_log_configuration() -> None:

@@ -4,9 +4,15 @@ import threading
 
 import pytest
 
-rospy = pytest.importorskip("rospy")
+pytest.importorskip("rospy")
 
-from gspn_framework_package.ros.transport.node_process import say_nothing_of_sockets_after_the_end  # noqa: E402
+import rospy
+from rospy.impl.masterslave import ROSHandler
+
+from gspn_framework_package.ros.transport.node_process import (
+    connect_once,
+    say_nothing_of_sockets_after_the_end,
+)
 
 
 @pytest.mark.parametrize(
@@ -24,3 +30,31 @@ def test_only_sockets_of_a_node_that_has_ended_are_no_news(monkeypatch, error, e
     say_nothing_of_sockets_after_the_end()
     threading.excepthook(threading.ExceptHookArgs((type(error), error, None, None)))
     assert [args.exc_value for args in heard] == ([error] if told else [])
+
+
+def test_a_publisher_that_is_told_of_twice_in_a_moment_is_connected_once(monkeypatch):
+    """rospy looks whether there is a connection, and then asks the publisher for its address."""
+    connected, made, asked = set(), [], threading.Semaphore(0)
+    answer = threading.Event()
+
+    def connect(handler, topic, publisher):
+        if (topic, publisher) not in connected:
+            asked.release()
+            assert answer.wait(20.0)
+            made.append((topic, publisher))
+            connected.add((topic, publisher))
+
+    monkeypatch.setattr(ROSHandler, "_connect_topic", connect)
+    connect_once()
+    asks = [("/t", "http://a/"), ("/t", "http://a/"), ("/t", "http://b/"), ("/u", "http://a/")]
+    threads = [
+        threading.Thread(target=ROSHandler._connect_topic, args=(None, *ask)) for ask in asks
+    ]
+    for thread in threads:
+        thread.start()
+    for _ in set(asks):  # none of them waits for another one
+        assert asked.acquire(timeout=20.0)
+    answer.set()
+    for thread in threads:
+        thread.join(20.0)
+    assert sorted(made) == sorted(set(asks))
