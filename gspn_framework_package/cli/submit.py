@@ -9,7 +9,8 @@ from typing import Any, Dict
 
 from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.execution.log_entries import make_submit, new_task_id
-from gspn_framework_package.model.errors import DataError, UsageError
+from gspn_framework_package.formats.source import read_text
+from gspn_framework_package.model.errors import DataError, InputError, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,12 +63,10 @@ def read_data(text: str) -> Dict[str, Any]:
     elif not text.lstrip().startswith("{"):
         where = text
         try:
-            with open(text, encoding="utf-8") as file:
-                text = file.read()
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
+            text = read_text(text)
+        except InputError as error:
             raise UsageError(
-                "cannot be read: %s" % why,
+                error.message,
                 file=where,
                 hint="--data is a JSON object, or a file that holds one",
             ) from None

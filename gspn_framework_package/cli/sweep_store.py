@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Any, Dict, Optional
 
 from gspn_framework_package.analysis.sweeps.sweep import Measures, Point
+from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import DataError, InputError
 
 SUFFIX = ".points.jsonl"
@@ -31,7 +32,8 @@ class PointStore:
         self._file: Optional[IO[str]] = None
         self._whole = 0
         try:
-            lines = self.path.read_bytes().splitlines(keepends=True)
+            with open_file(path) as file:
+                lines = file.read().splitlines(keepends=True)
         except FileNotFoundError:
             return
         except OSError as error:

@@ -20,8 +20,9 @@ import tempfile
 from typing import Any, Callable, Dict, Mapping, Optional, TypeVar
 
 from gspn_framework_package.formats.plan_json import check_schema, policy_from_json
+from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.compact_json import compact
-from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.errors import GspnError, InputError, LogError
 from gspn_framework_package.model.policy import Policy
 
 FOLDER = "policies"
@@ -176,9 +177,8 @@ def _file(log: str, name: str) -> str:
 
 def _content(path: str) -> Optional[bytes]:
     try:
-        with open(path, "rb") as file:
-            return file.read()
-    except OSError:
+        return read_bytes(path)
+    except InputError:
         return None
 
 

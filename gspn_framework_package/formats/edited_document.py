@@ -67,23 +67,7 @@ def plan_of_document(document: EditedDocument, path: str, root: Optional[str] = 
     :raises GspnError: it is not a valid plan; the error names the element.
     """
     try:
-        data = joined(document)
-        if root is not None:
-            _keep_inside(data, os.path.dirname(os.path.abspath(path)), root)
-        return plan_from_object(data, path)
+        return plan_from_object(joined(document), path, root)
     except GspnError as error:
         error.located(file=path)
         raise
-
-
-def _keep_inside(data: Dict[str, Any], folder: str, root: str) -> None:
-    actions = data.get("actions")
-    for place, action in actions.items() if isinstance(actions, dict) else ():
-        file = action.get("plan") if isinstance(action, dict) else None
-        if not isinstance(file, str):
-            continue
-        real = "" if "\0" in file else os.path.realpath(os.path.join(folder, file))
-        if not real.startswith(os.path.realpath(root).rstrip(os.sep) + os.sep):
-            raise PlanError(
-                "its file is outside the folder that is served", element="actions.%s" % place
-            )

@@ -122,6 +122,29 @@ def _lines(value: Any, indent: str, unit: str, newline: str) -> str:
     return ends[0] + space + ("," + space).join(members) + newline + indent + ends[1]
 
 
+MAX_DEPTH = 100
+"""How deep lists and objects may be inside each other; plans and logs need less than 20."""
+
+
+TOO_DEEP = "it is nested too deeply"
+
+
+def is_too_deep(data: Any) -> bool:
+    """Whether a value of JSON is nested deeper than :data:`MAX_DEPTH`: whoever goes through it
+    would run out of stack somewhere."""
+    level = [data] if isinstance(data, (dict, list)) else []
+    for _ in range(MAX_DEPTH):
+        level = [
+            inner
+            for value in level
+            for inner in (value.values() if type(value) is dict else value)
+            if type(inner) in (dict, list)
+        ]
+        if not level:
+            return False
+    return True
+
+
 def read_json(path: str) -> Any:
     """Return the content of a JSON file; see :func:`read_document`."""
     return read_document(path).data
@@ -164,7 +187,7 @@ def read_document(path: str) -> JsonDocument:
             line=error.lineno,
         ) from None
     except RecursionError:
-        raise InputError("it is nested too deeply", file=path) from None
+        raise InputError(TOO_DEEP, file=path) from None
     except _DoubleKeyError as error:
         raise InputError("the key '%s' occurs twice in one object" % error, file=path) from None
     except _NumberError as error:
@@ -176,6 +199,8 @@ def read_document(path: str) -> JsonDocument:
             file=path,
             line=text.count("\n", 0, found.start()) + 1 if found else None,
         ) from None
+    if is_too_deep(data):
+        raise InputError(TOO_DEEP, file=path)
     return JsonDocument(data, text)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import ReadOptions
@@ -25,7 +25,7 @@ from gspn_framework_package.formats.registry import (
     read_net,
     read_net_with_notes,
 )
-from gspn_framework_package.formats.source import read_bytes
+from gspn_framework_package.formats.source import named_file, open_file, read_bytes
 from gspn_framework_package.formats.subnets import expand, fill_parameters
 from gspn_framework_package.model.data import kind_of
 from gspn_framework_package.model.errors import GspnError, InputError, PlanError, UsageError
@@ -36,32 +36,39 @@ from gspn_framework_package.model.policy import Policy
 PLAN_FILE = "plan.json"
 """The name of the plan file in a plan's folder."""
 
+PLAN_BYTES = 32 << 20
+"""How many bytes of a JSON file are searched for the keys of a plan."""
 
-def read_plan(path: str) -> Plan:
+_CHUNK = 1 << 20
+
+
+def read_plan(path: str, within: Optional[str] = None) -> Plan:
     """Read a plan.
 
     :param path: a plan file, an input file of the thesis (4.1.3, 4.3.6), or a folder with a
         ``plan.json``.
+    :param within: the folder that all files have to be in which the plan and its subnets name;
+        None: they may be anywhere.
     :returns: the validated plan; ``Plan.notes`` has notes for the user on how it was read.
     :raises GspnError: the plan cannot be read; the error has file, line and element.
     """
     try:
-        return _read(*_open(path))
+        return _read(*_open(path), within)
     except InputError:
         _refuse_net(path)
         raise
 
 
-def _plan_or_its_net(path: str, net_will_do: bool) -> NetOrPlan:
+def _plan_or_its_net(path: str, net_will_do: bool, within: Optional[str]) -> NetOrPlan:
     """As :func:`read_plan`; but from an input file of the thesis that is to be read as a net, the
     net."""
     try:
         file, document = _open(path)
         if thesis_input.is_thesis_input(document.data):
-            found = _net_of_thesis(file, document, net_will_do)
+            found = _net_of_thesis(file, document, net_will_do, within)
             if found is not None:
                 return found
-        return _as_found(_read(file, document))
+        return _as_found(_read(file, document, within))
     except InputError:
         _refuse_net(path)
         raise
@@ -82,7 +89,7 @@ def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
     if thesis_input.is_thesis_input(document.data):
         return whole
     elsewhere = os.path.realpath(os.path.dirname(os.path.abspath(path))) != os.path.realpath(folder)
-    read = _read(path, document)
+    read = _read(path, document, None)
     if plan.subnets and (elsewhere or (plan.policy, plan.robots) != (read.policy, read.robots)):
         return whole  # names of files, or of places that have been replaced, would be wrong
     data = {key: value for key, value in document.data.items() if key not in LEARNED}
@@ -98,11 +105,11 @@ def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
     return data
 
 
-def _read(path: str, document: JsonDocument) -> Plan:
+def _read(path: str, document: JsonDocument, within: Optional[str]) -> Plan:
     try:
         if thesis_input.is_thesis_input(document.data):
-            return thesis_input.plan_from_thesis(document.data, path)
-        return _own_form(document, path, (os.path.realpath(path),), {})
+            return thesis_input.plan_from_thesis(document.data, path, within)
+        return _own_form(document, path, (os.path.realpath(path),), _Reading(within))
     except GspnError as error:
         error.located(file=path)
         raise
@@ -151,7 +158,11 @@ class NetOrPlan(NamedTuple):
 
 
 def read_net_or_plan(
-    path: str, options: ReadOptions = AS_THE_FILE_SAYS, *, net_will_do: bool = False
+    path: str,
+    options: ReadOptions = AS_THE_FILE_SAYS,
+    *,
+    net_will_do: bool = False,
+    within: Optional[str] = None,
 ) -> NetOrPlan:
     """Read a plan, like :func:`read_plan`, or a net, like
     :func:`~gspn_framework_package.formats.registry.read_net`. A folder or a JSON file is read as a
@@ -161,6 +172,7 @@ def read_net_or_plan(
     :param options: how to read a net.
     :param net_will_do: read only the net of an input file of the thesis also if the rest of it is
         not a plan; a note says why.
+    :param within: see :func:`read_plan`.
     :raises UsageError: the options set something that the plan itself determines.
     :raises GspnError: the plan or net cannot be read.
     """
@@ -171,7 +183,7 @@ def read_net_or_plan(
                 "said of a net only",
                 hint="this is a plan, which has its own setting for it",
             )
-        return _plan_or_its_net(path, net_will_do)
+        return _plan_or_its_net(path, net_will_do, within)
     found, notes = read_net_with_notes(path, options)
     return NetOrPlan(found, None, tuple(notes))
 
@@ -180,20 +192,22 @@ def _as_found(plan: Plan) -> NetOrPlan:
     return NetOrPlan(plan.net, plan, tuple(plan.notes))
 
 
-def _net_of_thesis(path: str, document: JsonDocument, net_will_do: bool) -> Optional[NetOrPlan]:
+def _net_of_thesis(
+    path: str, document: JsonDocument, net_will_do: bool, within: Optional[str]
+) -> Optional[NetOrPlan]:
     """Return the net of an input file of the thesis that is to be read as a net; None if it is to
     be read as a plan."""
     if not thesis_input.has_mapping(document.data):
         reason = "it maps no place to an action"
     elif net_will_do:
         try:
-            return _as_found(_read(path, document))
+            return _as_found(_read(path, document, within))
         except GspnError as error:
             reason = ": ".join(filter(None, (error.element, error.message)))
     else:
         return None
     try:
-        found = thesis_input.net_from_thesis(document.data, path)
+        found = thesis_input.net_from_thesis(document.data, path, within)
     except GspnError as error:
         error.located(file=path)
         raise
@@ -207,44 +221,80 @@ def is_plan(path: str) -> bool:
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
-def plan_from_object(data: Mapping[str, Any], path: str) -> Plan:
+def looks_like_plan(path: str) -> bool:
+    """Whether a JSON file has the keys of a plan; it is parsed only when it is opened. (A computed
+    policy of many megabytes may stand before the last of them.)"""
+    wanted, known, end = {b'"net"', b'"actions"'}, b'"gspn"', b""
+    try:
+        with open_file(path) as file:
+            for _ in range(PLAN_BYTES // _CHUNK):
+                chunk = file.read(_CHUNK)
+                part = end + chunk
+                wanted = {key for key in wanted if key not in part}
+                if not wanted or known in part:
+                    return True
+                if not chunk:
+                    return False
+                end = part[-16:]
+    except OSError:
+        pass
+    return False
+
+
+def plan_from_object(data: Mapping[str, Any], path: str, within: Optional[str] = None) -> Plan:
     """Return the plan of the object of a plan file, as it will be read once it is saved.
 
     :param data: the object, with the net and the policy inside.
     :param path: the plan file. It need not exist; subnets and functions are in its folder.
+    :param within: see :func:`read_plan`.
     :raises GspnError: the plan cannot be read; see :func:`read_plan`.
     """
-    return _own_form(JsonDocument(data, ""), path, (os.path.realpath(path),), {})
+    return _own_form(JsonDocument(data, ""), path, (os.path.realpath(path),), _Reading(within))
+
+
+class _Reading:
+    """What is common to a plan and its subnets while they are read.
+
+    :ivar within: the folder that all files have to be in; None: anywhere.
+    :ivar known: the subnets that have been read, by file and parameters.
+    """
+
+    def __init__(self, within: Optional[str]) -> None:
+        self.within = within
+        self.known: Dict[Tuple[str, str], Plan] = {}
 
 
 def _own_form(
     document: JsonDocument,
     path: str,
     around: Tuple[str, ...],
-    known: Dict[Tuple[str, str], Plan],
+    reading: _Reading,
     given: Optional[Mapping[str, Any]] = None,
 ) -> Plan:
     """The plan of a file in the package's own form.
 
     :param around: the file, after those of the plans that use it as a subnet.
-    :param known: the subnets that have been read, by file and parameters.
     :param given: the values of its parameters, if it is used as a subnet.
     """
     folder = os.path.dirname(os.path.abspath(path))
 
-    def read_subnet(file: str, values: Mapping[str, Any]) -> Plan:
+    def named(name: str) -> str:
+        return named_file(name, folder, reading.within)
+
+    def read_subnet(name: str, values: Mapping[str, Any]) -> Plan:
+        file = named(name)
         key = os.path.realpath(file), json.dumps(values, sort_keys=True)
-        if key not in known:
-            known[key] = _subnet(os.path.normpath(file), values, around, known)
-        return known[key]
+        if key not in reading.known:
+            reading.known[key] = _subnet(os.path.normpath(file), values, around, reading)
+        return reading.known[key]
 
     try:
         data = fill_parameters(document.data, given)
         check_schema(data, file=path, document=document)
-        net, notes = _net(data["net"], folder)
+        net, notes = _net(data["net"], named)
         policy: Optional[Policy] = None
         if isinstance(data.get("policy"), str):
-            policy = read_policy(os.path.join(folder, data["policy"]))
+            policy = read_policy(named(data["policy"]))
         data, whole, parts = expand(data, net or net_from_json(data["net"]), folder, read_subnet)
         plan = plan_from_json(
             data, whole, policy, file=path, folder=folder, checked=True, parts=parts
@@ -260,7 +310,7 @@ def _subnet(
     path: str,
     values: Mapping[str, Any],
     around: Tuple[str, ...],
-    known: Dict[Tuple[str, str], Plan],
+    reading: _Reading,
 ) -> Plan:
     """The plan of a subnet. :raises GspnError: it cannot be read, or is inside itself."""
     path, document = _open(path)
@@ -271,7 +321,7 @@ def _subnet(
     try:
         if thesis_input.is_thesis_input(document.data):
             raise PlanError("a subnet is a plan.json, not an input file of the thesis")
-        return _own_form(document, path, (*around, real), known, values)
+        return _own_form(document, path, (*around, real), reading, values)
     except GspnError as error:
         error.located(file=path)
         raise
@@ -308,12 +358,12 @@ def _line_of(document: JsonDocument, element: str) -> Optional[int]:
     return line
 
 
-def _net(data: Any, folder: str) -> Tuple[Optional[Net], List[str]]:
+def _net(data: Any, named: Callable[[str], str]) -> Tuple[Optional[Net], List[str]]:
     if isinstance(data, str):
-        return read_net_with_notes(os.path.join(folder, data))
+        return read_net_with_notes(named(data))
     if "file" in data:
         return read_net_with_notes(
-            os.path.join(folder, data["file"]),
+            named(data["file"]),
             ReadOptions(data.get("format"), data.get("name"), data.get("constants", {})),
         )
     return None, []

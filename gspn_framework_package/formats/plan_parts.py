@@ -7,7 +7,7 @@ the place of their references. An editor needs the parts as they stand in the fi
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import ReadOptions
@@ -16,6 +16,7 @@ from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import is_plan, read_net_or_plan
 from gspn_framework_package.formats.plan_json import check_schema, plan_to_short_json
 from gspn_framework_package.formats.registry import read_net_with_notes
+from gspn_framework_package.formats.source import named_file
 from gspn_framework_package.model.data import kind_of
 from gspn_framework_package.model.errors import GspnError, PlanError
 
@@ -52,13 +53,13 @@ class PlanParts(NamedTuple):
         return [path for path in (self.plan_file, self.net_file, self.policy_file) if path]
 
 
-def read_parts(path: str, resolve: Callable[[str], str] = os.path.normpath) -> PlanParts:
+def read_parts(path: str, within: Optional[str] = None) -> PlanParts:
     """Read the parts of a plan, or a bare net, whose plan is then empty.
 
     What the plan says of its net and policy is not compared with them, and subnets are not read: a
     plan that does not pass the check can be opened and mended.
 
-    :param resolve: checks the path of a file that the plan names, and returns where it is.
+    :param within: the folder that all files have to be in; None: they may be anywhere.
     :raises GspnError: a file cannot be read, or is not what it should be.
     """
     if not is_plan(path):
@@ -68,7 +69,7 @@ def read_parts(path: str, resolve: Callable[[str], str] = os.path.normpath) -> P
     if not isinstance(data, dict):
         raise PlanError("a plan is a JSON object, not %s" % kind_of(data), file=path)
     if thesis_input.is_thesis_input(data):
-        return _of_thesis(path, data)
+        return _of_thesis(path, data, within)
     folder = os.path.dirname(os.path.abspath(path))
     named = {}
     for key in ("net", "policy"):
@@ -76,9 +77,11 @@ def read_parts(path: str, resolve: Callable[[str], str] = os.path.normpath) -> P
         if key == "net" and isinstance(value, dict):
             value = value.get("file")
         if isinstance(value, str):
-            if not value or "\0" in value:
-                raise PlanError("that is not the name of a file", file=path, element=key)
-            named[key] = resolve(os.path.join(folder, value))
+            try:
+                file = named_file(value, folder, within)
+            except GspnError as error:
+                raise error.located(file=path, element=key) from None
+            named[key] = os.path.realpath(file) if within else os.path.normpath(file)
     options = ReadOptions()
     net_data: Any = data.get("net")
     found_notes: Tuple[str, ...] = ()
@@ -126,15 +129,15 @@ def _check(data: Any, definition: str, path: str, element: str) -> None:
         raise
 
 
-def _of_thesis(path: str, data: JsonObject) -> PlanParts:
+def _of_thesis(path: str, data: JsonObject, within: Optional[str]) -> PlanParts:
     """The parts of an input file of the thesis, in the package's own form; only its net if the rest
     of it is not a plan."""
-    found = read_net_or_plan(path, net_will_do=True)
+    found = read_net_or_plan(path, net_will_do=True, within=within)
     whole: JsonObject = {}
     if found.plan is not None:
         whole = plan_to_short_json(found.plan)
         whole.pop("net")
     policy = whole.pop("policy", None)
-    net_file = thesis_input.net_file(data, path)
+    net_file = thesis_input.net_file(data, path, within)
     net = net_to_json(found.net)
     return PlanParts(whole, net, policy, path, net_file, "", ReadOptions(), True, found.notes)

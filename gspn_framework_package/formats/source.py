@@ -1,33 +1,90 @@
-"""Reads files of bounded size, and writes files completely or not at all."""
+"""Reads regular files of bounded size, and writes files completely or not at all."""
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
+from typing import BinaryIO, Optional, cast
 
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.errors import InputError, RefusedError
 
 MAX_BYTES = 90_000_000
 """Maximum size of a file to read, in bytes. A net of 100,000 arcs takes 20 to 40 MB in the most
 verbose format."""
 
 
+def open_file(path: str) -> BinaryIO:
+    """Open a file to read bytes. Anything but a regular file is refused without waiting: a pipe may
+    never say anything, and a device may never end.
+
+    :raises OSError: it is none, or cannot be opened; ``strerror`` says why.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError as error:  # a zero byte in the name
+        raise OSError(errno.EINVAL, str(error), path) from None
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return cast(BinaryIO, os.fdopen(descriptor, "rb"))
+    os.close(descriptor)
+    what = "a folder" if stat.S_ISDIR(mode) else "a pipe" if stat.S_ISFIFO(mode) else "a device"
+    raise OSError(errno.EINVAL, "it is %s, not a file" % what, path)
+
+
 def read_bytes(path: str, limit: int = MAX_BYTES) -> bytes:
-    """Return the content of a file.
+    """Return the content of a regular file.
 
     :raises InputError: the file cannot be read, or is larger than ``limit`` bytes.
     """
     path = os.fspath(path)
     try:
-        if os.path.isfile(path) and os.path.getsize(path) > limit:
-            raise _too_large(path, limit)
-        with open(path, "rb") as file:
+        with open_file(path) as file:
+            if os.fstat(file.fileno()).st_size > limit:
+                raise _too_large(path, limit)
             data = file.read(limit + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError("cannot read it: %s" % reason, file=path) from None
+    except OSError as error:
+        raise InputError("cannot read it: %s" % error.strerror, file=path) from None
     if len(data) > limit:
         raise _too_large(path, limit)
     return data
+
+
+def read_text(path: str, limit: int = MAX_BYTES) -> str:
+    """Return the text of a file in UTF-8.
+
+    :raises InputError: as :func:`read_bytes`, or it is no such text.
+    """
+    try:
+        return read_bytes(path, limit).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError("it is not UTF-8 text", file=os.fspath(path)) from None
+
+
+def is_inside(path: str, folder: str) -> bool:
+    """Whether a path is in a folder, or the folder itself, wherever links lead."""
+    folder = os.path.realpath(folder).rstrip(os.sep)
+    return (os.path.realpath(path) + os.sep).startswith(folder + os.sep)
+
+
+def named_file(name: str, folder: str, within: Optional[str]) -> str:
+    """The path of a file that a plan names. All that a plan names is looked up here.
+
+    :param name: as the plan has it: relative to its folder, or absolute.
+    :param folder: the folder of the plan.
+    :param within: the folder that the file has to be in; None: it may be anywhere.
+    :raises InputError: that is not the name of a file.
+    :raises RefusedError: it is not in the folder ``within``.
+    """
+    if not name.strip() or "\0" in name:
+        raise InputError("%.100r is not the name of a file" % name)
+    path = os.path.join(folder, name)
+    if within is not None and not is_inside(path, within):
+        raise RefusedError(
+            "it names '%.200s', a file outside the folder, which is not opened"
+            % os.path.basename(name)
+        )
+    return path
 
 
 def _too_large(path: str, limit: int) -> InputError:

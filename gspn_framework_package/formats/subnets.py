@@ -28,7 +28,13 @@ from typing import (
 from gspn_framework_package.model.action import Action, FunctionAction, outcomes_of, server_name
 from gspn_framework_package.model.composition import expand_place
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.errors import ExpressionError, NetError, PlanError
+from gspn_framework_package.model.errors import (
+    ExpressionError,
+    InputError,
+    NetError,
+    PlanError,
+    RefusedError,
+)
 from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -149,7 +155,7 @@ def expand(
     :param data: the JSON object of the plan, which fits the schema.
     :param net: its net.
     :param folder: the folder of the plan.
-    :param read: reads the plan of a file, with these values of its parameters.
+    :param read: reads the plan of a file that is named so, with these values of its parameters.
     :returns: the object without these places, the whole net, and the parts for :func:`with_parts`.
     :raises GspnError: a subnet cannot be read, or does not fit.
     """
@@ -166,7 +172,7 @@ def expand(
         element = "actions.%s" % place
         if place not in net.place_index:
             raise PlanError("the net has no place '%s'" % place, element=element)
-        inner = read(os.path.join(folder, spec["plan"]), spec.get("with", {}))
+        inner = _read(read, spec, element)
         ends = [_end(inner, spec[key], "%s.%s" % (element, key), key) for key in ("entry", "exit")]
         shared = spec.get("share", {})
         _check_shared(data, net, inner, shared, element)
@@ -194,6 +200,17 @@ def expand(
             )
         )
     return _without_places(data, parts), net, parts
+
+
+def _read(
+    read: Callable[[str, Mapping[str, Any]], Plan], spec: Mapping[str, Any], element: str
+) -> Plan:
+    try:
+        return read(spec["plan"], spec.get("with", {}))
+    except (InputError, RefusedError) as error:
+        if error.file is None:
+            error.located(element=element)
+        raise
 
 
 def _end(plan: Plan, place: str, element: str, key: str) -> str:

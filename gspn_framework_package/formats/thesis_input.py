@@ -18,6 +18,7 @@ from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Se
 
 from gspn_framework_package.formats.plan_json import deal_robots
 from gspn_framework_package.formats.registry import read_net_with_notes
+from gspn_framework_package.formats.source import is_inside
 from gspn_framework_package.model.action import (
     EXEC_GSPN,
     Action,
@@ -68,32 +69,34 @@ def has_mapping(data: Mapping[str, Any]) -> bool:
     return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, FUNCTIONS))
 
 
-def net_from_thesis(data: Mapping[str, Any], path: str) -> ThesisNet:
+def net_from_thesis(data: Mapping[str, Any], path: str, within: Optional[str] = None) -> ThesisNet:
     """Read only the net of an input file, and ignore its actions and policy.
 
+    :param within: the folder that its files have to be in; None: they may be anywhere.
     :raises PlanError: the file does not name an existing net.
     :raises InputError: the net cannot be read.
     """
-    reader = _Reader(data, path, ("gspn",))
+    reader = _Reader(data, path, ("gspn",), within)
     net, notes = _read_net(reader, "project_path" in data)
     return ThesisNet(net, tuple(notes + reader.notes))
 
 
-def net_file(data: Mapping[str, Any], path: str) -> str:
+def net_file(data: Mapping[str, Any], path: str, within: Optional[str] = None) -> str:
     """Return the path of the file of the net. :raises PlanError: there is none."""
-    return _net_file(_Reader(data, path, ("gspn",)), "project_path" in data)
+    return _net_file(_Reader(data, path, ("gspn",), within), "project_path" in data)
 
 
-def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
+def plan_from_thesis(data: Mapping[str, Any], path: str, within: Optional[str] = None) -> Plan:
     """Return the plan of an input file of the thesis. Such a file does not name the robots, so they
     are assigned to the action places by the initial marking, in the order of ``places_tuple``. The
     seed is 0.
 
+    :param within: see :func:`net_from_thesis`.
     :raises PlanError: a key is missing, or a value cannot be read.
     """
     is_ros = CLIENTS in data or FUNCTIONS not in data and "project_path" not in data
     keys = ROS_KEYS if is_ros else STANDALONE_KEYS
-    reader = _Reader(data, path, keys)
+    reader = _Reader(data, path, keys, within)
     reader.leave_out_unknown(keys)
     net, notes = _read_net(reader, not is_ros)
     places = reader.names("places_tuple")
@@ -118,7 +121,7 @@ def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
         resource_places=resources,
         robots=deal_robots(net, resources, places, "robot_" if is_ros else ""),
         synchronisation=Synchronisation.FULL if full else Synchronisation.PARTIAL,
-        folder=(reader.project() if not is_ros else "") or os.path.dirname(os.path.abspath(path)),
+        folder=os.path.dirname(os.path.abspath(path)),
         file=path,
     )
     return plan.validate().with_notes(notes + reader.notes)
@@ -170,8 +173,11 @@ class _Reader:
     """Reads an input file, whose values may be literals in strings and whose paths may not
     exist."""
 
-    def __init__(self, data: Mapping[str, Any], path: str, keys: Sequence[str]) -> None:
+    def __init__(
+        self, data: Mapping[str, Any], path: str, keys: Sequence[str], within: Optional[str]
+    ) -> None:
         self.data = data
+        self._within = within
         self.path = path
         self.notes: List[str] = []
         self._project: Optional[str] = None
@@ -280,12 +286,18 @@ class _Reader:
             return None
         if not isinstance(value, str) or "." not in value.strip("."):
             raise self._fail("place_to_function_mapping", value, "file.function")
-        return FunctionAction(value, server_name(place))
+        here = os.path.dirname(os.path.abspath(self.path))
+        within = os.path.relpath(self.project(), here).replace(os.sep, "/")
+        return FunctionAction(value if within == "." else within + "/" + value, server_name(place))
 
     def existing(self, path: str, folder: bool = False, beside: str = "") -> str:
         """Return ``path`` if it exists, else an existing path of that name in ``beside`` or in the
         folder of the input file."""
-        exists = os.path.isdir if folder else os.path.isfile
+
+        def exists(path: str) -> bool:
+            there = os.path.isdir(path) if folder else os.path.isfile(path)
+            return there and (self._within is None or is_inside(path, self._within))
+
         here = os.path.dirname(os.path.abspath(self.path))
         if exists(path) and os.path.isabs(path):
             return path

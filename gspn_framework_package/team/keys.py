@@ -26,6 +26,7 @@ import stat
 import tempfile
 from typing import TYPE_CHECKING, Any, List, NamedTuple, Optional, Sequence, Set, Tuple
 
+from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import KeysError
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ AUTHORITY = "authority"
 LONGEST_NAME = 48
 """Characters of a name: a common name has at most 64, and carries a number as well."""
 
+_KEY_FILE_BYTES = 10_000_000
 _VERSION = 1
 _AUTHORITY_DAYS = 3650
 _CLOCKS_DIFFER = datetime.timedelta(days=1)
@@ -255,8 +257,8 @@ class _Authority(NamedTuple):
 
         path = os.path.join(folder, AUTHORITY, "key.pem")
         try:
-            with open(path, "rb") as file:
-                key = load_pem_private_key(file.read(), None, default_backend())
+            with open_file(path) as file:
+                key = load_pem_private_key(file.read(_KEY_FILE_BYTES), None, default_backend())
         except OSError as error:
             raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
         except (ValueError, TypeError):
@@ -392,8 +394,8 @@ def read_team(folder: str) -> List[KeyHolder]:
     """
     path = os.path.join(folder, TEAM_FILE)
     try:
-        with open(path, encoding="utf-8") as file:
-            data: Any = json.load(file)
+        with open_file(path) as file:
+            data: Any = json.loads(file.read(_KEY_FILE_BYTES).decode("utf-8"))
     except OSError as error:
         raise KeysError(
             "cannot be read (%s)" % error.strerror,
@@ -493,8 +495,8 @@ def read_certificate(path: str) -> x509.Certificate:
     from cryptography.hazmat.backends import default_backend
 
     try:
-        with open(path, "rb") as file:
-            return x509.load_pem_x509_certificate(file.read(), default_backend())
+        with open_file(path) as file:
+            return x509.load_pem_x509_certificate(file.read(_KEY_FILE_BYTES), default_backend())
     except OSError as error:
         raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
     except ValueError:

@@ -28,6 +28,7 @@ from functools import lru_cache
 from typing import Callable, Dict, NamedTuple, Tuple
 from urllib.parse import quote, unquote
 
+from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import KeysError
 from gspn_framework_package.team.keys import check_private, write_private
 
@@ -99,7 +100,7 @@ def read_team_key(path: str) -> TeamKey:
     hint = "'gspn keys shared FILE' makes one"
     check_private(path, hint)
     try:
-        with open(path, "rb") as file:
+        with open_file(path) as file:
             secret = bytes.fromhex(file.read(1024).decode("ascii").strip())
     except OSError as error:
         raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None

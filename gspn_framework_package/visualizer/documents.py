@@ -14,8 +14,9 @@ import re
 import tempfile
 from typing import Dict, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.formats.plan_file import PLAN_FILE, read_net_or_plan
+from gspn_framework_package.formats.plan_file import PLAN_FILE, looks_like_plan, read_net_or_plan
 from gspn_framework_package.formats.registry import FORMATS
+from gspn_framework_package.formats.source import is_inside
 from gspn_framework_package.formats.thesis_input import is_thesis_input
 from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
@@ -29,10 +30,8 @@ NODES = 20_000
 ARCS = 100_000
 UPLOAD_FILES = 10
 
-PLAN_BYTES = 32 << 20
-"""How many bytes of a JSON file are searched for the keys of a plan."""
-
-_CHUNK = 1 << 20
+PROGRAMS = (".py", ".pyc", ".pth", ".so")
+"""The endings of files that are left out of an upload: it is shown, never run."""
 
 
 class Document(NamedTuple):
@@ -130,15 +129,13 @@ class Folder:
     def open(self, path: str) -> Document:
         """The net or plan at ``path``. :raises GspnError: it cannot be read."""
         whole = self.resolve(path)
-        _check_files(whole)
-        found = read_net_or_plan(whole, net_will_do=True)
+        found = read_net_or_plan(whole, net_will_do=True, within=self.root)
         is_plan = found.plan is not None
         file = whole if is_plan else ""
         return _checked(Document(path, found.net, found.plan, is_plan, found.notes, file))
 
     def _inside(self, whole: str) -> bool:
-        real = os.path.realpath(whole)
-        return real == self.root or real.startswith(self.root.rstrip(os.sep) + os.sep)
+        return is_inside(whole, self.root)
 
     @staticmethod
     def _kind(whole: str) -> str:
@@ -163,58 +160,6 @@ def _check_text(name: str) -> None:
         raise UsageError("a file has no proper name") from None
 
 
-def _check_files(whole: str) -> None:
-    """Check that a plan names no pipe or device: opening one would block indefinitely.
-
-    :raises InputError: it names one.
-    """
-    if os.path.isdir(whole):
-        whole = os.path.join(whole, PLAN_FILE)
-    if not whole.lower().endswith(".json"):
-        return
-    try:
-        with open(whole, "rb") as file:
-            plan = json.load(file)
-    except (OSError, ValueError, RecursionError):
-        return  # the reader will report the error
-    if not isinstance(plan, dict):
-        return
-    net = plan.get("net")
-    named = [
-        net.get("file") if isinstance(net, dict) else net,
-        plan.get("policy"),
-        plan.get("gspn"),
-    ]
-    for name in named:
-        path = (
-            os.path.join(os.path.dirname(whole), name)
-            if isinstance(name, str) and "\0" not in name
-            else whole
-        )
-        if isinstance(name, str) and os.path.exists(path) and not os.path.isfile(path):
-            raise InputError("it names '%s', which is not a file" % name, file=whole)
-
-
-def looks_like_plan(path: str) -> bool:
-    """Whether a JSON file has the keys of a plan; it is parsed only when it is opened. (A computed
-    policy of many megabytes may stand before the last of them.)"""
-    wanted, known, end = {b'"net"', b'"actions"'}, b'"gspn"', b""
-    try:
-        with open(path, "rb") as file:
-            for _ in range(PLAN_BYTES // _CHUNK):
-                chunk = file.read(_CHUNK)
-                part = end + chunk
-                wanted = {key for key in wanted if key not in part}
-                if not wanted or known in part:
-                    return True
-                if not chunk:
-                    return False
-                end = part[-16:]
-    except OSError:
-        pass
-    return False
-
-
 def read_upload(files: object) -> Document:
     """Read the net or plan that a browser sent.
 
@@ -228,15 +173,16 @@ def read_upload(files: object) -> Document:
     with tempfile.TemporaryDirectory(prefix="gspn_upload_") as folder:
         plans = [name for name in sent if name.lower().endswith(".json")]
         for name, data in sent.items():
-            with open(os.path.join(folder, name), "wb") as file:
-                file.write(_only_beside(name, data, sent) if name in plans else data)
+            with open(os.path.join(folder, name), "wb") as out:
+                out.write(_only_beside(name, data, sent) if name in plans else data)
         if len(plans) > 1:
             raise UsageError("more than one input file was sent")
         try:
             if not plans and len(sent) > 1:
                 raise UsageError("several nets were sent, and no input file that chooses")
             name = plans[0] if plans else next(iter(sent))
-            found = read_net_or_plan(os.path.join(folder, name), net_will_do=True)
+            file = os.path.join(folder, name)
+            found = read_net_or_plan(file, net_will_do=True, within=folder)
             return _checked(Document(name, found.net, found.plan, notes=found.notes))
         except InputError as error:
             if error.file:  # do not reveal the folder
@@ -255,10 +201,14 @@ def _sent_files(files: object) -> Dict[str, bytes]:
         _check_text(name)
         if name.strip(". ") == "" or len(name.encode()) > 200:
             raise UsageError("a file has no proper name")
+        if name.lower().endswith(PROGRAMS):
+            continue
         try:
             sent[name] = base64.b64decode(item.get("content", ""), validate=True)
         except (binascii.Error, TypeError, ValueError):
             raise UsageError("the file '%s' did not arrive whole" % name) from None
+    if not sent:
+        raise UsageError("neither a net nor a plan was sent")
     return sent
 
 
@@ -294,6 +244,10 @@ def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
             plan["net"] = beside(plan.get("net"))
         if isinstance(plan.get("policy"), str):
             plan["policy"] = beside(plan["policy"])
+        actions = plan.get("actions")
+        for action in actions.values() if isinstance(actions, dict) else ():
+            if isinstance(action, dict) and "plan" in action:
+                action["plan"] = beside(action["plan"])
     return json.dumps(plan).encode()
 
 

@@ -24,6 +24,7 @@ import time
 from collections import OrderedDict, deque
 from typing import Callable, Deque, FrozenSet, Iterable, Mapping, NamedTuple, Optional, Tuple
 
+from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import InputError, UsageError
 
 HEADER = "X-Gspn-Page"
@@ -311,14 +312,14 @@ def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
     :raises InputError: it cannot be read, holds no token, or other users may read it.
     """
     try:
-        with open(path, encoding="utf-8") as file:
+        with open_file(path) as file:
             mode = os.fstat(file.fileno()).st_mode
-            lines = [line.strip() for line in file.read(10_000).splitlines()[:2]]
+            lines = [line.strip() for line in file.read(10_000).decode().splitlines()[:2]]
     except OSError as error:
         raise InputError("cannot be read (%s)" % error.strerror, file=path) from None
     except UnicodeDecodeError:
         raise InputError("holds no token", file=path) from None
-    if mode & (stat.S_IRWXG | stat.S_IRWXO) and stat.S_ISREG(mode):
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise InputError("others may read it, and it holds tokens", file=path, hint="chmod 600")
     token, viewer_token = [line or None for line in (lines + ["", ""])[:2]]
     if token is None:

@@ -16,11 +16,11 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 from gspn_framework_package.analysis.decisions.report import MarkingChoice
 from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.formats.json_file import json_text
+from gspn_framework_package.formats.plan_file import looks_like_plan
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.documents import looks_like_plan
 
 ROWS = 500
 """Most rows of a policy that the page gets at once."""

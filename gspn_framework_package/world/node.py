@@ -27,7 +27,6 @@ import json
 import queue
 import sys
 import time
-from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional
 
 import rospy
@@ -38,6 +37,7 @@ from sensor_msgs.msg import LaserScan, Temperature
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 
+from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import messages
@@ -260,7 +260,7 @@ def main() -> int:
         rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)
         recording = str(rospy.get_param("~record", ""))
         if recording:
-            text = Path(room_file).read_text(encoding="utf-8")
+            text = read_text(room_file)
             node.recorder = Recorder(recording, text, node.team)
         try:
             node.spin(duration)

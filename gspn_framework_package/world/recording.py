@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Dict, Iterator, List, Mapping, Optional, TextIO, Tuple, Type, Union
 
+from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.room import Point, Pose, Room
@@ -94,8 +95,8 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
     :raises InputError: it cannot be read, or is not a recording.
     """
     try:
-        lines = Path(file).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(str(file)).splitlines()
+    except InputError as error:
         raise InputError("cannot read the recording: %s" % error, file=str(file)) from None
     moments: List[Tuple[float, Tuple[Pose, ...]]] = []
     people: Dict[float, Tuple[Optional[Point], ...]] = {}

@@ -13,6 +13,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
 
 import jsonschema
 
+from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import (
@@ -221,8 +222,8 @@ def load_room(file: Union[str, Path]) -> Room:
     :raises InputError: as :func:`parse_room`, or the file cannot be read.
     """
     try:
-        text = Path(file).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(str(file))
+    except InputError as error:
         hint = None if Path(file).is_absolute() else "the path begins in %s" % Path.cwd()
         raise InputError("cannot read the room: %s" % error, file=str(file), hint=hint) from None
     return parse_room(text, str(file))

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Dict, List, Mapping, Tuple
 
 import jsonschema
 
+from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import Pose
@@ -124,8 +124,8 @@ def load_settings(file: str) -> Dict[str, Any]:
     :raises InputError: it cannot be read, or does not fit :data:`SCHEMA`.
     """
     try:
-        text = Path(file).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(file)
+    except InputError as error:
         raise InputError("cannot read the shop: %s" % error, file=file) from None
     document = YamlDocument(text, file)
     for problem in jsonschema.Draft7Validator(SCHEMA).iter_errors(document.data):

@@ -62,7 +62,7 @@ class Belongings:
             if name in self._contents or not os.path.exists(path):
                 continue
             try:
-                parts = read_parts(path)
+                parts = read_parts(path, self._folder.root)
             except (GspnError, OSError):
                 continue
             for needed in parts.files:

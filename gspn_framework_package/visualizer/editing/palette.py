@@ -11,6 +11,7 @@ from typing import Any, Dict, Iterator, List, Mapping, Optional
 from gspn_framework_package.execution.actions import PARAMETERS
 from gspn_framework_package.execution.function_source import method_of
 from gspn_framework_package.formats.json_file import read_json
+from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.action import KINDS
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.visualizer.documents import Folder
@@ -74,7 +75,7 @@ def _functions(folder: Folder, top: str) -> Iterator[Dict[str, Any]]:
         if not parts or not all(part.isidentifier() for part in parts):
             continue
         try:
-            with open(os.path.join(top, file), "rb") as source:
+            with open_file(os.path.join(top, file)) as source:
                 tree = ast.parse(source.read(SOURCE_BYTES + 1)[:SOURCE_BYTES])
         except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
             continue  # the check says what is wrong with a module that the plan uses

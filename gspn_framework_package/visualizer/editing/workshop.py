@@ -73,14 +73,21 @@ class Workshop:
         self.folder = folder
         self.drafts = Drafts(folder)
         self._lock = threading.Lock()
+        self._locks: Dict[str, threading.Lock] = {}
 
     def open(self, path: str) -> Opened:
         """Open a plan or net for editing. A bare net is completed to a plan.
 
         :raises GspnError: it cannot be opened.
         """
-        with self._lock:
+        with self._lock_of(path):
             return self._open(path)
+
+    def _lock_of(self, path: str) -> threading.Lock:
+        """The lock of the folder of a plan: who reads or saves one does not hold up the others."""
+        folder = os.path.dirname(self._whole(path))
+        with self._lock:
+            return self._locks.setdefault(folder, threading.Lock())
 
     def _open(self, path: str) -> Opened:
         whole = self.folder.resolve(path)
@@ -116,7 +123,7 @@ class Workshop:
         new = document_in(document)
         if not isinstance(etag, str):
             raise UsageError("'etag' is missing")
-        with self._lock:
+        with self._lock_of(path):
             opened = self._opened_again(path)
             if opened.etag != etag:
                 raise ConflictError(opened)
@@ -183,14 +190,14 @@ class Workshop:
         """
         new = document_in(document)
         target = self._new_folder(name)
-        with self._lock:
+        with self._lock_of(path):
             whole = self._whole(path)
             belongings = Belongings(self.folder, whole, new["plan"])
             made = self._begin(target)
             try:
                 for inner, data in {**belongings.contents(), **contents_of(new)}.items():
                     _write(os.path.join(made, inner), data)
-                read_plan(made)
+                read_plan(made, self.folder.root)
                 return self._finish(made, target)
             except BaseException as error:
                 raise self._undone(made, target, error) from None

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from page_client import PageClient, folder_project, small_net
 
+from gspn_framework_package.formats import plan_file
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.errors import GspnError, LimitError, RefusedError
@@ -72,7 +73,7 @@ def test_a_plan_with_a_very_long_policy_is_listed(served):
     long = {"net": "net.xml", "policy": {"places": ["b"], "rows": rows}, "actions": actions}
     (served / "long.json").write_text(json.dumps(long))
     (served / "other.json").write_text(json.dumps({"net": "net.xml", "rows": rows}))
-    assert (served / "long.json").stat().st_size > 2 * documents._CHUNK
+    assert (served / "long.json").stat().st_size > 2 * plan_file._CHUNK
     found = {e.path: e.kind for e in Folder(str(served)).entries()}
     assert found["long.json"] == "plan" and "other.json" not in found
 

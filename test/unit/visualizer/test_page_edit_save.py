@@ -465,8 +465,12 @@ def test_a_folder_that_is_read_only_is_told(folder, editor, monkeypatch):
     refused(editor, folder, "patrol", opened, (409,), "nothing can be written")
     monkeypatch.undo()
 
-    def read_only(path, *rest):
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+    opened_by_os = os.open
+
+    def read_only(path, flags, *rest):
+        if flags & os.O_WRONLY:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        return opened_by_os(path, flags, *rest)
 
     monkeypatch.setattr(atomic.os, "open", read_only)
     refused(editor, folder, "patrol", opened, (400,), "Read-only")
