@@ -12,6 +12,7 @@ from typing import Optional
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, wait_for
+from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -66,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="size of the team at the start (default: as in the plan)",
     )
+    add_modules(parser)
     parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
     parser.add_argument(
         "--json",

@@ -7,6 +7,7 @@ import json
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.ros.check_all import check_all
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="check it for agents, which transitions may create and destroy",
     )
+    add_modules(parser)
     parser.epilog = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."
 
 

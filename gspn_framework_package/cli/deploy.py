@@ -7,6 +7,7 @@ import json
 import os
 from typing import Any, Dict, List, Tuple
 
+from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "if there are several; --run then takes the number of its process",
     )
     add_team_options(parser)
+    add_modules(parser)
     parser.epilog = (
         "Exit codes: 0 the team follows the plan, 1 it goes on as it did, and the output says why, "
         "2 not a plan."

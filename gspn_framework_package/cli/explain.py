@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.plan import Plan
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="maximum number of markings that the check visits (default %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print the steps as one JSON object")
+    add_modules(parser)
     parser.epilog = (
         "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. With the "
         "sequences of the check it is 0."

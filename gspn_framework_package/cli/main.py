@@ -22,6 +22,7 @@ from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, U
 from gspn_framework_package import __version__
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED, Interrupts
 from gspn_framework_package.cli.orders import ORDERS, OrderVerb
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.model.errors import GspnError, missing_library
 
 EXIT_USAGE = 2
@@ -102,7 +103,6 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "breakpoints": Verb(".breakpoints", "halt a robot at a place or a transition, for debugging"),
     "deploy": Verb(".deploy", "put another plan into a running team, without stopping it"),
     "submit": Verb(".submit", "give a task to a running team"),
-    "trust": Verb(".trust", "go on without the robots that stay off after a loss of power"),
     **ORDERS,
 }
 """Verb -> its module or order, in the order in which a new user needs them."""
@@ -157,6 +157,7 @@ def _run(words: Sequence[str], interrupts: Interrupts) -> int:
     except SystemExit as leaving:  # --help, --version or wrong usage, which argparse reported
         return leaving.code if isinstance(leaving.code, int) else EXIT_USAGE
     interrupts.verb_has_begun = True
+    allow_modules(getattr(args, "modules", ()))
     return int(args.run(args))
 
 

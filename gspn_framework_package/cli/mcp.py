@@ -10,6 +10,7 @@ import sys
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.mcp_server import ModelContextServer
 from gspn_framework_package.cli.mcp_tools import CallLimits, PlanTools
+from gspn_framework_package.cli.modules import add_modules
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="most characters of one answer (default: %(default)s)",
     )
+    add_modules(parser)
     parser.epilog = "No tool commands robots, runs a plan or imports the functions of one."
 
 

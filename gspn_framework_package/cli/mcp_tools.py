@@ -13,7 +13,8 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Tuple
 
 import jsonschema
 
-from gspn_framework_package.formats.json_file import json_text
+from gspn_framework_package.execution.plan_modules import allowed_modules
+from gspn_framework_package.formats.json_file import json_text, read_json
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import (
@@ -219,6 +220,8 @@ class PlanTools:
             return self._cut(self._draft(fields, output, run))
         named = ["--", self._path(fields.pop("plan")), *fields.pop("transitions", [])]
         words = [tool.verb, "--json"]
+        if name == "check":
+            words += _modules()
         if name in ("analyse", "optimise"):  # they give what they have when a part takes too long
             words.append("--limit-time=%g" % (self._limits.seconds / PARTS))
         if output:
@@ -264,7 +267,7 @@ class PlanTools:
                 os.mkdir(made)
                 with open(os.path.join(made, PLAN_FILE), "w", encoding="utf-8") as file:
                     file.write(json_text(document))
-            report = json.loads(run.run(["check", made, "--json"]))
+            report = json.loads(run.run(["check", made, "--json", *_modules()]))
             files = {name: _content(os.path.join(made, name)) for name in sorted(os.listdir(made))}
             if output:
                 self._write(output, files)
@@ -348,6 +351,11 @@ def _schema(tool: _Tool) -> Json:
     }
 
 
+def _modules() -> List[str]:
+    """The modules that this server was started with."""
+    return ["--modules=" + ",".join(allowed_modules())] if allowed_modules() else []
+
+
 def _options(fields: Mapping[str, Any]) -> List[str]:
     """The options of a command line: their values cannot be taken for options."""
     words: List[str] = []
@@ -384,9 +392,8 @@ def _refuse_outside(folder: Folder, whole: str, depth: int = 8) -> None:
     if not whole.endswith(".json") or not os.path.isfile(whole):
         return
     try:
-        with open(whole, encoding="utf-8") as file:
-            plan = json.load(file)
-    except (OSError, ValueError, RecursionError):
+        plan = read_json(whole)
+    except InputError:
         return  # the reader reports the error
     for name in _named_files(plan):
         named = os.path.join(os.path.dirname(whole), name)

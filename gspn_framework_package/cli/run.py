@@ -20,6 +20,7 @@ from gspn_framework_package.analysis.preflight.while_running import (
 )
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
+from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
@@ -59,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let the plan run programs on this computer (actions with 'command')",
     )
+    add_modules(parser)
     parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
     parser.epilog = (
         "Exit codes: 0 the run came to its end or to the limit that was set, 1 the plan was "

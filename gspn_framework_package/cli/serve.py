@@ -10,6 +10,7 @@ from typing import Optional
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
+from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.cli.team_client import access_of, add_way
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="with --connect: robots to suppose until one answers (default: as in the plan)",
     )
+    add_modules(parser)
     add_address_arguments(parser)
 
 

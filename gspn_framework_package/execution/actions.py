@@ -66,7 +66,6 @@ from __future__ import annotations
 import copy
 import inspect
 import json
-import os
 import re
 import threading
 from typing import (
@@ -88,7 +87,7 @@ from typing import (
 )
 
 from gspn_framework_package.execution.firing import StartAction
-from gspn_framework_package.execution.plan_modules import load_module
+from gspn_framework_package.execution.plan_modules import load_module, refuse_foreign
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
@@ -411,11 +410,11 @@ def action(function: _Function) -> _Function:
     return function
 
 
-def split_function(folder: Optional[str], name: str) -> Tuple[Optional[str], str]:
+def split_function(name: str) -> Tuple[str, str]:
     """Return the folder and the ``module.function`` of a function in a plan. There may be a folder
-    before it, relative to the plan's: ``parts/actions.approach``."""
-    within, slash, function = name.rpartition("/")
-    return (os.path.join(folder or "", within), function) if slash else (folder, name)
+    before it, relative to the plan's ("": that itself): ``parts/actions.approach``."""
+    within, _, function = name.rpartition("/")
+    return within, function
 
 
 def load_action(
@@ -434,7 +433,8 @@ def load_function(
     """Load ``module.function`` of a plan.
 
     :param folder: the plan's folder, which is searched for ``module.py`` (its subfolder for
-        ``package.module``); a module that is not there is imported normally.
+        ``package.module``); a module that is not there is imported normally, if it was allowed
+        (see :mod:`gspn_framework_package.execution.plan_modules`).
     :param name: ``module.function``, or ``folder/module.function`` (see :func:`split_function`).
     :param settings: the settings in the plan, by parameter name.
     :param kind: what the function is for.
@@ -442,7 +442,7 @@ def load_function(
         function is not of that kind.
     """
     element = "%s '%s'" % (kind.role, name)
-    folder, name = split_function(folder, name)
+    within, name = split_function(name)
     module_name, dot, function_name = name.rpartition(".")
     if not dot or not module_name or not all(part.isidentifier() for part in name.split(".")):
         raise PlanError(
@@ -450,7 +450,7 @@ def load_function(
             element=element,
             hint="write module.function",
         )
-    module = load_module(folder, module_name, element)
+    module = load_module(folder, within, module_name, element)
     function = getattr(module, function_name, None)
     if function is None:
         there = sorted(
@@ -466,6 +466,10 @@ def load_function(
         )
     if not callable(function):
         raise PlanError("this is not a function", file=module.__file__, element=element)
+    try:
+        refuse_foreign(function, name, folder)
+    except PlanError as error:
+        raise error.located(file=module.__file__, element=element) from None
     try:
         return kind(function, name, settings)
     except PlanError as error:

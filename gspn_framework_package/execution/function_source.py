@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import ast
 import inspect
-import os
-from typing import Any, List, Mapping, Optional, Tuple, Type
+from typing import Any, Dict, List, Mapping, Optional, Tuple, Type
 
 from gspn_framework_package.execution.actions import PythonFunction, split_function
-from gspn_framework_package.execution.plan_modules import is_installed
-from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.execution.plan_modules import (
+    is_installed,
+    module_file,
+    refuse_other_module,
+)
+from gspn_framework_package.formats.source import read_bytes
+from gspn_framework_package.model.errors import InputError, PlanError
 
 
 def why_not_callable(
@@ -22,34 +26,50 @@ def why_not_callable(
     :param folder: the plan's folder.
     :param kind: what the function is for.
     """
-    folder, name = split_function(folder, name)
+    within, name = split_function(name)
     module, _, function = name.rpartition(".")
-    path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
-    file = next(
-        (
-            f
-            for f in (path + ".py", os.path.join(path, "__init__.py"))
-            if path and os.path.isfile(f)
-        ),
-        None,
-    )
-    if file is None:
-        if is_installed(module):
-            return ""
-        return "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
     try:
-        with open(file, "rb") as source:
-            tree = ast.parse(source.read(), file)
-    except (OSError, SyntaxError, ValueError) as error:
+        file = module_file(folder, within, module)
+        if file is None:
+            if not is_installed(module):
+                return "there is no %s.py beside the plan, and no such module" % module.replace(
+                    ".", "/"
+                )
+            refuse_other_module(module)
+            return ""
+        tree = ast.parse(read_bytes(file), file)
+        imported = _bindings(tree, file, function)
+        if imported and module_file(folder, within, imported) is None:
+            refuse_other_module(imported)
+    except PlanError as error:
+        return "%s (%s)" % (error.message, error.hint) if error.hint else error.message
+    except (InputError, SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = ", line %s" % error.lineno if isinstance(error, SyntaxError) and error.lineno else ""
         return "%s%s: it cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
+    parameters = _parameters(tree, function)
+    if parameters is not None:
+        try:
+            kind.asked_of(parameters, "", settings)
+        except PlanError as error:
+            return error.message
+    return ""
+
+
+def _bindings(tree: ast.Module, file: str, function: str) -> str:
+    """The module that a name of a module is imported from; "" if it is not, or nothing shows it.
+
+    :raises PlanError: the module has no such name.
+    """
     defined = set()
+    imported: Dict[str, str] = {}
     waiting: List[ast.AST] = list(tree.body)
     while waiting:
         node = waiting.pop()
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             defined.add(node.name)  # names inside it do not belong to the module
-        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+        elif isinstance(node, ast.ImportFrom):
+            imported.update({alias.asname or alias.name: node.module or "" for alias in node.names})
+        elif isinstance(node, ast.Import):
             defined |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             defined.add(node.id)
@@ -61,15 +81,11 @@ def why_not_callable(
             return ""
         else:
             waiting += ast.iter_child_nodes(node)
-    if function not in defined and "*" not in defined and "__getattr__" not in defined:
-        return "there is no '%s' in %s" % (function, file)
-    parameters = _parameters(tree, function)
-    if parameters is not None:
-        try:
-            kind.asked_of(parameters, "", settings)
-        except PlanError as error:
-            return error.message
-    return ""
+    if function in defined or "*" in imported or "__getattr__" in defined:
+        return ""
+    if function not in imported:
+        raise PlanError("there is no '%s' in %s" % (function, file))
+    return imported[function]
 
 
 def _parameters(tree: ast.Module, name: str) -> Optional[List[inspect.Parameter]]:

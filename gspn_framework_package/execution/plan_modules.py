@@ -1,33 +1,176 @@
-"""The Python modules in the folders of plans: found, loaded, and loaded anew when they changed."""
+"""The Python modules that the functions of plans come from: which they may be, and how they are
+found, loaded, and loaded anew when they changed.
+
+A plan may name functions of its own folder, of the modules and folders that whoever starts the run
+allows (:func:`allow_modules`), and of :data:`SHIPPED`. Any other module, such as ``subprocess``,
+would let a plan without a line of Python run programs.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib
 import importlib.machinery
 import importlib.util
 import os
+import re
 import sys
 import threading
 from types import ModuleType
-from typing import Any, Dict, Mapping, Optional, Set, Tuple
+from typing import Any, Dict, Iterable, Mapping, Optional, Set, Tuple
 
-from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.formats.source import is_inside
+from gspn_framework_package.model.errors import PlanError, UsageError
+
+SHIPPED = (
+    "gspn_framework_package.world.parking",
+    "gspn_framework_package.world.patrol_actions",
+)
+"""The modules of this package with functions for plans."""
+
+HOW_TO_ALLOW = (
+    "put the function into the plan's folder; or, if you trust it, allow where it is when you "
+    "start the run: --modules %s, in a launch file modules:=%s"
+)
+
+_allowed: Tuple[str, ...] = ()
+"""Names of modules, and absolute paths of folders."""
 
 
-def load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
+def allow_modules(names: Iterable[str]) -> None:
+    """Allow modules as sources of the functions of plans, in this process, in place of those that
+    were allowed before. Whoever starts a run decides this; neither a plan nor who deploys one does.
+
+    :param names: ``module`` or ``package``, with all that is in it; or a folder, with a separator
+        in its name, with all files in it.
+    :raises UsageError: one is neither.
+    """
+    global _allowed
+    found = []
+    for name in names:
+        if os.sep in name:
+            if not os.path.isdir(name):
+                raise UsageError("there is no folder '%s'" % name, element="modules")
+            name = os.path.realpath(name)
+        elif not all(part.isidentifier() for part in name.split(".")):
+            raise UsageError(
+                "'%s' is not the name of a module" % name,
+                element="modules",
+                hint="package.module, or a folder with a '/' in its name, such as ./parts",
+            )
+        found.append(name)
+    _allowed = tuple(found)
+
+
+def names_of(text: str) -> Tuple[str, ...]:
+    """The names in a text such as ``package.module,./parts``, as they are given to a program."""
+    return tuple(name for name in re.split(r"[,\s]+", text) if name)
+
+
+def allowed_modules() -> Tuple[str, ...]:
+    """What :func:`allow_modules` allowed."""
+    return _allowed
+
+
+def is_allowed(name: str) -> bool:
+    """Whether plans may name functions of an installed module."""
+    return name in SHIPPED or any((name + ".").startswith(known + ".") for known in _allowed)
+
+
+def is_allowed_file(file: str, folder: Optional[str]) -> bool:
+    """Whether a file, wherever its links lead, is in the folder of a plan or in an allowed one."""
+    folders = [folder] if folder else []
+    folders += [known for known in _allowed if os.sep in known]
+    return any(is_inside(file, known) for known in folders)
+
+
+def may_hold_functions(folder: str) -> bool:
+    """Whether a folder that a deployed plan names is one of plans: with the file of a plan, or
+    allowed. (Python's own folders, say, hold none.)"""
+    from gspn_framework_package.formats.plan_file import looks_like_plan
+
+    if is_allowed_file(os.path.join(folder, "any"), None):
+        return True
+    try:
+        names = os.listdir(folder)
+    except (OSError, ValueError):
+        return False
+    files = (os.path.join(folder, name) for name in names if name.lower().endswith(".json"))
+    return any(looks_like_plan(file) for file in files)
+
+
+def module_file(folder: Optional[str], within: str, name: str) -> Optional[str]:
+    """The file of the module ``name`` of a plan; None if it is none of its folder.
+
+    :param folder: the plan's folder; None if it has none.
+    :param within: where the module is, relative to that folder; "": in it.
+    :raises PlanError: the file is neither in that folder nor in an allowed one.
+    """
+    if not folder:
+        return None
+    path = os.path.join(os.path.abspath(folder), within, *name.split("."))
+    for file in (path + ".py", os.path.join(path, "__init__.py")):
+        if os.path.isfile(file):
+            if is_allowed_file(file, folder):
+                return file
+            where = os.path.dirname(os.path.realpath(file))
+            raise PlanError(
+                "the module '%s' is outside the plan's folder, in %s" % (name, where),
+                hint=HOW_TO_ALLOW % (where, where),
+            )
+    return None
+
+
+def refuse_other_module(name: str) -> None:
+    """Refuse an installed module that was not allowed. :raises PlanError: it was not."""
+    if not is_allowed(name):
+        raise PlanError(
+            "the module '%s' is not in the plan's folder, and was not allowed" % name,
+            hint=HOW_TO_ALLOW % (name, name),
+        )
+
+
+def refuse_foreign(function: Any, name: str, folder: Optional[str]) -> None:
+    """Refuse a function that a module of the plan only imports from one that is not allowed.
+
+    :param function: the function, class or callable object.
+    :param name: the name that the plan gives it.
+    :param folder: the plan's folder.
+    :raises PlanError: that is so.
+    """
+    while isinstance(function, functools.partial):
+        function = function.func
+    home = getattr(function, "__module__", None)
+    module = sys.modules.get(home) if isinstance(home, str) else None
+    if module is not None and is_allowed(module.__name__):
+        return
+    file = getattr(module, "__file__", None)
+    if file is None or not is_allowed_file(file, folder):
+        raise PlanError(
+            "'%s' is not defined there, but in the module '%s'" % (name, home or "builtins"),
+            hint=HOW_TO_ALLOW % ((home or "builtins",) * 2),
+        )
+
+
+def load_module(folder: Optional[str], within: str, name: str, element: str) -> ModuleType:
     """The module ``name`` of a plan. If a file in the plan's folder changed since it was loaded, it
     is loaded anew; functions that were loaded before keep what they had.
 
     :param folder: the plan's folder, which is searched first; None if it has none.
+    :param within: see :func:`module_file`.
     :param element: what the module is for, for messages.
-    :raises PlanError: there is no such module, or importing it failed.
+    :raises PlanError: there is no such module, it is not allowed, or importing it failed.
     """
-    path = os.path.join(os.path.abspath(folder), *name.split(".")) if folder else ""
-    for file in (path + ".py", os.path.join(path, "__init__.py")):
-        if path and os.path.isfile(file):
-            return _load_file(str(folder), file, element)
+    try:
+        file = module_file(folder, within, name)
+        if file is not None:
+            return _load_file(os.path.join(str(folder), within), file, element)
+        if is_installed(name):
+            refuse_other_module(name)
+    except PlanError as error:
+        raise error.located(element=element) from None
     try:
         if not is_installed(name):
             raise ModuleNotFoundError(name=name)
@@ -38,8 +181,8 @@ def load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
         raise PlanError(
             "there is no module '%s'" % name,
             element=element,
-            hint="searched for %s.py in %s, and among the installed modules"
-            % (name.replace(".", "/"), folder or "no folder"),
+            hint="searched for %s.py in %s, and among the allowed modules"
+            % (name.replace(".", "/"), os.path.join(folder or "", within) or "no folder"),
         ) from None
     except Exception as error:
         raise _import_failed(error, None, element) from error

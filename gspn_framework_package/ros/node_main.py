@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Callable, Dict, List, Sequence, Tuple
 
 import rospy
 
+from gspn_framework_package.execution.plan_modules import allow_modules, names_of
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Plan
@@ -184,8 +185,14 @@ def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
             raise ExecutionError(clash)
 
 
+def _launched_plan(options: NodeOptions) -> Plan:
+    """Allow the modules that the options name to plans; return the plan."""
+    allow_modules(names_of(options.modules))
+    return read_plan(launched_file(options.plan, "~plan"))
+
+
 def _execute(options: NodeOptions, ending: Ending) -> int:
-    plan, robot = robot_of(read_plan(launched_file(options.plan, "~plan")), options)
+    plan, robot = robot_of(_launched_plan(options), options)
     return _run_robots(plan, {robot: _own_namespace()}, options.for_plan(plan), ending)
 
 
@@ -198,7 +205,7 @@ def _host(options: NodeOptions, ending: Ending) -> int:
 
 def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
     """The plan with the team that begins the run, and the namespaces of its robots by name."""
-    plan = read_plan(launched_file(options.plan, "~plan"))
+    plan = _launched_plan(options)
     if options.robots:
         plan = plan.for_robots(options.robots)
     return plan, {
@@ -334,7 +341,7 @@ def _run_robots(
 
 
 def _serve(options: NodeOptions, ending: Ending) -> int:
-    plan, robot = robot_of(read_plan(launched_file(options.plan, "~plan")), options)
+    plan, robot = robot_of(_launched_plan(options), options)
     return _serve_places(plan, robot, _own_namespace(), ending)
 
 

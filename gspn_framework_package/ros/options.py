@@ -50,6 +50,9 @@ class NodeOptions(NamedTuple):
     otherwise they go over topics, as to any other action server."""
     allow_commands: bool = False
     """Whether the plan may run programs on this computer (actions with ``command``)."""
+    modules: str = ""
+    """Installed modules, packages or folders whose functions plans may name, beside those in their
+    own folders, separated by commas."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
     room_plan: str = ""

@@ -323,7 +323,7 @@ class ReplicaHost(Worker):
         self._close_log()
 
     def _close_log(self) -> None:
-        self._log.writer.close_whole()
+        self._log.writer.close()
         self._log.lock.close()
 
     def _step(self, given: interface.Input) -> None:
@@ -394,8 +394,7 @@ class ReplicaHost(Worker):
                     told.append(effect)
         if records:
             durable = any(e.durable for e in records)
-            synced = any(e.synced for e in records)
-            self._log.writer.append(*(e.record for e in records), durable=durable, synced=synced)
+            self._log.writer.append(*(e.record for e in records), durable=durable)
         if sends:
             self._carrier.send(sends)
         for reply in replies:
@@ -442,11 +441,13 @@ class ReplicaHost(Worker):
     def _examine(self, effect: interface.Examine) -> None:
         """Find out whether the robot can follow a staged plan. This may take a while, in which the
         host has to be heard."""
-        plan = with_folder(effect.plan, effect.folder, self._began_with)
-        self._narrator.tell("looks at the staged plan '%s'" % plan.name)
+        self._narrator.tell("looks at the staged plan '%s'" % effect.plan.name)
+
+        def staged() -> Plan:
+            return with_folder(effect.plan, effect.folder, self._began_with)
 
         def look() -> None:
-            why = why_not_followed(plan, self.plan, self._actions, self._make_sources)
+            why = why_not_followed(staged, self.plan, self._actions, self._make_sources)
             self.enqueue(self._step, interface.Examined(effect.stage, why))
 
         threading.Thread(target=look, name="examine", daemon=True).start()
@@ -540,7 +541,6 @@ class ReplicaHost(Worker):
         return dict(
             self._report.status(data),
             log_file=self._log.writer.path,
-            synced_length=self._log.writer.synced_length,
             messages_sent=self._carrier.sent,
             plan=self.plan.hash(),
             began_with=self._began_with.hash(),

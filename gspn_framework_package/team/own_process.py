@@ -9,6 +9,7 @@ import subprocess
 import sys
 from typing import Any, Callable, TypeVar
 
+from gspn_framework_package.execution.plan_modules import allow_modules, allowed_modules
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 
 Result = TypeVar("Result")
@@ -24,7 +25,7 @@ def in_own_process(function: Callable[..., Result], *arguments: Any) -> Result:
     try:
         done = subprocess.run(
             [sys.executable, "-c", "from %s import be_process; be_process()" % __name__],
-            input=pickle.dumps((function, arguments)),
+            input=pickle.dumps((function, arguments, allowed_modules())),
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             check=False,
@@ -47,8 +48,9 @@ def be_process() -> None:
     """Be that process: read the call on stdin, and write the result on stdout."""
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever the function prints must not come between
-    function, arguments = pickle.load(sys.stdin.buffer)
+    function, arguments, modules = pickle.load(sys.stdin.buffer)
     try:
+        allow_modules(modules)
         result = function(*arguments)
     except GspnError as error:
         result = error

@@ -7,7 +7,8 @@ import os
 from dataclasses import replace
 from typing import Callable, Dict, List, Tuple
 
-from gspn_framework_package.model.errors import ExecutionError, GspnError
+from gspn_framework_package.execution.plan_modules import HOW_TO_ALLOW, may_hold_functions
+from gspn_framework_package.model.errors import ExecutionError, GspnError, PlanError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.own_process import in_own_process
 from gspn_framework_package.team.sides import ActionSide, EventSide
@@ -17,24 +18,34 @@ def with_folder(plan: Plan, folder: str, present: Plan) -> Plan:
     """A plan from the log, with the folder of its functions.
 
     :param folder: where they are; "": where those of ``present`` are.
+    :raises PlanError: it is not a folder of plans.
     """
+    if folder and folder != present.folder:
+        if not os.path.isdir(folder):
+            raise PlanError("there is no folder %s" % folder)
+        if not may_hold_functions(folder):
+            raise PlanError(
+                "the folder %s is not that of a plan" % folder, hint=HOW_TO_ALLOW % (folder, folder)
+            )
     return replace(plan, folder=folder or present.folder, file=present.file)
 
 
 def why_not_followed(
-    plan: Plan, present: Plan, actions: ActionSide, sources: Callable[[Plan], EventSide]
+    staged: Callable[[], Plan],
+    present: Plan,
+    actions: ActionSide,
+    sources: Callable[[Plan], EventSide],
 ) -> str:
-    """Why a robot cannot follow ``plan``; "" if it can. It may take some seconds: do not call this
-    on the worker thread.
+    """Why a robot cannot follow a staged plan; "" if it can. It may take some seconds: do not
+    call this on the worker thread.
 
-    :param plan: the staged plan, with its folder.
+    :param staged: returns the plan, with its folder, or raises a :class:`GspnError`.
     :param present: the plan that the robot follows now.
     :param actions: the robot's action side.
     :param sources: makes the sources of the events of a plan.
     """
-    if plan.folder and plan.folder != present.folder and not os.path.isdir(plan.folder):
-        return "there is no folder %s" % plan.folder
     try:
+        plan = staged()
         sources(plan).close()
         return actions.why_not(plan, present)
     except GspnError as error:

@@ -2,7 +2,8 @@
 
 Private parameters: ``plan`` (file or folder), ``robots`` (initial size of the team; 0: as in the
 plan), ``run`` (name of the run; "" takes the first one heard), ``host``, ``port``, ``names``
-(further names of this machine, separated by commas), ``token``, ``viewer_token``, ``token_file``,
+(further names of this machine, separated by commas), ``modules`` (whose
+functions plans may name), ``token``, ``viewer_token``, ``token_file``,
 ``viewers``, ``team_key_file`` (the key of the team, if it has one, so that the page can give
 orders).
 
@@ -20,6 +21,7 @@ from typing import Any, Optional, Tuple
 
 import rospy
 
+from gspn_framework_package.execution.plan_modules import allow_modules, names_of
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.ros.options import launched_file
@@ -53,6 +55,7 @@ def _server() -> WebServer:
     path = _parameter("plan", "")
     if not path:
         raise UsageError("no plan", element="parameter ~plan", hint="the team's plan file")
+    allow_modules(names_of(str(_parameter("modules", ""))))
     plan = read_plan(launched_file(path, "parameter ~plan"))
     robots = int(_parameter("robots", 0))
     if robots:

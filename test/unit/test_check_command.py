@@ -29,7 +29,7 @@ PLAN = {
 SOURCES = {
     "def go():\n    pass\n": None,
     "class go:\n    def __call__(self):\n        pass\n": None,
-    "from os import path as go\n": None,
+    "from os import path as go\n": "the module 'os' is not in the plan's folder",
     "if True:\n    go = print\n": None,
     "from os import *\n": None,
     "def gone():\n    go = 1\n": "there is no 'go' in",
@@ -74,7 +74,8 @@ def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
     (tmp_path / "plan.json").write_text(
         json.dumps(dict(PLAN, actions={"P": "os.getcwd", "Q": None}))
     )
-    assert main(["check", str(tmp_path)]) == 0
+    assert main(["check", str(tmp_path)]) == 1
+    assert main(["check", str(tmp_path), "--modules", "os"]) == 0
 
 
 def test_a_function_of_an_event_that_is_not_there_is_refused(tmp_path, capsys):

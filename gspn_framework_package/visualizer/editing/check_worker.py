@@ -1,5 +1,5 @@
 """The process that reads and checks edited documents: a request on each line of stdin, an answer
-on each line of stdout, all JSON.
+on each line of stdout, all JSON. The arguments are the modules that plans may use.
 
 A request is ``{"id", "what", "document", "path", ...}``; ``{"cancel": id}`` asks to give one up.
 An answer is ``{"id", "answer"}``, ``{"id", "cancelled"}`` or ``{"id", "error"}``; the first line is
@@ -19,6 +19,7 @@ import threading
 import traceback
 from typing import Any, Dict, Optional, Set, Tuple
 
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.formats.difference import difference
 from gspn_framework_package.formats.edited_document import (
     EditedDocument,
@@ -131,6 +132,7 @@ def _import_ros() -> Optional[str]:
 
 def main() -> None:
     """Answer until stdin ends."""
+    allow_modules(sys.argv[1:])
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     worker = CheckingProcess()
     _import_ros()

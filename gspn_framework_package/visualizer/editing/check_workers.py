@@ -16,6 +16,7 @@ import threading
 import time
 from typing import Any, Dict, List, Optional
 
+from gspn_framework_package.execution.plan_modules import allowed_modules
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.visualizer.analysis_jobs import kill, worker_environment
 
@@ -45,7 +46,10 @@ class _Worker:
 
     def __init__(self) -> None:
         self.process = subprocess.Popen(
-            WORKER, env=worker_environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [*WORKER, *allowed_modules()],
+            env=worker_environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         )
         self.request: Optional[_Request] = None
         self.given_up = 0.0

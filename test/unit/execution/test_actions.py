@@ -15,6 +15,7 @@ from gspn_framework_package.execution.actions import (
     load_actions,
     no_feedback,
 )
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import PlanError
@@ -153,8 +154,13 @@ def test_two_plans_may_have_modules_of_one_name(tmp_path):
     assert load_action(two, "actions.go")(context()).transition == "T2"
 
 
-def test_an_installed_module_serves_too(tmp_path):
-    assert load_action(str(tmp_path), "os.getcwd")(context()).transition
+def test_an_installed_module_that_was_allowed_serves_too(tmp_path):
+    allow_modules(["posixpath"])
+    try:
+        action = load_action(str(tmp_path), "posixpath.basename", {"p": "/some/T1"})
+    finally:
+        allow_modules(())
+    assert action(context()).transition == "T1"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from gspn_framework_package.execution.actions import (
     load_actions,
     no_feedback,
 )
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.formats import FORMATS, read_net, register, write_net
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
@@ -28,7 +29,9 @@ from gspn_framework_package.team.jobs import LocalJob
 @pytest.fixture(autouse=True)
 def toys(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    allow_modules(["toys"])
     yield
+    allow_modules(())
     for name in [name for name in sys.modules if name.split(".")[0] == "toys"]:
         del sys.modules[name]
 
@@ -169,8 +172,9 @@ def in_turn(*transitions):
 def test_a_kind_of_action_runs_from_its_settings(tmp_path, capsys):
     folder = plan_in(tmp_path, in_turn("first"), in_turn("on", "on"))
     log = str(tmp_path / "log.jsonl")
-    assert dispatcher.main(["check", folder]) == 0
-    assert dispatcher.main(["run", folder, "--log", log]) == 0, capsys.readouterr()
+    assert dispatcher.main(["check", folder, "--modules", "toys"]) == 0
+    run = ["run", folder, "--log", log, "--modules", "toys"]
+    assert dispatcher.main(run) == 0, capsys.readouterr()
     fired = re.findall(r'"transition": ?"(\w+)"', Path(log).read_text())
     assert fired == ["first", "on"]
 

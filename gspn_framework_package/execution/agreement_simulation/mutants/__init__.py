@@ -12,7 +12,6 @@ from gspn_framework_package.execution.agreement_simulation.mutants import (
     deployment,
     host,
     memory,
-    outage,
     protocol,
     reactions,
     token_game,
@@ -30,7 +29,6 @@ MUTANTS: List[Mutant] = [
     *token_game.MUTANTS,
     *host.MUTANTS,
     *memory.MUTANTS,
-    *outage.MUTANTS,
     *reactions.MUTANTS,
     *deployment.MUTANTS,
 ]
