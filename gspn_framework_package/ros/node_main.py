@@ -46,13 +46,11 @@ if TYPE_CHECKING:
 
 def run_execution_node() -> int:
     """Run the execution node of a robot; returns the exit code of the process."""
-    name = rospy.names.get_mappings().get("__name", "gspn_executor")
-
-    def before() -> None:
-        options = read_options_of(rospy.names.ns_join(_own_namespace(), name))
-        refuse_taken([_own_namespace()], options.run)
-
-    return run_node("gspn_executor", lambda ending: _execute(read_options(), ending), before)
+    return run_node(
+        "gspn_executor",
+        lambda ending: _execute(read_options(), ending),
+        lambda: refuse_taken([_own_namespace()]),
+    )
 
 
 def run_hosted_robots() -> int:
@@ -105,20 +103,19 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
     return plan, options.robot
 
 
-def refuse_taken(namespaces: List[str], run: str) -> None:
-    """Refuse to start if a robot of another run is at work in one of the namespaces: node names are
-    unique, so ROS would silently end its node. A namespace where no node answers, or where the run
-    is over, is free.
+def refuse_taken(namespaces: List[str]) -> None:
+    """Refuse to start if a robot is at work in one of the namespaces: node names are unique, so ROS
+    would silently end its node. A namespace where no node answers, or where the run is over, is
+    free.
 
     :param namespaces: the absolute namespaces of the robots to start.
-    :param run: the run that they belong to.
     :raises ExecutionError: a namespace is taken.
     """
     from gspn_framework_package.ros.operator_client import status_in
 
     for namespace in namespaces:
         status = status_in(namespace)
-        if status is not None and status["run"] != run and status["ended"] is None:
+        if status is not None and status["ended"] is None:
             raise ExecutionError(
                 "%s is taken: %s of run '%s' is at work there"
                 % (namespace, status["robot"], status["run"]),
@@ -199,7 +196,7 @@ def _execute(options: NodeOptions, ending: Ending) -> int:
 def _host(options: NodeOptions, ending: Ending) -> int:
     plan, namespaces = _team(options)
     options = options.for_plan(plan)
-    refuse_taken(list(namespaces.values()), options.run)
+    refuse_taken(list(namespaces.values()))
     return _run_robots(plan, namespaces, options, ending)
 
 
@@ -247,7 +244,7 @@ def _member(
         return run_node(
             name,
             lambda ending: body(plan, robot, namespace, options, ending),
-            lambda: refuse_taken([namespace], options.run) if body is _run_robot else None,
+            lambda: refuse_taken([namespace]) if body is _run_robot else None,
         )
 
     return FamilyMember(rospy.names.ns_join(namespace, name), be_robot)

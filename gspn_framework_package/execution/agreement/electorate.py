@@ -16,7 +16,8 @@ from gspn_framework_package.execution.ledger import Item, Ledger
 from gspn_framework_package.execution.team_state import RobotState
 
 NAMESAKE = 4
-"""Heartbeats after which a process of our name that is not heard any more does not count."""
+"""Heartbeats after which a process that is not heard any more does not keep another one of its name
+out of the team."""
 
 
 class Electorate:
@@ -255,6 +256,28 @@ class Electorate:
             if not ledger.is_cast_out(i.origin.robot)
             or (same and message.length > ledger.cast_out[i.origin.robot])
         ]
+
+    def without_spares(self, items: Sequence[Item]) -> List[Item]:
+        """Leave out what a process proposes that wants to join under the name of a robot while that
+        robot is at work: it would take the place of the robot, and the robot would end."""
+        spares = {
+            (i.origin.robot, i.origin.log)
+            for i in items
+            if isinstance(i.entry, log_entries.Join) and self._is_at_work(i.entry)
+        }
+        return [i for i in items if (i.origin.robot, i.origin.log) not in spares]
+
+    def _is_at_work(self, join: log_entries.Join) -> bool:
+        """Whether the robot that wants to join is at work with another log."""
+        state, robot = self.state, join.robot
+        if robot == self.config.name:
+            return join.log != state.log_id and self.may_vote()
+        heard = state.peers.get(robot).at_work
+        return (
+            heard is not None
+            and join.log != self.known_log(robot)
+            and state.now < heard + NAMESAKE * self.config.pace.heartbeat
+        )
 
     def with_one_who_stays(self, items: List[Item]) -> List[Item]:
         """If nobody would be left, our own leave or eviction waits for a separate slot, in which it

@@ -276,6 +276,8 @@ class Membership:
         known = self.electorate.known_log(sender)
         peer.note_life(message)
         surprise, counts = None, not known or message.log == known
+        if counts and known and isinstance(message.body, Hello) and message.body.active:
+            peer.at_work = self.state.now
         if not counts:
             if sender not in peers.unsure or isinstance(message.body, Hello):
                 surprise = Life(0, 0)
@@ -520,6 +522,7 @@ class Membership:
             or state.leaving
             or state.ledger.length == 0
             or self.electorate.is_settled()
+            or self.electorate.has_namesake()
         ):
             return
         if (state.active and config.witness) or not (

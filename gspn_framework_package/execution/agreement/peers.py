@@ -38,6 +38,8 @@ class Peer:
     """How long its log was."""
     log: str = ""
     """The id of the log that it speaks for."""
+    at_work: Optional[float] = None
+    """When it last said, with the log whose votes count, that it takes part (s)."""
     welcomes: str = ""
     """The id of the log of *ours* that it knows."""
     silent: FrozenSet[str] = frozenset()

@@ -62,7 +62,7 @@ class Proposals:
         if not items:
             return
         is_news, others = self.state.ledger.is_news, self.state.others_proposals
-        for item in items:
+        for item in self.electorate.without_spares(items):
             if is_news(item.origin):
                 others.setdefault(item.origin.robot, {})[item.origin] = item
 

@@ -574,7 +574,8 @@ class World:
     def lost_tasks(self) -> List[str]:
         """The tasks that a running robot has taken in with the log that it has, and that the team
         does not have."""
-        kept = [n.disk for n in self.alive() if not n.halted and n.disk is not None]
+        up = [n for n in self.alive() if not n.halted and not self.stands_by(n)]
+        kept = [n.disk for n in up if n.disk is not None]
         ledgers = [n.replica.ledger for n in self.alive() if n.replica is not None]
         team = max(ledgers, key=lambda ledger: ledger.length, default=None)
         if team is None or team.state.ended is not None:
@@ -680,7 +681,9 @@ class World:
                 return False
             ends.add((replica.ledger.length, replica.ledger.hash))
             over = replica.ledger.state.ended is not None  # then nothing more gets into the log
-            rivals = [other for other in self.alive() if other.name == node.name]
+            if self.stands_by(node):
+                continue
+            rivals = [o for o in self.alive() if o.name == node.name and not self.stands_by(o)]
             if node.superseded and len(rivals) > 1 and not over:
                 return False  # it has not noticed yet
             if not over and any(not o.item.private for o in replica.state.own_proposals):
@@ -696,13 +699,13 @@ class World:
         return len(ends) <= 1
 
     def stands_by(self, node: SimulatedNode) -> bool:
-        """Whether a process waits for ever, as it should: another one of its name is the whole
-        team, so that nobody can let it in, and it says so."""
+        """Whether a process waits, as it should: another one of its name is at work, and it says
+        so."""
         replica = node.replica
         if replica is None or not replica.has_namesake():
             return False
         others = [n.replica for n in self.alive() if n.name == node.name and n is not node]
-        return any(o is not None and o.active and o.members() == [node.name] for o in others)
+        return any(o is not None and o.may_vote() for o in others)
 
     @staticmethod
     def _owes_a_vote(replica: Replica) -> bool:
@@ -721,6 +724,8 @@ class World:
         """All logs that were ever written, including lost ones. The checker wants that of the
         process that runs last, if a robot had two."""
         found = list(self._gone)
-        for node in sorted(self.nodes.values(), key=lambda n: n.replica is not None):
+        for node in sorted(
+            self.nodes.values(), key=lambda n: (n.replica is not None, not self.stands_by(n))
+        ):
             found += node.old_disks + ([node.disk] if node.disk is not None else [])
         return found

@@ -171,13 +171,16 @@ class ServicesTest(RobotTestCase):
         code, output = gspn("retry")
         self.assertEqual(code, 2, output)
 
-        # a team of another run does not end this one by the names of its nodes
-        other = self.team(team.plan, ("robot_1",), robots=2).start()["robot_1"]
-        self.assertEqual(other.exit_code(), 1)
-        self.assertIn(
-            "/robot_1 is taken: robot_1 of run '%s' is at work there" % team.run, other.said()
-        )
-        self.assertTrue(robot_1.status()["active"])
+        # no other node ends this one by its name: neither one of another run, nor of this one
+        for run in ("another", team.run):
+            others = self.team(team.plan, ("robot_1",), robots=2)
+            others.run = run
+            other = others.start()["robot_1"]
+            self.assertEqual(other.exit_code(), 1)
+            self.assertIn(
+                "/robot_1 is taken: robot_1 of run '%s' is at work there" % team.run, other.said()
+            )
+            self.assertTrue(robot_1.status()["active"])
 
         self.assertEqual(gspn("stop")[0], 0)
         self.assertEqual([robot.exit_code() for robot in team], [1, 1])
@@ -218,6 +221,34 @@ class ServicesTest(RobotTestCase):
         code, output = gspn("fire", "arrives")
         self.assertEqual(code, 0, output)
         robot_3.signal(signal.SIGCONT)
+
+
+class NamesakeTest(RobotTestCase):
+    start = ServicesTest.start
+
+    def see_that_it_waits(self, mode):
+        """A second process of a robot, with a log and in a namespace of its own."""
+        team = self.start(mode)
+        others = self.team(team.plan, ("robot_1",), {"robot_1": "/spare"}, robots=2)
+        others.run = team.run
+        for _ in range(2):
+            spare = others.start()["robot_1"]
+            wait_for(
+                lambda: "another process runs as robot_1" in spare.status()["waits_for"],
+                what="the spare to say what it waits for",
+            )
+            self.assertTrue(team["robot_1"].status()["active"])
+            spare.signal(signal.SIGTERM)
+            spare.exit_code()
+        team["robot_1"].kill()
+        team["robot_1"].start()  # at once, though the master still lists the one that was killed
+        wait_for(lambda: team["robot_1"].status()["active"], what="the restart")
+
+    def test_it_waits_with_full_synchronisation(self):
+        self.see_that_it_waits("full")
+
+    def test_it_waits_with_partial_synchronisation(self):
+        self.see_that_it_waits("partial")
 
 
 if __name__ == "__main__":

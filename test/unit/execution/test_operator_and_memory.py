@@ -539,6 +539,44 @@ def test_a_spare_takes_the_place_and_the_first_one_halts_when_it_is_back(partial
     world.verify()
 
 
+@pytest.mark.parametrize("size", [2, 3, 5])
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_spare_of_a_robot_at_work_waits_and_takes_the_place_when_that_is_gone(
+    partial: bool, size: int
+) -> None:
+    world = team(TOKENS, size, partial)
+    first = world.nodes["r2"]
+    spare = world.add_spare(first)
+    known = first.replica.log_id
+    for _ in range(2):  # as it does where it is started again and again
+        spare.start()
+        world.run(world.now + 1.5)
+        assert not first.halted and not spare.halted
+        assert first.replica.is_settled() and first.log_id == known
+        assert world.replica("r1").known_log("r2") == known
+        assert "another process runs as r2" in spare.replica.waits_for()
+        spare.crash()
+        spare.lose_log()
+    spare.start()
+    world.run(world.now + 1)
+    world.remove(first)
+    world.run(world.now + 4)
+    if size > 2:  # of two, the other one is no quorum
+        assert spare.replica.is_settled()
+    world.verify()
+
+
+def test_no_member_lets_in_a_spare_that_does_not_hear_the_robot_at_work() -> None:
+    world = team(TOKENS, 3)
+    spare = world.add_spare(world.nodes["r3"])
+    world.blocked |= {("r3", spare.key), (spare.key, "r3")}
+    spare.start()
+    world.run(world.now + 3)
+    assert not spare.replica.is_settled()
+    assert world.replica("r3").is_settled() and not world.nodes["r3"].halted
+    world.verify()
+
+
 def test_a_spare_does_not_answer_for_the_robot_whose_place_it_did_not_take() -> None:
     """No pause is decided on the word of a process that does not know what its robot has done: only
     with its return does the former life end."""
@@ -662,12 +700,19 @@ def two_of_the_first(partial: bool, *, acting: bool = True) -> Any:
     return world, spare
 
 
-@pytest.mark.parametrize("partial", [False, True])
-def test_the_slot_that_lets_another_log_in_is_not_forgotten(partial: bool) -> None:
-    """The spare decides alone that the other process is let in, and knows it alone."""
-    world, spare = two_of_the_first(partial)
+def test_the_slot_that_lets_another_log_in_is_not_forgotten() -> None:
+    """The spare decides alone that the other process is let in, since its greetings get lost, and
+    knows it alone."""
+    world, spare = two_of_the_first(True)
+    carry = world._carry
+
+    def without_greetings(sender: str, to: str, text: str, request: str) -> None:
+        if sender != spare.key or json.loads(text)["kind"] != "hello":
+            carry(sender, to, text, request)
+
+    world._carry = without_greetings
     world.blocked.clear()
-    world.run(world.now + 3)
+    world.run(world.now + 6)
     assert world.replica("r2").ledger.logs["r1"] == world.replica("r1").log_id
     assert world.replica("r1").may_vote()
     world.verify()
