@@ -103,6 +103,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "breakpoints": Verb(".breakpoints", "halt a robot at a place or a transition, for debugging"),
     "deploy": Verb(".deploy", "put another plan into a running team, without stopping it"),
     "submit": Verb(".submit", "give a task to a running team"),
+    "trust": Verb(".trust", "go on without the robots that stay off after a loss of power"),
     **ORDERS,
 }
 """Verb -> its module or order, in the order in which a new user needs them."""

@@ -62,6 +62,8 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         for robot in longest["robots"]:
             own = next((s for s in of_run if s["robot"] == robot["robot"]), None)
             rows.append(_row(robot, own))
+        named = {robot["robot"] for robot in longest["robots"]}
+        rows += [_row_of_unknown(s) for s in of_run if s["robot"] not in named]
         told = [*data_lines(longest), *order_lines(of_run), *refusal_lines(of_run)]
         for line in [*aligned(rows), *told]:
             print("  " + line)
@@ -113,6 +115,19 @@ def refusal_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
     ]
 
 
+def _row_of_unknown(own: Dict[str, Any]) -> Sequence[str]:
+    """The row of a robot that answers, and that no log names yet."""
+    return (own["robot"], "", "", "", _log_text(own, own), "now", own["waits_for"])
+
+
+def _log_text(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> str:
+    """How long a log is, how much of it is on the disk, and whether it lost its end."""
+    length = robot["log_length"]
+    on_disk = length if own is None else own.get("synced_length", length)
+    text = str(length) if on_disk >= length else "%d (%d on disk)" % (length, on_disk)
+    return text + (", " + robot["log"] if robot.get("log") in ("torn", "lost") else "")
+
+
 def _row(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> Sequence[str]:
     waits_for = robot["waits_for"] if own is None else own["waits_for"]
     if own is not None:
@@ -123,7 +138,7 @@ def _row(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> Sequence[str]:
         robot["place"],
         robot["state"],
         str(robot["visit"]),
-        str(robot["log_length"]),
+        _log_text(robot, own),
         "now" if own is not None else "never" if contact is None else "%.1f s ago" % contact,
         waits_for,
     )

@@ -17,11 +17,17 @@ seconds, comparable between the processes of one host). Kinds:
                 it was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
 ``reset``       earlier records no longer count (``why``); the robot learns the log from the others,
                 and its log has the id ``log`` from here on
+``outage``      the machine lost power, so records may be missing here (``why``); earlier records
+                count, and the log has the id ``log`` from here on
+``synced``      the first ``bytes`` bytes of the file, with ``length`` slots, are on the disk
+``closed``      the process ended in order, and everything before is on the disk
 ``active``      this replica takes part from now on
 ``life``        the node started: ``incarnation``; ``joining`` if it was not in the first team;
                 ``host`` as in the header; ``fsync``: whether the log is synced to the disk
-``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
-``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
+``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later; ``torn``
+                where the slot needs the votes of all (robot whose log lost its end -> the id of its
+                log, and of those that it goes on from)
+``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``; ``torn`` as above
 ``invoked``     a proposal of this robot for the log: ``entry``, ``origin``
 ``offered``     a task reached this robot, and waits to get into the log: ``entry``
 ``order``       an operator gave this robot an order: ``command``, ``robot``, ``argument``
@@ -33,7 +39,8 @@ seconds, comparable between the processes of one host). Kinds:
                 if the action reads data, ``reads``, a digest of it, and ``resumed_from`` as in
                 :class:`~gspn_framework_package.execution.firing.StartAction`
 ``cancel``      the goals of visits up to ``visit`` are void
-``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log)
+``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log); or, with
+                ``torn``, its log lost its end: the ids of the logs that this one goes on from
 ``forced``      the operator asserts that these ``robots`` (robot -> incarnation) are off
 ``ended``       the run is over: ``reason``, ``finished``
 ==============  ====================================================================================
@@ -54,6 +61,7 @@ import math
 import os
 import platform
 import re
+import threading
 import time
 from typing import (
     Any,
@@ -182,6 +190,9 @@ class EventLogWriter:
         self._fsync = fsync
         self._sum: Optional[str] = ""
         self._host = _host()
+        self._lock = threading.Lock()  # another thread may sync
+        self._news = False
+        self._slots = self.synced_length = 0
         try:
             os.makedirs(os.path.dirname(os.path.abspath(path)), exist_ok=True)
             known = _repair(path)
@@ -204,28 +215,55 @@ class EventLogWriter:
             try:
                 self.append({**first, "host": first.get("host") or self._host}, durable=True)
                 if self._fsync:
-                    _sync_folder(path)
+                    sync_folder(os.path.dirname(os.path.abspath(path)))
             except LogError:
                 self._file.close()
                 raise
 
-    def append(self, *records: Record, durable: bool = True) -> None:
+    def append(self, *records: Record, durable: bool = True, synced: bool = False) -> None:
         """Write the records, each with the current time.
 
         :param durable: if the log is synced (``fsync``), wait until these and all earlier records
             are on the disk.
+        :param synced: wait for that in any case.
         :raises LogError: the file cannot be written.
         """
+        with self._lock:
+            try:
+                self._write(records)
+                if synced or (self._fsync and durable):
+                    os.fdatasync(self._file.fileno())
+                    self._news, self.synced_length = False, self._slots
+            except OSError as error:
+                raise LogError("cannot be written (%s)" % error.strerror, file=self.path) from None
+
+    def _write(self, records: Sequence[Record]) -> None:
         wall, mono = self._clocks()
         clocks = {"wall": round(wall, 6), "mono": round(mono, 6)}
-        try:
-            data = "".join(self._line({**r, **clocks}) for r in records).encode()
-            while data:
-                data = data[self._file.write(data) :]
-            if self._fsync and durable:
-                os.fdatasync(self._file.fileno())
-        except OSError as error:
-            raise LogError("cannot be written (%s)" % error.strerror, file=self.path) from None
+        data = "".join(self._line({**r, **clocks}) for r in records).encode()
+        for record in records:
+            if record["kind"] in ("slot", "snapshot"):
+                self._slots = record.get("slot", -1) + 1
+        self._news = True
+        while data:
+            data = data[self._file.write(data) :]
+
+    def sync(self) -> None:
+        """Bring what was written to the disk, on any thread, and note in the log how much that is.
+        Nobody who appends waits for it.
+
+        :raises OSError: the disk does not take it.
+        """
+        with self._lock:
+            if not self._news:
+                return
+            self._news = False
+            length, size = self._slots, os.fstat(self._file.fileno()).st_size
+        os.fdatasync(self._file.fileno())
+        with self._lock:
+            news, self.synced_length = self._news, length
+            self._write([{"kind": "synced", "bytes": size, "length": length}])
+            self._news = news
 
     def _line(self, record: Record) -> str:
         if record["kind"] == "life":
@@ -241,6 +279,16 @@ class EventLogWriter:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def close_whole(self) -> None:
+        """Mark the log as whole, on the disk, and close the file: nothing was sent that is not in
+        it. If the mark cannot be written, the log is closed without it."""
+        try:
+            self.append({"kind": "closed"}, synced=True)
+        except LogError:
+            pass
+        finally:
+            self.close()
 
 
 def line_of(record: Record, previous: str) -> Tuple[str, str]:
@@ -287,9 +335,9 @@ def _last_sum(path: str) -> str:
     return found.group(1).decode()
 
 
-def _sync_folder(path: str) -> None:
-    """Sync the file's folder, so that the name of a new file survives a power failure."""
-    folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
+def sync_folder(path: str) -> None:
+    """Sync a folder, so that the name of a new file in it survives a power failure."""
+    folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:
@@ -298,19 +346,67 @@ def _sync_folder(path: str) -> None:
 
 def end_is_there(event_log: EventLog) -> bool:
     """Whether the log certainly has all records that were written to it, whatever happened to the
-    machine: it was synced to the disk, or the machine has not restarted since its last node
-    started."""
+    machine: its process ended in order, it was synced to the disk, or the machine has not restarted
+    since its last node started."""
+    if event_log.records and event_log.records[-1]["kind"] == "closed":
+        return True
     newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
-    return bool(newest.get("fsync")) or newest.get("host", event_log.header.get("host")) == _host()
+    return bool(newest.get("fsync")) or not _is_of_an_earlier_boot(newest, event_log.header)
+
+
+def _is_of_an_earlier_boot(record: Record, head: Record) -> bool:
+    """Whether the machine has restarted since a record that names its boot."""
+    return bool(record.get("host", head.get("host")) != _host())
+
+
+BOOT_ID = "GSPN_BOOT_ID"
+"""The environment variable that replaces the id of the machine's boot, for tests."""
 
 
 def _host() -> str:
     """An id of this machine's current boot, to which the monotonic clock belongs."""
+    if os.environ.get(BOOT_ID):
+        return os.environ[BOOT_ID]
     try:
         with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as file:
             return file.read().strip()
     except OSError:
         return platform.node()
+
+
+def drop_torn_end(path: str) -> bool:
+    """Cut off the damaged end that a loss of power may leave in a log: lines beyond what is known
+    to have reached the disk, of an earlier boot of the machine.
+
+    :returns: whether that was the damage; otherwise nothing changes.
+    :raises LogError: the file cannot be read or changed.
+    """
+    try:
+        with open(path, "rb+") as file:
+            first = file.readline()
+            head = life = _header(first, path)
+            if head["version"] == UNSUMMED:
+                return False
+            chain, good, safe = _follow("", first, path, 1), len(first), 0
+            for number, line in enumerate(file, 2):
+                try:
+                    record = _record(line, path, number)
+                    chain = _follow(chain, line, path, number)
+                except LogError:
+                    break
+                good += len(line)
+                if record["kind"] == "life":
+                    life = record
+                elif record["kind"] in ("synced", "closed"):
+                    safe = int(record.get("bytes", good))
+            else:
+                return False
+            if good < safe or not _is_of_an_earlier_boot(life, head):
+                return False
+            file.truncate(good)
+            return True
+    except OSError as error:
+        raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
 
 
 def _repair(path: str) -> Optional[Record]:

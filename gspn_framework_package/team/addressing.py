@@ -67,7 +67,7 @@ def whom_to_order(there: Mapping[Address, Dict[str, Any]], command: str, robot: 
         there,
         key=lambda at: (
             (there[at]["robot"] == robot) == own_last,
-            not there[at]["active"],
+            not (there[at]["active"] or there[at].get("torn")),
             there[at]["robot"],
         ),
     )

@@ -121,7 +121,7 @@ def giver_of(operator: Operator) -> log_entries.Giver:
 
 
 _COMMANDS = (
-    "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, "
+    "pause, resume, evict, force_evict, trust, set_place, retry, fire, submit, leave, stop, "
     "stage, adopt, unstage, breakpoints, plan, status"
 )
 
@@ -147,6 +147,8 @@ def order_entry(
         return log_entries.Resume(given)
     if command in ("evict", "force_evict"):
         return log_entries.Evict(robot, -1, command == "force_evict")
+    if command == "trust":
+        return log_entries.Evict("", -1, True)
     if command == "leave":
         return log_entries.Leave(robot)
     if command == "set_place":

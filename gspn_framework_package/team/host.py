@@ -323,7 +323,7 @@ class ReplicaHost(Worker):
         self._close_log()
 
     def _close_log(self) -> None:
-        self._log.writer.close()
+        self._log.writer.close_whole()
         self._log.lock.close()
 
     def _step(self, given: interface.Input) -> None:
@@ -394,7 +394,8 @@ class ReplicaHost(Worker):
                     told.append(effect)
         if records:
             durable = any(e.durable for e in records)
-            self._log.writer.append(*(e.record for e in records), durable=durable)
+            synced = any(e.synced for e in records)
+            self._log.writer.append(*(e.record for e in records), durable=durable, synced=synced)
         if sends:
             self._carrier.send(sends)
         for reply in replies:
@@ -541,6 +542,7 @@ class ReplicaHost(Worker):
         return dict(
             self._report.status(data),
             log_file=self._log.writer.path,
+            synced_length=self._log.writer.synced_length,
             messages_sent=self._carrier.sent,
             plan=self.plan.hash(),
             began_with=self._began_with.hash(),

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
+import threading
 import time
 import uuid
 from typing import BinaryIO, List, NamedTuple
 
 from gspn_framework_package.execution.event_log import (
+    EventLog,
     EventLogWriter,
     Record,
+    drop_torn_end,
     end_is_there,
     header,
     read_log,
+    sync_folder,
 )
 from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
@@ -72,6 +77,45 @@ def lock_log(path: str) -> BinaryIO:
             return file
 
 
+SYNC_PERIOD = 1.0
+"""Seconds between two syncs of a log."""
+
+
+class SyncedLog(EventLogWriter):
+    """A log that a thread brings to the disk all the time, so that a loss of power takes no more
+    than the last second. Nobody waits for it.
+
+    :param length: how many slots it has already.
+    """
+
+    def __init__(self, path: str, first: Record, length: int, *, fsync: bool) -> None:
+        super().__init__(path, first, fsync=fsync)
+        try:  # the log of a robot that takes part must not vanish
+            os.fsync(self._file.fileno())
+            folder = os.path.dirname(os.path.abspath(path))
+            sync_folder(folder)
+            sync_folder(os.path.dirname(folder))
+        except OSError as error:
+            super().close()
+            raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
+        self._slots = self.synced_length = length
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._keep_synced, name="sync", daemon=True)
+        self._thread.start()
+
+    def _keep_synced(self) -> None:
+        while not self._over.wait(SYNC_PERIOD):
+            # a disk that takes no more is reported by whoever appends
+            with contextlib.suppress(OSError):
+                self.sync()
+
+    def close(self) -> None:
+        """See :class:`EventLogWriter`."""
+        self._over.set()
+        self._thread.join()
+        super().close()
+
+
 class OpenLog(NamedTuple):
     """A log that this process writes."""
 
@@ -82,7 +126,7 @@ class OpenLog(NamedTuple):
     """What it held already."""
     whole: bool
     """Whether its end is intact."""
-    writer: EventLogWriter
+    writer: SyncedLog
 
 
 def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
@@ -96,7 +140,7 @@ def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
     log_id, records, whole = uuid.uuid4().hex, [], True
     if os.path.exists(path) and os.path.getsize(path):
         try:
-            known = read_log(path)
+            known = _read(path)
             log_id, records, whole = (
                 str(known.header["log"]),
                 known.records,
@@ -107,4 +151,16 @@ def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
                 if b"\n" in file.readline():  # else it was killed while writing the first line
                     raise
     first = header(plan, run, robot, log_id)
-    return OpenLog(lock, log_id, records, whole, EventLogWriter(path, first, fsync=plan.fsync))
+    slots = (r["slot"] + 1 for r in reversed(records) if r["kind"] in ("slot", "snapshot"))
+    writer = SyncedLog(path, first, next(slots, 0), fsync=plan.fsync)
+    return OpenLog(lock, log_id, records, whole, writer)
+
+
+def _read(path: str) -> EventLog:
+    """The log, without the damaged end that a loss of power may have left."""
+    try:
+        return read_log(path)
+    except LogError:
+        if not drop_torn_end(path):
+            raise
+        return read_log(path)

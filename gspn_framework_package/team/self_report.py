@@ -100,7 +100,8 @@ class SelfReport:
             brief = data == "brief"
             status["data"] = told_of_team(state, self._net, brief)
             for robot in status["robots"]:
-                robot.update(told_of_robot(state.robots[robot["robot"]], self._net, brief))
+                if robot["robot"] in state.robots:
+                    robot.update(told_of_robot(state.robots[robot["robot"]], self._net, brief))
         return status
 
     def waits_for(self) -> str:

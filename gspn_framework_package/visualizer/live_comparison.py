@@ -317,7 +317,7 @@ class LiveComparison:
     def _publish(
         self, monitor: Monitor, follower: RunFollower, prediction: Dict[str, Any], now: float
     ) -> None:
-        new = monitor.alarms[self._told :]
+        new = [alarm for alarm in monitor.alarms[self._told :] if not monitor.is_explained(alarm)]
         self._told = len(monitor.alarms)
         for alarm in new:
             since = max(alarm.since, 0.0) + self._began

@@ -391,8 +391,33 @@ class Monitor:
 
     @property
     def on(self) -> List[Alarm]:
-        """The alarms that last: the newest of each stream that is on."""
-        return [stream.alarms[-1] for stream in self.streams if stream.on and stream.alarms]
+        """The alarms that last: the newest of each stream that is on, by how much as far as is
+        known now. Several streams see one slow robot, or one slow place: it is told once."""
+        lasting = [
+            stream.alarms[-1] if stream.kind not in PACES else self._estimated(stream.alarms[-1])
+            for stream in self.streams
+            if stream.on and stream.alarms
+        ]
+        return [a for a in lasting if not any(_explains(other, a) for other in lasting)]
+
+    def is_explained(self, alarm: Alarm) -> bool:
+        """Whether another alarm, which lasts, says what this one says."""
+        return any(_explains(other, alarm) for other in self.on)
+
+    def _estimated(self, alarm: Alarm) -> Alarm:
+        """An alarm that lasts with what was observed up to now. When it is raised, little is
+        known, and mostly what departs most."""
+        seen = [
+            f
+            for f in self._recent
+            if f.at >= alarm.since and alarm.place in ("", f.place) and alarm.robot in ("", f.robot)
+        ]
+        if not seen or seen[-1].at <= alarm.at:
+            return alarm
+        return alarm._replace(
+            observed=sum(f.seconds for f in seen) / len(seen),
+            expected=sum(f.expected for f in seen) / len(seen),
+        )
 
     # -- what happens ------------------------------------------------------------------------------
 
@@ -573,6 +598,16 @@ class _Choice(Stream):
         now = _Sum(self._test.critical)
         now.value = self._test.statistic
         return now
+
+
+def _explains(one: Alarm, other: Alarm) -> bool:
+    """Whether an alarm is a consequence of another one: the pace of a place or of the team of that
+    of one robot, and the pace of a robot or of the team of that of a place for all robots."""
+    if one.kind not in PACES or other.kind not in PACES or one.direction != other.direction:
+        return False
+    if one.kind == ROBOT:
+        return other.kind != ROBOT and other.robot == one.robot
+    return one.kind == PLACE and not one.robot and other.kind != PLACE and other.place == one.place
 
 
 def _outstanding(seen: Sequence[_Finished], direction: str, key: Any) -> str:

@@ -35,6 +35,7 @@ from gspn_framework_package.execution.agreement.messages import (
     Nack,
     Prepare,
     Promise,
+    Torn,
 )
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
@@ -112,6 +113,9 @@ class Consensus:
             batch = Batch.from_json(record["batch"])
             if record["slot"] == slot:
                 state.accepted = (ballot, batch)
+                if "torn" in record:
+                    torn = record["torn"].items()
+                    state.by_all[ballot] = {str(r): tuple(map(str, ids)) for r, ids in torn}
 
     def next_slot(self, keep_lead: bool, returned: Set[str]) -> None:
         """The open slot was decided. ``keep_lead``: by our own attempt; ``returned``: robots that
@@ -121,6 +125,7 @@ class Consensus:
         state.attempt = None
         state.frozen_by = None
         state.votes.clear()
+        state.by_all.clear()
         if not keep_lead:
             state.followers = None
         elif state.followers is not None:
@@ -136,11 +141,11 @@ class Consensus:
     def propose(self, now: float, frozen: bool = False) -> None:
         """Try to get the proposals into the open slot. Does nothing while an attempt runs, or
         if we have no vote."""
-        state = self.state
-        if state.attempt is not None or not self.electorate.may_vote():
+        state, torn = self.state, self.electorate.needs_all()
+        if state.attempt is not None or not (self.electorate.may_vote() or torn):
             return
         slot = state.ledger.length
-        if self.leads():
+        if self.leads() and not torn:
             batch = self.proposals.batch(False)
             if batch.items:
                 self._begin(BallotAttempt(slot, state.promised, False, now, now, state.slow > 0))
@@ -148,14 +153,14 @@ class Consensus:
             return
         ballot = Ballot(state.highest.counter + 1, self.config.name, state.log_id)
         state.followers = None
-        attempt = BallotAttempt(slot, ballot, frozen, now, now, state.slow > 0)
+        attempt = BallotAttempt(slot, ballot, frozen, now, now, state.slow > 0, torn=torn)
         self._begin(attempt)
         # until the slot is decided, even if this attempt is beaten: its batch may still win
         if frozen:
             state.frozen_by = ballot
-        self._promise(ballot)
+        self._promise(ballot, torn)
         attempt.promises[self.config.name] = state.accepted
-        attempt.answered.add(self.config.name)
+        (attempt.strangers if state.torn else attempt.answered).add(self.config.name)
         self._send_attempt(attempt, self.electorate.others())
         self._first_phase_over()
 
@@ -202,7 +207,8 @@ class Consensus:
         if state.attempt is None:
             return []
         if state.attempt.batch is None:
-            answered = state.attempt.answered
+            attempt = state.attempt
+            answered = set(attempt.promises) if attempt.torn else attempt.answered
         else:
             answered = state.votes.get(state.attempt.ballot, set())
         return [m for m in self.electorate.members() if m not in answered]
@@ -210,9 +216,9 @@ class Consensus:
     def _send_attempt(self, attempt: BallotAttempt, to: List[str]) -> None:
         body: Union[Prepare, Accept]
         if attempt.batch is None:
-            body = Prepare(attempt.slot, attempt.ballot, attempt.frozen)
+            body = Prepare(attempt.slot, attempt.ballot, attempt.frozen, attempt.torn)
         else:
-            body = Accept(attempt.slot, attempt.ballot, attempt.batch)
+            body = Accept(attempt.slot, attempt.ballot, attempt.batch, attempt.torn)
         self.outbox.send_all(to, body)
 
     def _first_phase_over(self) -> bool:
@@ -221,13 +227,16 @@ class Consensus:
         attempt = state.attempt
         if attempt is None or attempt.batch is not None:
             return False
-        if not self.electorate.may_decide(attempt.promises):
+        by_all = bool(attempt.torn)
+        if not self.electorate.may_decide(attempt.promises, by_all):
             return False
         held = [a for a in attempt.promises.values() if a is not None]
         accepted = max(held, key=lambda a: a[0])[1] if held else None
-        if not is_quorum(attempt.promises, self.electorate.members()):
+        if self.electorate.not_cast_out(attempt.promises, (), by_all):
             first = accepted.items if accepted is not None else ()
-            forced = self.proposals.batch_without_quorum(attempt.frozen, first, attempt.promises)
+            forced = self.proposals.batch_without_quorum(
+                attempt.frozen, first, attempt.promises, by_all
+            )
             if forced is None:
                 state.attempt = None  # the next one is frozen
                 return True
@@ -238,9 +247,12 @@ class Consensus:
             unasked = self._unasked(attempt) if self.config.partial else {}
             batch = self.proposals.batch(attempt.frozen, unasked)
             if unasked and not self._are_replaced(unasked, batch):
-                return False
+                if attempt.frozen or not self.proposals.has_control():
+                    return False
+                state.attempt = None  # an order is before what ends a life: the next one is frozen
+                return True
         if not self.config.partial:
-            state.followers = set(attempt.promises)
+            state.followers = None if by_all else set(attempt.promises)
         if not batch.items and not attempt.frozen:
             state.attempt = None
             return True
@@ -273,7 +285,9 @@ class Consensus:
         attempt.batch = batch
         assert state.promised == attempt.ballot  # a higher promise ends the first phase
         state.accepted = (attempt.ballot, batch)
-        alone = self.electorate.may_choose([self.config.name], batch.items)
+        if attempt.torn:
+            state.by_all[attempt.ballot] = attempt.torn
+        alone = self.electorate.may_choose([self.config.name], batch.items, bool(attempt.torn))
         if not alone:  # otherwise the record of the slot itself follows, before anything leaves
             self._persist_accepted(attempt.slot)
         state.votes.setdefault(attempt.ballot, set()).add(self.config.name)
@@ -283,25 +297,41 @@ class Consensus:
 
     # -- acceptor ----------------------------------------------------------------------------------
 
-    def _promise(self, ballot: Ballot) -> None:
+    def _promise(self, ballot: Ballot, torn: Torn) -> None:
         state = self.state
         self._see(ballot)
         if ballot > state.promised:
             state.promised = ballot
             slot = state.ledger.length
-            self.outbox.persist(
-                {"kind": "promised", "slot": slot, "ballot": list(ballot)}, durable=True
-            )
+            record: Dict[str, Any] = {"kind": "promised", "slot": slot, "ballot": list(ballot)}
+            if torn:
+                record["torn"] = torn
+            self.outbox.persist(record, durable=True, synced=bool(torn))
         if ballot.robot != self.config.name:
             state.followers = None
 
     def _persist_accepted(self, slot: int) -> None:
+        """Write what we accepted. What changes the members, or whose votes count, is on the disk
+        before anybody knows that we voted for it: whoever loses power still knows whom to ask."""
         assert self.state.accepted is not None
         ballot, batch = self.state.accepted
-        self.outbox.persist(
-            {"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch.data},
-            durable=True,
-        )
+        record: Dict[str, Any] = {"kind": "accepted", "slot": slot, "ballot": list(ballot)}
+        record["batch"] = batch.data
+        if ballot in self.state.by_all:
+            record["torn"] = self.state.by_all[ballot]
+        synced = "torn" in record or batch.changes_members()
+        self.outbox.persist(record, durable=True, synced=synced)
+
+    def _votes_in(self, torn: Torn) -> bool:
+        """Whether we have a vote in an attempt in which the votes of these robots count."""
+        ids = torn.get(self.config.name, ())
+        mine = bool(self.state.torn) and ids[:1] == (self.state.log_id,)
+        return mine or self.electorate.may_vote()
+
+    def _is_counted(self, message: Envelope, torn: Torn) -> bool:
+        """Whether the word of a sender counts in an attempt in which the votes of these robots
+        do."""
+        return not message.torn or torn.get(message.sender, ())[:1] == (message.log,)
 
     def _see(self, ballot: Ballot) -> None:
         self.state.highest = max(self.state.highest, ballot)
@@ -309,18 +339,19 @@ class Consensus:
     def on_prepare(self, message: Envelope, body: Prepare) -> None:
         """The first phase of another's attempt."""
         state = self.state
-        if not self.log.is_open(message):
+        if not self._is_counted(message, body.torn) or not self.log.is_open(message):
             return
-        if body.ballot < state.promised and self.electorate.may_vote():
+        may_vote = self._votes_in(body.torn)
+        if body.ballot < state.promised and may_vote:
             self._refuse(message, body.slot)
             return
         if body.frozen:
             state.frozen_by = body.ballot
-        if not self.electorate.may_vote():
+        if not may_vote:
             # others learn what we know, but our vote does not count
             self._answer_prepare(message, body, vote=False)
             return
-        self._promise(body.ballot)
+        self._promise(body.ballot, body.torn)
         attempt = state.attempt
         if attempt is not None and attempt.batch is None and attempt.ballot < body.ballot:
             state.attempt = None
@@ -338,9 +369,11 @@ class Consensus:
         state = self.state
         ballot = body.ballot
         held = state.accepted
+        if not self._is_counted(message, body.torn):
+            return
         if held is not None and held[0] == ballot and body.slot == state.ledger.length + 1:
             self.log.decided(held[1], ballot, mine=False)
-        if not self.log.is_open(message) or not self.electorate.may_vote():
+        if not self.log.is_open(message) or not self._votes_in(body.torn):
             return
         if ballot < state.promised:
             self._refuse(message, body.slot)
@@ -349,6 +382,8 @@ class Consensus:
         if state.accepted is None or state.accepted[0] != ballot:
             state.promised = ballot
             state.accepted = (ballot, body.batch)
+            if body.torn:
+                state.by_all[ballot] = body.torn
             self._persist_accepted(body.slot)
             if ballot.robot != self.config.name:
                 state.followers = None
@@ -385,11 +420,11 @@ class Consensus:
             or not self._answers(message, body, attempt)
         ):
             return
-        if message.log == self.electorate.known_log(message.sender):
+        if message.log == self.electorate.known_log(message.sender) and not message.torn:
             attempt.answered.add(message.sender)
         else:
             attempt.strangers.add(message.sender)
-        if body.vote:
+        if body.vote and self._is_counted(message, attempt.torn):
             attempt.promises[message.sender] = body.accepted
         if self._first_phase_over() and attempt.batch is not None:
             attempt.sent, attempt.began, attempt.tries = now, now, 0
@@ -404,6 +439,8 @@ class Consensus:
         attempt = state.attempt
         if attempt is not None and attempt.ballot == body.ballot:
             self._measure(attempt, now)
+        if not self._is_counted(message, state.by_all.get(body.ballot, {})):
+            return
         state.votes.setdefault(body.ballot, set()).add(message.sender)
         self._decide_if_chosen(body.ballot)
 
@@ -463,6 +500,7 @@ class Consensus:
         held = state.accepted
         if held is None or held[0] != ballot:
             return
-        if self.electorate.may_choose(state.votes.get(ballot, ()), held[1].items):
+        votes, by_all = state.votes.get(ballot, ()), ballot in state.by_all
+        if self.electorate.may_choose(votes, held[1].items, by_all):
             mine = state.attempt is not None and state.attempt.ballot == ballot
             self.log.decided(held[1], ballot, mine=mine)

@@ -9,7 +9,7 @@ from typing import Collection, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.messages import Envelope
+from gspn_framework_package.execution.agreement.messages import Envelope, Torn
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.ledger import Item, Ledger
@@ -63,29 +63,36 @@ class Electorate:
             and robots[name].incarnation == incarnation
         }
 
-    def may_decide(self, voters: Collection[str]) -> bool:
+    def may_decide(self, voters: Collection[str], by_all: bool = False) -> bool:
         """Whether these members may decide the open slot: a quorum; or *all* members that are not
         asserted to be off, if those are no quorum. Any quorum that does not consist only of robots
-        asserted to be off contains one of the others, so its word is heard."""
+        asserted to be off contains one of the others, so its word is heard.
+
+        :param by_all: some of them do not remember all that they voted for, so no quorum will do.
+        """
         members = self.members()
-        if is_quorum(voters, members):
+        if not by_all and is_quorum(voters, members):
             return True
         off = self.asserted_off()
-        if not off:
+        if not off and not by_all:
             return False
         left = [m for m in members if m not in off]
-        return bool(left) and not is_quorum(left, members) and all(m in voters for m in left)
+        return bool(left) and all(m in voters for m in left)
 
-    def may_choose(self, voters: Collection[str], items: Sequence[Item]) -> bool:
+    def may_choose(
+        self, voters: Collection[str], items: Sequence[Item], by_all: bool = False
+    ) -> bool:
         """Whether these members may decide the open slot with these items. Without a quorum, they
         have to evict by force everybody whose word they do without: what was decided under an
         assertion, and without its eviction, would not outlast the return of the robot."""
-        return self.may_decide(voters) and not self.not_cast_out(voters, items)
+        return self.may_decide(voters, by_all) and not self.not_cast_out(voters, items, by_all)
 
-    def not_cast_out(self, voters: Collection[str], items: Sequence[Item]) -> Set[str]:
+    def not_cast_out(
+        self, voters: Collection[str], items: Sequence[Item], by_all: bool = False
+    ) -> Set[str]:
         """The members whose word these voters do without, by an assertion that they are off, and
         that these items do not evict by force; none where the voters are a quorum."""
-        if is_quorum(voters, self.members()):
+        if not by_all and is_quorum(voters, self.members()):
             return set()
         off = self.asserted_off()
         lives = dict.fromkeys(off, False)
@@ -148,6 +155,76 @@ class Electorate:
             robot = known.get(entry.robot)  # a witness has no incarnation there
             return robot is None or entry.incarnation > robot.incarnation
         return False
+
+    # -- robots whose machines lost power ----------------------------------------------------------
+
+    def torn(self) -> Torn:
+        """The members whose logs lost their ends with the power supply, and that were not let in
+        since, as far as they were heard."""
+        state, me = self.state, self.config.name
+        if not state.torn and not state.peers.torn:
+            return {}
+        found = {m: ids for m, ids in state.peers.torn.items() if self._is_torn(m, ids)}
+        if state.torn:
+            found[me] = (state.log_id, *state.torn)
+        members = self.members()
+        return {m: found[m] for m in members if m in found}
+
+    def _is_torn(self, robot: str, ids: Tuple[str, ...]) -> bool:
+        state = self.state
+        return state.peers.get(robot).log == ids[0] != state.ledger.logs.get(robot)
+
+    def whole(self) -> List[str]:
+        """The members, heard of late, that know all that they promised and voted for."""
+        state, me, torn = self.state, self.config.name, self.torn()
+        return [
+            m
+            for m in self.heard_of_late()
+            if m not in torn and (self.may_vote() if m == me else state.peers.get(m).active)
+        ]
+
+    def missing_after_outage(self) -> List[str]:
+        """The members that are not asserted to be off, and whose word is lacking: they are not
+        heard, or lost their logs."""
+        off, torn, whole = self.asserted_off(), self.torn(), self.whole()
+        here = self.heard_of_late()
+        return [
+            m
+            for m in self.members()
+            if m not in off and m not in whole and not (m in torn and m in here)
+        ]
+
+    def waits_to_join(self) -> str:
+        """What we wait for that are not in the team, and what an operator can do."""
+        if not self.torn():
+            return "it waits to be let in"
+        missing = self.missing_after_outage()
+        if not missing or is_quorum(self.whole(), self.members()):
+            return "its machine was restarted, and it is let in soon"
+        return "machines were restarted, and %s: start %s, or go on without (gspn trust)" % (
+            self._lacks(missing),
+            ", ".join(missing),
+        )
+
+    def _lacks(self, missing: Sequence[str]) -> str:
+        unheard = [m for m in missing if m not in self.heard_of_late()]
+        empty = [m for m in missing if m not in unheard]
+        told = ["not heard: %s" % ", ".join(unheard)] if unheard else []
+        return "; ".join([*told, *(["without a log: %s" % ", ".join(empty)] if empty else [])])
+
+    def needs_all(self) -> Torn:
+        """The robots whose logs lost their ends, if the team can only go on with their votes, and
+        everybody is here; else none."""
+        torn = self.torn()
+        if (
+            not torn
+            or self.state.halted is not None
+            or not self.is_member()
+            or is_quorum(self.whole(), self.members())
+            or self.missing_after_outage()
+        ):
+            return {}
+        return torn
 
     # -- ourselves ---------------------------------------------------------------------------------
 
@@ -234,10 +311,14 @@ class Electorate:
     # -- whose word counts -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:
-        """Whether the log of a robot may hold something that we still have to learn. This includes
+        """Whether the log of a robot may hold something that we still have to learn. Where we
+        voted for something that needs the votes of all, only a member may say otherwise: another
+        robot may know a slot that the members lost. This includes
         a robot that, as far as our log goes, was evicted by force, if its own log has that
         eviction: we shall learn that it joined again."""
         ledger = self.state.ledger
+        if self.state.by_all and robot not in self.members():
+            return False
         slot = ledger.cast_out.get(robot, -1) if ledger.is_cast_out(robot) else -1
         return self.state.peers.get(robot).cast_out.get(robot, -1) >= slot
 

@@ -147,7 +147,8 @@ class Examined(NamedTuple):
 
 
 class ForceEvict(NamedTuple):
-    """The operator asserts that ``robot`` is switched off, and stays off until it has been evicted.
+    """The operator asserts that ``robot`` is switched off, and stays off until it has been evicted;
+    "": that every robot that is not heard is.
 
     If the others are a quorum, they evict it as they do a silent one. If not, *all* robots that no
     assertion was made about have to agree, and whatever only the evicted robots knew is given up.
@@ -182,11 +183,12 @@ class Persist(NamedTuple):
     ``durable``: if the plan's ``fsync`` is on, the log has to be on the disk up to this record
     before any other effect after it is carried out. For several records in a row, one wait is
     enough. A record without a durable record after it may be lost with the power supply; the
-    replica copes with that.
+    replica copes with that. ``synced``: the same, whatever the plan says.
     """
 
     record: Dict[str, Any]
     durable: bool = False
+    synced: bool = False
 
 
 class Send(NamedTuple):

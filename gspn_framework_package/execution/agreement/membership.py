@@ -102,12 +102,13 @@ class Membership:
         state = self.state
         state.begin_records = state.records
         record = {"kind": "life", "incarnation": state.incarnation, "joining": state.joining}
-        self.outbox.persist(record, durable=True)
+        self.outbox.persist(record, durable=True, synced=True)  # no two actions have one name
 
     def become_active(self) -> None:
         """Take part from here on, with a vote if we are a member."""
         self.state.active = True
         self.state.amnesic = False
+        self.state.torn = ()
         self.outbox.persist({"kind": "active"}, durable=True)
 
     def forget(self, why: str, keep: bool = False) -> None:
@@ -121,13 +122,16 @@ class Membership:
         """
         state = self.state
         self._renew_log_id()
-        record = {"kind": "reset", "log": state.log_id, "why": why}
-        self.outbox.persist(dict(record, keep=True) if keep else record, durable=True)
+        record: Record = {"kind": "reset", "log": state.log_id, "why": why}
+        if keep:
+            record["keep"] = True
+        self.outbox.persist(record, durable=True, synced=True)
         if state.active:
             self.outbox.fault("forgets its log, and learns it again: %s" % why)
         self.robot.stop_acting()
         state.active = False
         state.amnesic = True
+        state.torn = ()
         state.peers.unsure = set(state.peers.known)
         state.astray.clear()
         state.off.clear()
@@ -138,6 +142,37 @@ class Membership:
         self.proposals.drop_all("%s forgot its log: %s" % (self.config.name, why))
         self.proposer.begin_anew()
         self.robot.follow()
+
+    def _outlive_outage(self) -> None:
+        """The machine lost power, and the end of our log with it: what it holds counts, but we may
+        have promised and voted more. Until we are let in, our vote counts only beside those of all
+        others."""
+        state = self.state
+        if state.amnesic and not state.torn:
+            self.forget("the machine was restarted before the team let it in")
+            return
+        why = "the machine was restarted, and the end of the log may not have reached the disk"
+        state.torn = (state.log_id, *state.torn)
+        state.active, state.amnesic = False, True
+        self._renew_log_id()
+        record = {"kind": "outage", "log": state.log_id, "why": why}
+        self.outbox.persist(record, durable=True, synced=True)
+        self.outbox.fault("waits to be let in again: %s" % why)
+
+    def note_torn(self, robot: str, ids: Sequence[str]) -> None:
+        """A robot's machine lost power: what it sent before does not count any more.
+
+        :param ids: the ids of its log, and of those that it goes on from.
+        """
+        peers = self.state.peers
+        if robot == self.config.name or not ids or ids[0] in peers.dead:
+            return
+        if peers.torn.get(robot, ()) == tuple(ids) or len(peers.torn) >= MOST_ROBOTS:
+            return
+        peers.torn[robot] = tuple(ids)
+        peers.dead |= set(ids[1:])
+        record = {"kind": "peer", "robot": robot, "log": ids[0], "torn": list(ids[1:])}
+        self.outbox.persist(record, durable=True, synced=True)
 
     def _renew_log_id(self) -> None:
         """From here on our log is another memory: its votes must not be confused with those of the
@@ -163,14 +198,25 @@ class Membership:
         elif kind == "active":
             state.active = True
             state.amnesic = False
+            state.torn = ()
+        elif kind == "outage":
+            state.torn = (state.log_id, *state.torn)
+            state.active, state.amnesic = False, True
+            state.log_id = str(record["log"])
         elif kind == "reset":
             state.active = False
             state.amnesic = True
+            state.torn = ()
             state.peers.unsure = set(state.peers.known)
             state.log_id = str(record.get("log", state.log_id))
             state.off.clear()
         elif kind == "peer":
             robot = str(record["robot"])
+            if "torn" in record:
+                ids = [str(log) for log in record["torn"]]
+                state.peers.torn[robot] = (str(record["log"]), *ids)
+                state.peers.dead |= set(ids)
+                return
             state.peers.known[robot] = str(record["log"])
             (state.peers.unsure.add if "unsure" in record else state.peers.unsure.discard)(robot)
         elif kind == "forced":
@@ -181,9 +227,7 @@ class Membership:
     def recall_is_over(self) -> None:
         """All records were read: begin the next life, without memory if necessary."""
         if not self.config.trusted:
-            self.forget(
-                "the machine was restarted, and the end of the log may not have reached the disk"
-            )
+            self._outlive_outage()
         elif self.state.active and not self.electorate.is_our_name():
             self.forget("another log was let in as %s" % self.config.name, keep=True)
         self.new_life()
@@ -245,15 +289,18 @@ class Membership:
         return [state.next_hello, state.listen_until] if state.listen_until else [state.next_hello]
 
     def hear(self, message: Envelope) -> bool:
-        """Note that a message of the team came in; returns whether its sender's votes count."""
+        """Note that a message of the team came in; returns whether its sender's votes count, also
+        in a slot that does not need the votes of all."""
         state, sender = self.state, message.sender
         peer = state.peers.hear(sender, state.now)
         if state.own_proposals:
             self.proposals.withdraw_suspicion([sender])
         if sender in state.off:
             self._heard_though_off(sender)
+        self.note_torn(sender, message.torn and (message.log, *message.torn))
         self._note_log_of(message)
         counts = self._knows(message) and not state.ledger.is_cast_out(sender)
+        counts = counts and not message.torn and message.log not in state.peers.dead
         peer.length = message.length
         return counts
 
@@ -298,7 +345,8 @@ class Membership:
         else:
             peers.unsure.add(robot)
             record["unsure"] = True
-        self.outbox.persist(record, durable=True)
+        # whoever begins without a log relies on it that we would know another one
+        self.outbox.persist(record, durable=True, synced=True)
 
     def on_hello(self, message: Envelope, hello: Hello) -> None:
         """Another announces itself."""
@@ -381,7 +429,8 @@ class Membership:
         logs while a team starts would have to help all that start later."""
         state, sender = self.state, message.sender
         begun = state.ledger.length > 1
-        witness = not begun or message.log == self.electorate.known_log(sender)
+        known = self.electorate.known_log(sender)
+        witness = not begun or known in (message.log, *message.torn)
         if witness:
             state.peers.get(sender).welcomes = seen.log
         if self.electorate.has_to_join():
@@ -446,7 +495,7 @@ class Membership:
         state = self.state
         if state.ledger.is_cast_out(other) or other in self.electorate.asserted_off():
             return  # the operator gave up what that robot knows
-        if not state.active:
+        if not state.active and not state.torn:
             self.forget("it differs from that of %s" % other)
             return
         if self._ours_is_given_up(other):
@@ -661,7 +710,7 @@ class Membership:
     def _persist_off(self) -> None:
         state = self.state
         record = {"kind": "forced", "slot": state.ledger.length, "robots": dict(state.off)}
-        self.outbox.persist(record, durable=True)
+        self.outbox.persist(record, durable=True, synced=True)
 
     def _heard_though_off(self, robot: str) -> None:
         """A robot that was asserted to be off is heard: the assertion was wrong, or has ended."""

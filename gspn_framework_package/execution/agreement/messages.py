@@ -34,12 +34,22 @@ LARGEST = 2**53
 """The largest number; every JSON reader reads it exactly."""
 
 
+Torn = Dict[str, Tuple[str, ...]]
+"""Robots whose logs lost their ends with the power supply, and that were not let in since -> the id
+of their log, and of those that it goes on from."""
+
+
 class Batch(NamedTuple):
     """A proposed value. It is read once, when it comes in, and passed on as it came."""
 
     items: List[Item]
     data: List[Any]
     """The items as JSON values."""
+
+    def changes_members(self) -> bool:
+        """Whether it may change who is a member, or whose votes count."""
+        kinds = (log_entries.Join, log_entries.Leave, log_entries.Evict)
+        return any(isinstance(item.entry, kinds) for item in self.items)
 
     @classmethod
     def of(cls, items: List[Item]) -> Batch:
@@ -123,6 +133,13 @@ def _list(value: Any, name: str, most: int) -> List[Any]:
 
 def _names(data: Dict[str, Any], name: str) -> Tuple[str, ...]:
     return tuple(_name_of(v, name) for v in _list(_field(data, name), name, MOST_ROBOTS))
+
+
+def _torn(data: Dict[str, Any]) -> Torn:
+    if "torn" not in data:
+        return {}
+    torn = _object(data, "torn")
+    return {robot: _names(torn, robot) for robot in torn}
 
 
 def _ballot(value: Any) -> Ballot:
@@ -243,21 +260,29 @@ class Event(NamedTuple):
 
 class Prepare(NamedTuple):
     """First phase, from a proposer to the members: promise to accept nothing below ``ballot`` from
-    ``slot`` on. ``frozen``: no robot makes a local transition until the slot is decided. Answered
-    by :class:`Promise`, :class:`Nack`, or whatever the one that is behind needs."""
+    ``slot`` on. ``frozen``: no robot makes a local transition until the slot is decided. ``torn``:
+    the slot needs the word of everybody, and these count. Answered by :class:`Promise`,
+    :class:`Nack`, or whatever the one that is behind needs."""
 
     slot: int
     ballot: Ballot
     frozen: bool
+    torn: Torn = {}
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
-        return {"slot": self.slot, "ballot": list(self.ballot), "frozen": self.frozen}
+        body = {"slot": self.slot, "ballot": list(self.ballot), "frozen": self.frozen}
+        return {**body, "torn": self.torn} if self.torn else body
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Prepare:
         """The message of a JSON object. :raises MessageError: not one."""
-        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")), _flag(data, "frozen"))
+        return cls(
+            _number(data, "slot"),
+            _ballot(_field(data, "ballot")),
+            _flag(data, "frozen"),
+            _torn(data),
+        )
 
 
 class Promise(NamedTuple):
@@ -299,22 +324,27 @@ class Promise(NamedTuple):
 
 class Accept(NamedTuple):
     """Second phase, from a proposer to the members: accept ``batch`` in ``slot``. From a leader it
-    also says that what it proposed before under the same ballot was chosen. Answered by
-    :class:`Accepted` or :class:`Nack`."""
+    also says that what it proposed before under the same ballot was chosen. ``torn`` as in
+    :class:`Prepare`. Answered by :class:`Accepted` or :class:`Nack`."""
 
     slot: int
     ballot: Ballot
     batch: Batch
+    torn: Torn = {}
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
-        return {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch.data}
+        body = {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch.data}
+        return {**body, "torn": self.torn} if self.torn else body
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Accept:
         """The message of a JSON object. :raises MessageError: not one."""
         return cls(
-            _number(data, "slot"), _ballot(_field(data, "ballot")), _batch(_field(data, "batch"))
+            _number(data, "slot"),
+            _ballot(_field(data, "ballot")),
+            _batch(_field(data, "batch")),
+            _torn(data),
         )
 
 
@@ -442,7 +472,9 @@ class Envelope(NamedTuple):
     """What every message says about its sender, and its body.
 
     ``team``: run and plan. ``log``: id of the sender's log, and ``records`` how many it holds;
-    ``length`` and ``hash``: of the agreed log as far as the sender knows it.
+    ``length`` and ``hash``: of the agreed log as far as the sender knows it. ``torn``: the sender's
+    log lost its end with the power supply, and the sender was not let in since: the ids of the logs
+    that this one goes on from.
     """
 
     sender: str
@@ -453,9 +485,11 @@ class Envelope(NamedTuple):
     length: int
     hash: str
     body: Any
+    torn: Tuple[str, ...] = ()
 
     def to_json(self) -> Dict[str, Any]:
         """The message as a JSON object."""
+        torn = {"goes_on_from": self.torn} if self.torn else {}
         return {
             "version": VERSION,
             "kind": _KIND_OF[type(self.body)],
@@ -466,6 +500,7 @@ class Envelope(NamedTuple):
             "records": self.records,
             "length": self.length,
             "hash": self.hash,
+            **torn,
             **self.body.to_json(),
         }
 
@@ -488,4 +523,6 @@ def parse(data: Any) -> Envelope:
         raise MessageError("there is no message '%.50s'" % (kind,))
     sender, team, log, chain = _texts(data, ("from", "team", "log", "hash"))
     incarnation, records, length = _numbers(data, ("incarnation", "records", "length"))
-    return Envelope(sender, team, log, incarnation, records, length, chain, body.from_json(data))
+    torn = _names(data, "goes_on_from") if "goes_on_from" in data else ()
+    about = body.from_json(data)
+    return Envelope(sender, team, log, incarnation, records, length, chain, about, torn)

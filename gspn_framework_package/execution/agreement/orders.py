@@ -6,7 +6,7 @@ proposals (or, an eviction by force, to the membership), and answers at once if 
 
 from __future__ import annotations
 
-from typing import Optional
+from typing import List, Optional
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
@@ -52,8 +52,7 @@ class Orders:
             return
         entry = order.entry
         if isinstance(entry, log_entries.Evict) and entry.incarnation < 0:
-            robot = self._robot(entry.robot)
-            entry = entry._replace(incarnation=robot.incarnation if robot else 0)
+            entry = entry._replace(incarnation=self._incarnation(entry.robot))
         staged = self.state.ledger.state.staged
         if isinstance(entry, (log_entries.Adopt, log_entries.Unstage)) and entry.stage < 0:
             entry = entry._replace(stage=staged.number if staged else 0)
@@ -80,7 +79,11 @@ class Orders:
             self.order(order)
 
     def force_evict(self, order: interface.ForceEvict) -> None:
-        """Accept an operator's assertion that a robot is off, unless something contradicts it."""
+        """Accept an operator's assertion that a robot is off, or all that are not heard, unless
+        something contradicts it."""
+        if not order.robot:
+            self._trust(order)
+            return
         robot = self._robot(order.robot)
         why = self._why_not_force(order.robot, robot)
         if why or robot is None:
@@ -88,6 +91,46 @@ class Orders:
         else:
             entry = log_entries.Evict(order.robot, robot.incarnation, True, order.by)
             self.membership.evict_by_force(entry, order.order_id)
+
+    def _trust(self, order: interface.ForceEvict) -> None:
+        """Go on with what the members that are heard know."""
+        why, off = self._why_not_trust(), self._silent()
+        if why or not off:
+            text = why or "all are here: the team goes on by itself"
+            self.outbox.order_result(order.order_id, not why, text)
+            return
+        for name in off:
+            entry = log_entries.Evict(name, self._incarnation(name), True, order.by)
+            self.membership.evict_by_force(entry, order.order_id if name == off[-1] else "")
+
+    def _silent(self) -> List[str]:
+        """The other members that are not heard."""
+        late = self.electorate.heard_within(2 * self.config.pace.heartbeat)
+        return [m for m in self.electorate.members() if m not in late]
+
+    def _why_not_trust(self) -> str:
+        """Why the members that are heard cannot go on with what they know; "" if they can."""
+        state, here = self.state, self.electorate
+        if state.ledger.state.ended is not None:
+            return "the run is over: %s" % state.ledger.state.ended
+        if here.has_quorum() and not here.torn():
+            return "the robots that are heard are a quorum: evict or force_evict whoever is lost"
+        off = self._silent()
+        if not here.is_member() or (here.has_to_join() and not state.torn):
+            return "%s knows nothing of the team that counts; ask another robot" % self.config.name
+        empty = [m for m in here.missing_after_outage() if m not in off]
+        if empty:
+            return "%s run without a log: switch off, give this order, and start again" % (
+                ", ".join(empty)
+            )
+        witnesses = [m for m in off if self._robot(m) is None]
+        if witnesses:
+            return "witness %s is missing: start it" % ", ".join(witnesses)
+        return ""
+
+    def _incarnation(self, name: str) -> int:
+        robot = self._robot(name)
+        return robot.incarnation if robot is not None else 0
 
     def _robot(self, name: str) -> Optional[RobotState]:
         return self.state.ledger.state.robots.get(name)
@@ -98,7 +141,7 @@ class Orders:
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if not state.active or not (self.electorate.is_member() or self.config.witness):
-            return "%s is not in the team (yet)" % me
+            return "%s is not in the team (yet): %s" % (me, self.electorate.waits_to_join())
         if isinstance(entry, log_entries.Leave) and self.electorate.members() == [entry.robot]:
             return "%s is the last one of the team; stop the run instead" % entry.robot
         name = getattr(entry, "robot", "")
@@ -146,7 +189,7 @@ class Orders:
             return "%s cannot assert that it is off itself" % me
         if robot is None or robot.phase.gone:
             return "there is no robot '%s' in the team" % name
-        if self.electorate.has_to_join():
+        if self.electorate.has_to_join() and not state.torn:
             return "%s has no vote; ask a robot that is in the team" % me
         if state.peers.get(name).heard is not None:
             silence = state.peers.silence(name, state.now)

@@ -55,13 +55,13 @@ class Outbox:
         """Have these carried out after all earlier effects."""
         self._effects += effects
 
-    def persist(self, record: Record, *, durable: bool = False) -> None:
+    def persist(self, record: Record, *, durable: bool = False, synced: bool = False) -> None:
         """Write a record before anything else leaves the process; see
         :class:`~gspn_framework_package.execution.agreement.interface.Persist`."""
         self.state.records += 1
         if durable:
             self.state.durable = self.state.records
-        self.put(interface.Persist(record, durable))
+        self.put(interface.Persist(record, durable, synced))
 
     def send_all(self, to: Sequence[str], body: Any) -> None:
         """Send a message to each of these."""
@@ -101,4 +101,5 @@ class Outbox:
             state.ledger.length,
             state.ledger.hash,
             body,
+            state.torn,
         ).to_json()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set
+from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.agreement.messages import Envelope
 
@@ -79,6 +79,9 @@ class Peers:
     """All others that were heard of.
 
     :ivar known: robot -> id of the first log of it that we heard of; survives a restart.
+    :ivar torn: robot -> the ids of its log, and of those that this one goes on from, after a loss
+        of power; survives a restart.
+    :ivar dead: the ids of logs that lost their ends: what was sent under them does not count.
     :ivar unsure: the robots of which another process may have been heard first, because we lost
         what we knew.
     :ivar since: when we began to listen.
@@ -86,6 +89,8 @@ class Peers:
 
     known: Dict[str, str] = field(default_factory=dict)
     unsure: Set[str] = field(default_factory=set)
+    torn: Dict[str, Tuple[str, ...]] = field(default_factory=dict)
+    dead: Set[str] = field(default_factory=set)
     since: float = 0.0
     all: Dict[str, Peer] = field(default_factory=dict)
 

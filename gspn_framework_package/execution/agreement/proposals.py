@@ -221,7 +221,7 @@ class Proposals:
         return Batch.of(items[:most])
 
     def batch_without_quorum(
-        self, frozen: bool, accepted: Sequence[Item], voters: Collection[str]
+        self, frozen: bool, accepted: Sequence[Item], voters: Collection[str], by_all: bool
     ) -> Optional[Batch]:
         """The batch for a slot that is decided by all but the members that are asserted to be off:
         it evicts these by force; None if it cannot, because of an order before that needs a frozen
@@ -231,9 +231,11 @@ class Proposals:
         :param frozen: see :meth:`batch`.
         :param accepted: what somebody accepted, or nothing.
         :param voters: who promised.
+        :param by_all: as in
+            :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.may_decide`.
         """
         state = self.state
-        off = self.electorate.not_cast_out(voters, ())
+        off = self.electorate.not_cast_out(voters, (), by_all)
         for robot in sorted(off):
             eviction = log_entries.Evict(robot, state.off[robot], True)
             entries = (own.item.entry for own in state.own_proposals)
@@ -242,7 +244,7 @@ class Proposals:
             if all(e._replace(by=log_entries.NOBODY) != eviction for e in evictions):
                 self.propose(eviction)
         batch = self.batch(frozen, dict.fromkeys(off, False), accepted)
-        return None if self.electorate.not_cast_out(voters, batch.items) else batch
+        return None if self.electorate.not_cast_out(voters, batch.items, by_all) else batch
 
     def _without_lost_lives(self, items: List[Item], unasked: Mapping[str, bool]) -> List[Item]:
         """A process that lacks the memory of its robot may return with the incarnation that this

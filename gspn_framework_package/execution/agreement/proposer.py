@@ -200,7 +200,9 @@ class Proposer:
 
     def drive(self) -> None:
         """Get on with the proposals."""
-        state, consensus = self.state, self.consensus
+        state, consensus, torn = self.state, self.consensus, self.electorate.needs_all()
+        if state.attempt is not None and state.attempt.torn != torn:
+            consensus.abandon()  # a robot's machine lost power, or has come back
         again = consensus.resend_at(self.config.pace.retry)
         if again is not None:
             if state.now >= again:
@@ -213,7 +215,9 @@ class Proposer:
             if not state.gave_way:
                 state.wait_until = None
             return
-        if not self.electorate.may_vote():
+        if torn:
+            self._propose_to_all()
+        elif not self.electorate.may_vote():
             self._ask_members()
         elif self.config.partial:
             if state.wait_until is None or state.now >= state.wait_until:
@@ -224,6 +228,17 @@ class Proposer:
                 consensus.propose(state.now)
         else:
             self._follow_leader()
+
+    def _propose_to_all(self) -> None:
+        """The slot needs the votes of all: the first of them proposes, later perhaps another."""
+        state = self.state
+        if state.wait_until is None:
+            patience = 0.0 if self.electorate.is_first_running() else self._patience()
+            state.wait_until = state.now + patience
+        if state.now >= state.wait_until:
+            state.wait_until = state.now + self._patience()
+            frozen = self.config.partial and (state.is_frozen() or self.proposals.has_control())
+            self.consensus.propose(state.now, frozen)
 
     def _follow_leader(self) -> None:
         state = self.state

@@ -18,7 +18,7 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.model.errors import LogError
 
-OF_MEMBERSHIP = ("life", "active", "reset", "peer", "forced")
+OF_MEMBERSHIP = ("life", "active", "reset", "outage", "peer", "forced")
 OF_PROPOSALS = ("invoked", "private", "void", "reset")
 OF_REPLICATION = ("slot", "snapshot")
 OF_REACTIONS = ("offered", "slot", "snapshot")
@@ -63,7 +63,8 @@ class Recovery:
         self.proposals.recall_is_over()
         self.replication.recall_is_over(records)
         self.membership.recall_is_over()
-        if self.state.ledger.length == 0 and not (self.state.joining or self.state.amnesic):
+        knows_all = bool(self.state.torn) or not self.state.amnesic
+        if self.state.ledger.length == 0 and knows_all and not self.state.joining:
             self.replication.begin()
 
     def _recall(self, record: Record, counts: bool) -> None:

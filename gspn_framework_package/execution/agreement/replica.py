@@ -210,6 +210,9 @@ class Replica:
             self.membership.hear_stranger(message)
         else:
             counts = self.membership.hear(message)
+            dead = message.log in self.state.peers.dead
+            if dead and not isinstance(message.body, messages.Hello):
+                return
             self._give(message, counts)
             if self.state.halted is None and self.electorate.can_teach(message.sender):
                 self.replication.pull_if_behind(message)
@@ -217,9 +220,13 @@ class Replica:
     def _give(self, message: messages.Envelope, counts: bool) -> None:
         """Route a message of the team to the part that handles it.
 
-        :param counts: whether the sender's votes count.
+        :param counts: whether the sender's votes count, also in a slot that does not need the votes
+            of all.
         """
         body = message.body
+        if isinstance(body, (messages.Prepare, messages.Accept)):
+            for robot, ids in body.torn.items():
+                self.membership.note_torn(robot, ids)
         if isinstance(body, messages.Hello):
             self.membership.on_hello(message, body)
         elif isinstance(body, messages.Pull):
@@ -232,7 +239,7 @@ class Replica:
                 self.replication.on_learn(message, body)
         elif self.state.ledger.is_cast_out(message.sender):
             return  # what it knows was given up, until it joins again
-        elif counts or (isinstance(body, messages.Promise) and not body.vote):
+        elif counts or message.torn or (isinstance(body, messages.Promise) and not body.vote):
             self.proposer.on_vote(message)
 
     def _settle(self) -> None:

@@ -62,13 +62,13 @@ class Replication:
 
     def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
         """The batch is chosen in the open slot; ``mine``: by our own attempt."""
-        slot = self.state.ledger.length
-        alone = mine and self.electorate.may_choose([self.config.name], batch.items)
+        slot, by_all = self.state.ledger.length, ballot in self.state.by_all
+        alone = mine and self.electorate.may_choose([self.config.name], batch.items, by_all)
         self._commit(batch, ballot, mine=mine, alone=alone)
         if mine and self.state.halted is None:
             origins = {item.origin.robot for item in batch.items}
             if not self.proposer.lead_on(ballot, origins):
-                self._tell_chosen(slot, ballot, origins, alone)
+                self._tell_chosen(slot, ballot, set() if by_all else origins, alone)
 
     def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
         """Inform the others, except, in a small team, those whose proposals were in the batch:
@@ -90,7 +90,8 @@ class Replication:
         kept = [i for i in batch.items if i.origin in fresh]
         all_kept = len(kept) == len(batch.items)
         state.recent.add(slot, ballot, batch if all_kept else Batch.of(kept), before)
-        self.outbox.persist(record, durable=alone)  # then it is our vote as well
+        # if alone, it is our vote as well
+        self.outbox.persist(record, durable=alone, synced=alone and batch.changes_members())
         if slot == 0:
             state.first_hash = state.ledger.hash
         returned = {i.entry.robot for i in kept if isinstance(i.entry, log_entries.Join)}

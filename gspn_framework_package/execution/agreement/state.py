@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.messages import Batch
+from gspn_framework_package.execution.agreement.messages import Batch, Torn
 from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
@@ -61,6 +61,8 @@ class BallotAttempt:
     """Those who promised, and those without a vote who told what they know."""
     strangers: Set[str] = field(default_factory=set)
     """Members under whose name a process answered that lacks their memory."""
+    torn: Torn = field(default_factory=dict)
+    """It needs the word of everybody, and that of these robots counts; empty: of a quorum."""
     batch: Optional[Batch] = None
     """None in the first phase."""
 
@@ -133,6 +135,9 @@ class ReplicaState:
     """We are not in the first team (or it has started long ago): learn the log, then join."""
     amnesic: bool = _owned("membership", False)
     """We may have voted in this run and do not remember it; no vote until the next Join."""
+    torn: Tuple[str, ...] = _owned("membership", ())
+    """The machine lost power: the ids of the logs, without their ends, that ours goes on from; ()
+    once we were let in."""
     halted: Optional[str] = _owned("membership")
     """Why this replica takes no part any more; None while it does."""
     leaving: bool = _owned("membership", False)
@@ -209,6 +214,9 @@ class ReplicaState:
     """Whose promises of our ballot still hold; None where we do not lead."""
     votes: Dict[Ballot, Set[str]] = _owned("consensus", make=dict)
     """Who accepted what in the open slot, as far as we heard."""
+    by_all: Dict[Ballot, Torn] = _owned("consensus", make=dict)
+    """What we accepted in the open slot that needs the votes of all, and the robots whose votes
+    count there although their logs lost their ends."""
 
     # -- when to propose ---------------------------------------------------------------------------
 

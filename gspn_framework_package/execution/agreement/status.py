@@ -59,6 +59,8 @@ class Status:
             return "not in the team: another process runs as %s, and is" % self.config.name
         if state.ledger.length == 0:
             return "waits for somebody of the team"
+        if electorate.torn() and not is_quorum(electorate.whole(), electorate.members()):
+            return electorate.waits_to_join()
         if not state.active and not state.joining and not state.amnesic:
             missing = electorate.missing_at_start()
             if not missing:
@@ -99,7 +101,7 @@ class Status:
 
     def is_stuck(self) -> bool:
         """Whether the team can never go on by itself, because too many members lost their logs,
-        and with them their votes."""
+        and with them their votes; or not before others come, because machines lost power."""
         state, me = self.state, self.config.name
         if (
             state.ledger.length == 0
@@ -108,6 +110,10 @@ class Status:
         ):
             return False
         members, peers = self.electorate.members(), state.peers
+        if self.electorate.torn():
+            return not self.electorate.needs_all() and not is_quorum(
+                self.electorate.whole(), members
+            )
         here = [m for m in members if m == me or peers.get(m).heard is not None]
         silent = [m for m in members if m not in here]
         if state.ledger.length > 1 or any(peers.get(m).length > 1 for m in here):
@@ -141,6 +147,8 @@ class Status:
             "hash": state.ledger.hash,
             "pending": len(state.own_proposals),
             "stuck": self.is_stuck(),
+            "torn": bool(state.torn),
+            "missing": self._missing(),
             "astray": sorted(state.astray),
             "waits_for": self.waits_for(),
             "paused": team.paused,
@@ -165,6 +173,21 @@ class Status:
             "votes": {member: vote_of(team, member) for member in team.members()},
         }
 
+    def _missing(self) -> List[str]:
+        """The members without which a team whose machines lost power does not go on."""
+        electorate = self.electorate
+        if not electorate.torn() or is_quorum(electorate.whole(), electorate.members()):
+            return []
+        return electorate.missing_after_outage()
+
+    def _log_of(self, name: str) -> str:
+        """What the log of a robot is worth: whole, torn, lost; "" where it is not heard."""
+        if name in self.electorate.torn():
+            return "torn"
+        if name in self.electorate.whole():
+            return "whole"
+        return "lost" if name in self.electorate.heard_of_late() else ""
+
     def _robot_as_json(self, robot: RobotState) -> Dict[str, Any]:
         state = self.state
         mine = robot.name == self.config.name
@@ -180,6 +203,7 @@ class Status:
             "visit": at.visit if at else robot.visit,
             "attempt": at.attempt if at else robot.attempt,
             "log_length": state.ledger.length if mine else state.peers.get(robot.name).length,
+            "log": self._log_of(robot.name),
             "last_contact": 0.0
             if mine
             else (None if heard is None else round(state.now - heard, 3)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from typing import Callable, Dict, List, NamedTuple, Set, Type
+from typing import Callable, Dict, List, NamedTuple, Optional, Set, Type
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
@@ -45,6 +45,10 @@ KINDS = {
     "operator": "orders all the time; evictions by force, of robots that are off and of such that "
     "are not",
     "power": "every crash is a loss of power, which takes what was not written through to the disk",
+    "outage": "several machines, or all, lose power at about the same time, and with it the newest "
+    "records; some end in order before",
+    "trust": "all machines lose power, some stay off, the operator has the others go on, and then "
+    "the rest comes back",
     "spare": "a second process under the name of a robot that is out of reach, or comes back",
     "stand-in": "a spare answers under the name of a robot that is out of reach, and is switched "
     "off before it has heard that it has to join",
@@ -150,8 +154,6 @@ class ScheduleResult(NamedTuple):
     logs: List[Disk]
     given_up: bool = False
     """Whether an operator gave up what some robots knew."""
-    tails_lost: bool = False
-    """Whether votes may be missing from the logs, since they were not synced to the disk."""
 
 
 class _Run:
@@ -205,6 +207,10 @@ class _Run:
             self.world.mishaps = False
         if self.kind == "power":
             self.world.fsync = source.random() < 0.5
+        elif self.kind in ("outage", "trust"):
+            self.world.fsync = False
+            if source.random() < 0.5:  # what was sent before arrives in the next life
+                self.world.weather = Weather(loss=source.choice([0.0, 0.15]), late=0.4)
         self.faults_end = FAULTS_END * (
             2.5 if self.kind in ("tight", "archive", "link", "sleep", "leave") else 1.0
         )
@@ -213,6 +219,8 @@ class _Run:
         self.removed_logs: Set[str] = set()
         """The ids of the logs of spares that were switched off before they were let in."""
         self.left: List[str] = []
+        self.powerless: Set[SimulatedNode] = set()
+        """The nodes that lose power when they crash next."""
 
     # -- faults ------------------------------------------------------------------------------------
 
@@ -244,12 +252,14 @@ class _Run:
             (0 if often in (*FORGETFUL, "calm") else 3, self._suspend),
             (0 if often in (*FORGETFUL, "calm") else 4, self._partition),
             (0 if often in FORGETFUL else 1, self._leave),
-            (2, self._join),
+            (8 if often == "outage" else 2, self._join),
             (12 if often in ("operator", "calm") else 3, self._order),
             (4 if often == "operator" else 1, self._evict),
             (8 if often in FORCED else 0, self._force_evict),
             (6 if often == "spare" else 0, self._spare),
             (12 if often == "stand-in" else 0, self._stand_in),
+            (12 if often == "outage" else 0, self._outage),
+            (12 if often == "trust" else 0, self._trust),
         ]
         weights = [w for w, _ in kinds]
         self.random.choices([k for _, k in kinds], weights)[0]()
@@ -262,7 +272,12 @@ class _Run:
             self._count("crash")
 
     def on_crash(self, node: SimulatedNode) -> None:
-        if self.kind != "power":
+        if node in self.powerless:
+            self.powerless.discard(node)
+            node.lose_power()
+            self._later(0.001, self.random.choice([0.02, 0.4]), lambda: self._restart(node))
+            return
+        elif self.kind != "power":
             node.crash()
         elif self.world.fsync or self._can_lose(node):
             node.lose_power()
@@ -300,6 +315,54 @@ class _Run:
         self.lost_logs = True
         self._count("crash, log lost")
         self._later(0.01, 0.5, lambda: self._restart(node))
+
+    def _outage(self, spared: Optional[SimulatedNode] = None) -> None:
+        """The power of several machines fails, of some in the middle of what they do.
+
+        :param spared: a robot whose machine goes on, out of reach for a while.
+        """
+        up = [node for node in self._up() if node is not spared]
+        if not up:
+            return
+        if spared is not None:
+            cut = {(a, b) for a in self.world.nodes for b in self.world.nodes if a != b}
+            cut = {link for link in cut if spared.key in link}
+            self.world.blocked |= cut
+            self._later(0.3, 0.6, lambda: self.world.blocked.difference_update(cut))
+        self._count("outage")
+        some = len(up) if spared is not None else self.random.randint(1, len(up))
+        size = self.random.choice([len(up), some])
+        for node in self.random.sample(up, size):
+            if self.random.random() < 0.15:
+                node.end_in_order()
+                self._later(0.01, 0.4, lambda node=node: self._restart(node))  # type: ignore[misc]
+            elif self.random.random() < 0.5:
+                self.powerless.add(node)
+                self.on_crash(node)
+            else:
+                self.powerless.add(node)
+                node.doomed = self.random.randint(1, 20)
+
+    def _trust(self) -> None:
+        """All machines lose power, and not all come back before the operator has those that do go
+        on."""
+        up = self._up()
+        if len(up) < 2 or self.powerless:
+            return
+        self._count("outage of all")
+        late = self.random.sample(up, self.random.randint(1, len(up) - 1))
+        for node in up:
+            node.lose_power()
+            back = (0.5, 1.0) if node in late else (0.01, 0.1)
+            self._later(*back, lambda node=node: self._restart(node))  # type: ignore[misc]
+        asked = self.random.choice([n for n in up if n not in late])
+
+        def order() -> None:
+            if asked in self._up():
+                self.world.given_up = True
+                asked.give(interface.ForceEvict("t%d" % next(self.world._count), ""))
+
+        self._later(0.35, 0.5, order)
 
     def _can_lose(self, node: SimulatedNode) -> bool:
         """Whether the others are still a quorum without this robot's vote; otherwise the team would
@@ -587,6 +650,8 @@ class _Run:
         self.world.nodes[name] = node
         node.start()
         self._count("join")
+        if self.kind == "outage":
+            self._later(0.02, 0.2, lambda: self._outage(spared=node))
 
     def _watch(self) -> None:
         """Retry failed actions, and end the processes of robots that have left or were
@@ -637,6 +702,8 @@ class _Run:
             for _ in range(self.random.randint(1, 3)):
                 world.at(0.05 + (self.faults_end - 0.1) * self.random.random(), self._stage)
         world.at(0.05, self._watch)
+        if self.kind in ("outage", "trust"):
+            world.at(0.05, lambda: world.keep_syncing(0.08))
         world.run(self.faults_end)
         self._heal()
         world.run(world.now + 0.1)
@@ -647,6 +714,8 @@ class _Run:
         settled = world.run(world.now + patience, self._has_settled)
         if not settled and world.given_up:
             settled = self._evict_who_forgot(patience)
+        if not settled and self.kind in ("outage", "trust"):
+            settled = self._trust_who_knows(patience)
         if self.kind in ("link", "sleep"):
             self._nobody_is_lost()
         if settled:
@@ -654,7 +723,7 @@ class _Run:
         ledgers = [n.replica.ledger for n in world.alive() if n.replica is not None]
         if any(ledger.state.adopted is not None for ledger in ledgers):
             self.faults["another plan adopted"] = 1
-        if settled and not world.given_up and self.kind != "power":
+        if settled and not world.given_up and self.kind not in ("power", "outage", "trust"):
             lost = world.lost_tasks()
             if lost:
                 raise ViolationError("%s reached a robot, and nobody has it" % ", ".join(lost))
@@ -675,7 +744,6 @@ class _Run:
             world.plan,
             world.logs(),
             world.given_up,
-            not world.fsync,
         )
 
     def _heal(self) -> None:
@@ -733,6 +801,28 @@ class _Run:
         for other in forgot:
             other.start()
         self._count("stuck, and helped by the operator")
+        return world.run(world.now + patience, self._has_settled)
+
+    def _trust_who_knows(self, patience: float) -> bool:
+        """Where a robot whose machine lost power says that the team is stuck, the operator switches
+        off those without a log, and has the others go on; returns whether they do."""
+        world = self.world
+        asking = [n for n in world.alive() if n.replica and n.replica.is_stuck()]
+        asking = [n for n in asking if n.replica and n.replica.state.torn]
+        if not asking:
+            return False
+        node = max(asking, key=lambda n: n.replica.ledger.length if n.replica else 0)
+        assert node.replica is not None
+        missing = node.replica.electorate.missing_after_outage()
+        empty = [n for n in world.alive() if n.name in missing]
+        for other in empty:
+            other.crash()
+        world.run(world.now + 4 * world.pace.heartbeat)
+        node.give(interface.ForceEvict("t%d" % next(world._count), ""))
+        self._count("stuck, and trusted by the operator")
+        world.run(world.now + 4 * world.pace.heartbeat)
+        for other in empty:
+            other.start()
         return world.run(world.now + patience, self._has_settled)
 
     def _nobody_is_lost(self) -> None:
@@ -820,7 +910,7 @@ def check_logs(outcome: ScheduleResult) -> None:
         for d in outcome.logs
     ]
     settled = not outcome.blocked and not outcome.given_up
-    verdict = verify(logs, settled=settled, complete=not outcome.tails_lost)
+    verdict = verify(logs, settled=settled)
     if verdict.violation is not None:
         raise ViolationError("rule %d: %s" % verdict.violation)
 

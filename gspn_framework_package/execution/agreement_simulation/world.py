@@ -51,6 +51,9 @@ class Disk:
     """The number of lines that would survive a power failure."""
     votes: Dict[Tuple[str, Tuple[Any, ...]], int] = field(default_factory=dict)
     """(kind, ballot) of a promise or vote -> the number of its line."""
+    must_outlive: Set[int] = field(default_factory=set)
+    """The lines with votes that nobody may know of before they would survive a power failure,
+    whether logs are synced or not."""
 
     def records(self) -> List[Record]:
         """The records, parsed from the lines."""
@@ -138,7 +141,7 @@ class SimulatedNode:
         self.trusted = True
         self.plan = world.plan
         self.shows = {}
-        resets = [r for r in records if r["kind"] == "reset"]
+        resets = [r for r in records if r["kind"] in ("reset", "outage")]
         self.log_id = str((resets or [self.disk.header])[-1]["log"])
         self.carry_out(self.replica.start(world.now))
         if world.robot_events and self.replica is not None and not self.replica.witness:
@@ -157,7 +160,21 @@ class SimulatedNode:
         if disk is not None:
             kept = self.world.random.randint(disk.synced, len(disk.lines))
             del disk.lines[kept:]
+            disk.synced = kept
+            disk.votes = {vote: line for vote, line in disk.votes.items() if line <= kept}
+            disk.must_outlive = {line for line in disk.must_outlive if line <= kept}
             self.trusted = self.world.fsync
+            self.world.forget_what_is_lost()
+
+    def end_in_order(self) -> None:
+        """The process ends, and marks its log as whole; then the machine is switched off."""
+        self.crash()
+        self.sync()
+
+    def sync(self) -> None:
+        """The log is brought to the disk."""
+        if self.disk is not None:
+            self.disk.synced = len(self.disk.lines)
 
     def cut_log(self, lines: int) -> None:
         """Replace the log of a dead process with an older copy that lacks the last ``lines``
@@ -170,7 +187,7 @@ class SimulatedNode:
         """A dead process loses its log; it is kept in ``old_disks``."""
         if self.disk is not None:
             self.old_disks.append(self.disk)
-        self.disk = None
+        self.disk, self.trusted = None, True
 
     def give(self, given: interface.Input) -> None:
         """Give an input to the process, if it runs; a suspended process gets it when it resumes."""
@@ -192,7 +209,7 @@ class SimulatedNode:
     def carry_out(self, effects: List[interface.Effect]) -> None:
         """Carry out effects in order; a doomed process dies between two of them."""
         assert self.disk is not None
-        durable = False
+        durable = synced = False
         written: List[Record] = []
         for effect in effects:
             if self.doomed is not None:
@@ -206,10 +223,11 @@ class SimulatedNode:
                 self._write(effect.record)
                 written.append(effect.record)
                 durable = durable or effect.durable
+                synced = synced or effect.synced
                 continue
-            if durable and self.world.fsync:
-                self.disk.synced = len(self.disk.lines)
-                durable = False
+            if synced or (durable and self.world.fsync):
+                self.sync()
+                durable = synced = False
             for record in written:  # nobody could know of them before
                 self.world.on_record(self, record)
             written = []
@@ -218,6 +236,7 @@ class SimulatedNode:
             ) in (
                 "promise",
                 "accepted",
+                "accept",
             ):
                 self._check_written(effect.message)
             if isinstance(effect, (interface.Send, interface.Reply)) and effect.message:
@@ -269,7 +288,9 @@ class SimulatedNode:
         if record["kind"] in ("promised", "accepted"):
             self.disk.votes[record["kind"], tuple(record["ballot"])] = len(self.disk.lines)
             self.world.promised.add((self.log_id, tuple(record["ballot"])))
-        elif record["kind"] == "reset":
+            if "torn" in record or _changes_members(record):
+                self.disk.must_outlive.add(len(self.disk.lines))
+        elif record["kind"] in ("reset", "outage"):
             self.log_id = record["log"]
         elif (
             record["kind"] == "private"
@@ -288,10 +309,18 @@ class SimulatedNode:
         kind = "promised" if message["kind"] == "promise" else "accepted"
         votes, ballot = self.disk.votes, tuple(message["ballot"])
         line = votes.get((kind, ballot)) or votes.get(("accepted", ballot))
-        if line is None or line > (self.disk.synced if self.world.fsync else len(self.disk.lines)):
+        synced = self.world.fsync or line in self.disk.must_outlive
+        if line is None or line > (self.disk.synced if synced else len(self.disk.lines)):
             raise ViolationError(
                 "%s says %s of %s before it is on its disk" % (self.key, kind, message["ballot"])
             )
+
+
+def _changes_members(record: Record) -> bool:
+    """Whether a vote is about who is a member, or whose votes count."""
+    return any(
+        entry["entry"] in ("join", "leave", "evict") for entry, *_ in record.get("batch", ())
+    )
 
 
 def _robot_events(plan: Plan) -> List[str]:
@@ -598,6 +627,21 @@ class World:
                 raise ViolationError(
                     "%s has another slot %d than somebody else" % (node.name, record["slot"])
                 )
+
+    def forget_what_is_lost(self) -> None:
+        """Slots that are in no log any more were lost with the power supply."""
+        known: Dict[int, str] = {}
+        for node in self.nodes.values():
+            records = node.disk.records() if node.disk is not None else []
+            known.update({r["slot"]: r["hash"] for r in records if r["kind"] == "slot"})
+        self._chain = {slot: hash_ for slot, hash_ in self._chain.items() if slot in known}
+
+    def keep_syncing(self, every: float) -> None:
+        """The logs are brought to the disk at random times."""
+        for node in self.nodes.values():
+            if self.random.random() < 0.5:
+                node.sync()
+        self.at(self.now + 2 * every * self.random.random(), lambda: self.keep_syncing(every))
 
     def on_message(self, node: SimulatedNode, message: interface.Message) -> None:
         """Check a message that is sent: a robot that promises to freeze has to, and a proposer

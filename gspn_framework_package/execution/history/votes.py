@@ -5,7 +5,8 @@ replicas happen to agree."""
 from __future__ import annotations
 
 import json
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+import math
+from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.logged_team import Situation
@@ -14,8 +15,21 @@ from gspn_framework_package.execution.history.slot_check import BrokenRuleError
 from gspn_framework_package.model.compact_json import compact_sorted
 
 Ballot = Tuple[int, str, str]
-Vote = Tuple[Ballot, str]
-"""A ballot, and the text of the batch."""
+
+
+class Vote(NamedTuple):
+    """A vote: the ballot, and the text of the batch. ``torn``: the robots whose votes count under
+    this ballot although their logs lost their ends; then it needs the votes of all."""
+
+    ballot: Ballot
+    batch: str
+    torn: FrozenSet[str] = frozenset()
+
+
+Lost = Tuple[str, int, float]
+"""A robot whose machine lost power, its open slot then, and the one from which on it has all of its
+votes again: those in between may have been lost."""
+
 
 Off = Tuple[str, Optional[int]]
 """A robot that was asserted to be off, and its incarnation (None: an old log does not record
@@ -40,6 +54,7 @@ def check_votes(
     votes: Dict[int, Dict[str, List[Vote]]] = {}
     voters: Dict[Tuple[int, str], Tuple[int, int]] = {}
     asserted: List[Tuple[str, Set[Off]]] = []
+    lost: List[Lost] = []
     for number, log in enumerate(merged.logs):
         for vote_slot, memory, vote in _acceptor(number, log, merged):
             votes.setdefault(vote_slot, {}).setdefault(log.robot, []).append(vote)
@@ -49,6 +64,7 @@ def check_votes(
                     1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot)
                 )
         asserted.append((log.robot, _asserted(log)))
+        lost += _lost(log)
     for slot, by_robot in votes.items():
         _one_value_per_ballot(slot, by_robot)
         if slot < len(members):
@@ -71,7 +87,8 @@ def check_votes(
             for robot, those in asserted
             if those
         ]
-        _quorum(slot, merged, votes.get(slot, {}), members[slot], off, complete)
+        may_have = {robot for robot, begin, end in lost if begin <= slot <= end}
+        _quorum(slot, merged, votes.get(slot, {}), members[slot], off, complete, may_have)
 
 
 def _asserted(log: EventLog) -> Set[Off]:
@@ -85,6 +102,22 @@ def _asserted(log: EventLog) -> Set[Off]:
     return asserted
 
 
+def _lost(log: EventLog) -> List[Lost]:
+    """The slots in which the robot may have voted without a trace, since its machine lost power."""
+    found: List[Lost] = []
+    length, begin = 0, -1
+    for record in log.records:
+        kind = record["kind"]
+        if kind == "slot" or kind == "snapshot":
+            length = record["slot"] + 1
+        elif kind == "outage":
+            begin = length if begin < 0 else begin
+        elif kind == "active" and begin >= 0:
+            found.append((log.robot, begin, length))
+            begin = -1
+    return [*found, (log.robot, begin, math.inf)] if begin >= 0 else found
+
+
 def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
     """Check that one log keeps its promises; returns its votes as (slot, number of resets before,
     vote)."""
@@ -96,6 +129,8 @@ def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int
         kind = record["kind"]
         if kind == "active":
             active = True
+        elif kind == "outage":
+            active = False
         elif kind == "reset":
             active, length = False, 0
             resets += 1
@@ -105,7 +140,8 @@ def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int
             ballot = _ballot(record["ballot"])
             slot = record["slot"]
             what = "%s %s ballot %s in slot %d" % (log.robot, kind, list(ballot), slot)
-            if not active:
+            torn = frozenset(record.get("torn", ()))
+            if not active and log.robot not in torn:
                 raise BrokenRuleError(1, "%s before it may vote" % what)
             if slot != length:
                 raise BrokenRuleError(1, "%s, but its first open slot is %d" % (what, length))
@@ -113,7 +149,7 @@ def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int
                 raise BrokenRuleError(1, "%s, but has promised %s" % (what, list(promised)))
             promised = ballot
             if kind == "accepted" and not _given_up(number, i, log, merged):
-                out.append((slot, resets, (ballot, _text(record["batch"]))))
+                out.append((slot, resets, Vote(ballot, _text(record["batch"]), torn)))
     return out
 
 
@@ -136,7 +172,7 @@ def _given_up(number: int, at: int, log: EventLog, merged: Merged) -> bool:
 def _one_value_per_ballot(slot: int, by_robot: Dict[str, List[Vote]]) -> None:
     batches: Dict[Ballot, str] = {}
     for votes in by_robot.values():
-        for ballot, batch in votes:
+        for ballot, batch, _ in votes:
             if batches.setdefault(ballot, batch) != batch:
                 raise BrokenRuleError(
                     1, "two batches were proposed for slot %d under ballot %s" % (slot, [*ballot])
@@ -150,6 +186,7 @@ def _quorum(
     members: Sequence[str],
     assertions: Sequence[Tuple[str, Set[str]]],
     complete: bool,
+    may_have: Set[str],
 ) -> None:
     record = merged.slots[slot]
     if "ballot" not in record:
@@ -161,16 +198,27 @@ def _quorum(
     proposer = record["ballot"][1]
     if _may_decide({proposer}, members, off):
         return  # the proposer decides alone: the slot's record is its vote
-    chosen = set()
-    for ballot in {b for votes in by_robot.values() for b, _ in votes}:
+    chosen, perhaps = set(), _may_decide(may_have, members, off)
+    by_all = {v.ballot for votes in by_robot.values() for v in votes if v.torn}
+    for ballot in {v.ballot for votes in by_robot.values() for v in votes}:
         voters = {
             robot
             for robot, votes in by_robot.items()
-            for b, batch in votes
-            if b == ballot and _leads_to(batch, record)
+            for v in votes
+            if v.ballot == ballot and _leads_to(v.batch, record)
         }
-        if _may_decide(voters, members, off):
-            chosen.add(ballot)
+        if ballot in by_all:
+            left = [set(members) - those for those in (set(), *off)]
+            decides = any(those and those <= voters | may_have for those in left)
+            if decides and any(those and those <= voters for those in left):
+                chosen.add(ballot)
+        else:
+            decides = _may_decide(voters | may_have, members, off)
+            if _may_decide(voters, members, off):
+                chosen.add(ballot)
+        perhaps = perhaps or decides
+    if not chosen and perhaps:
+        return  # by votes that were lost with the power supply
     if not chosen:
         raise BrokenRuleError(
             1,
@@ -181,7 +229,7 @@ def _quorum(
     # whoever was told that a quorum is off did not have to ask it
     misled = {r for r, those in assertions if not _is_quorum(set(members) - those, members)}
     for robot, votes in by_robot.items():
-        for ballot, batch in votes:
+        for ballot, batch, _ in votes:
             if ballot > first and ballot[1] not in misled and not _leads_to(batch, record):
                 raise BrokenRuleError(
                     1,

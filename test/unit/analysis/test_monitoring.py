@@ -221,6 +221,26 @@ def test_a_slower_robot_is_named(duration: Duration, most: int) -> None:
     assert "slower than planned" in first.describe()
 
 
+def test_a_slower_robot_is_told_once_and_not_overstated() -> None:
+    """The alarms that last say the same thing once, by how much as far as is known by now."""
+    now = []
+    for seed in range(12):
+        monitor = _play(
+            _plan(DURATIONS[1], robots=4),
+            1600,
+            every=30 * 86_400.0,
+            seed=seed,
+            factors=lambda robot, now: 1.46 if robot == "r2" else 1.0,
+        )
+        (alarm,) = monitor.on
+        assert (alarm.kind, alarm.robot, alarm.direction) == ("robot", "r2", "slower")
+        assert alarm.change is not None
+        now.append(alarm.change)
+        others = [a for a in monitor.alarms if a.kind != "robot"]
+        assert others and all(map(monitor.is_explained, others))
+    assert sum(now) / 12 == pytest.approx(0.46, abs=0.05)
+
+
 def test_a_faster_team_is_noticed() -> None:
     monitor = _play(_plan(DURATIONS[1]), 600, 30 * 86_400.0, factors=lambda r, now: 0.7)
     assert monitor.alarms[0].direction == "faster"

@@ -817,7 +817,7 @@ def test_a_log_whose_end_may_be_lost_is_not_trusted() -> None:
     world.nodes["r2"].lose_power()
     world.nodes["r2"].start()
     world.run(world.now + 3)
-    assert [r["why"] for r in world.nodes["r2"].disk.records() if r["kind"] == "reset"] == [
+    assert [r["why"] for r in world.nodes["r2"].disk.records() if r["kind"] == "outage"] == [
         "the machine was restarted, and the end of the log may not have reached the disk"
     ]
     assert world.replica("r2").is_settled()
@@ -831,7 +831,7 @@ def test_a_log_of_which_only_the_header_is_left_is_not_taken_for_a_new_one() -> 
     world.nodes["r2"].lose_power()
     del world.nodes["r2"].disk.lines[:]
     world.nodes["r2"].start()
-    assert [r["kind"] for r in world.nodes["r2"].disk.records()][:2] == ["reset", "life"]
+    assert [r["kind"] for r in world.nodes["r2"].disk.records()][:2] == ["outage", "life"]
     world.run(world.now + 3)
     assert world.replica("r2").is_settled()
     assert world.replica("r2").incarnation > 0

@@ -12,6 +12,7 @@ from gspn_framework_package.execution.agreement_simulation.mutants import (
     deployment,
     host,
     memory,
+    outage,
     protocol,
     reactions,
     token_game,
@@ -29,6 +30,7 @@ MUTANTS: List[Mutant] = [
     *token_game.MUTANTS,
     *host.MUTANTS,
     *memory.MUTANTS,
+    *outage.MUTANTS,
     *reactions.MUTANTS,
     *deployment.MUTANTS,
 ]

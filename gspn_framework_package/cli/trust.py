@@ -1,0 +1,65 @@
+"""``gspn trust``: has the robots of a team that are here go on after a loss of power, without the
+others. Says what that gives up, and asks."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any, Dict, List, Mapping
+
+from gspn_framework_package.cli.orders import OrderVerb
+from gspn_framework_package.cli.status import print_table
+from gspn_framework_package.cli.team_client import label_of, team_client
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.team.addressing import robots_of_run
+
+_ORDER = OrderVerb("trust", "")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    _ORDER.add_arguments(parser)
+    parser.add_argument("--yes", action="store_true", help="do not ask")
+    parser.epilog = (
+        "Exit codes: 0 the order is in the log, and the team goes on; 1 it was refused, or you "
+        "said no; 2 wrong usage."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show what each robot has and what is given up, ask, and give the order."""
+    there = robots_of_run(team_client(args).statuses(), args.run_name)
+    if not args.json:
+        print_table({label_of(at): status for at, status in there.items()})
+        print("\n".join(given_up(there)))
+    if not args.yes:
+        if args.json or not sys.stdin.isatty():
+            raise UsageError("this order gives something up", hint="give it with --yes")
+        answer = input("Go on with what these robots know? [y/N] ")
+        if answer.strip().lower() not in ("y", "yes"):
+            print("not done")
+            return 1
+    return _ORDER.run(args)
+
+
+def given_up(statuses: Mapping[Any, Dict[str, Any]]) -> List[str]:
+    """What the order gives up, line by line.
+
+    :param statuses: those of the robots of the run that answer.
+    """
+    longest = max(statuses.values(), key=lambda status: int(status["log_length"]))
+    here = {status["robot"] for status in statuses.values()}
+    off = [m for m in longest.get("members", ()) if m not in here]
+    torn = sorted(status["robot"] for status in statuses.values() if status.get("torn"))
+    lines = ["The robots go on from the longest log here: %s slots." % longest["log_length"]]
+    if torn:
+        lines.append(
+            "Lost with the power: firings, orders and tasks that are in none of these logs, of "
+            "about the last second before it (torn: %s)." % ", ".join(torn)
+        )
+    if off:
+        lines.append(
+            "Given up: what only these know: %s. You assert that they are off, and stay off until "
+            "they are evicted; later they join again." % ", ".join(off)
+        )
+    return lines
