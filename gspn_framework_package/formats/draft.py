@@ -92,6 +92,14 @@ class NetDraft:
         if text not in self.notes:
             self.notes.append(text)
 
+    def note_untimed(self, count: int) -> None:
+        """Note that ``count`` transitions have no timing in the file."""
+        if count:
+            self.note(
+                "%d transition%s without timing: exponential with rate 1"
+                % (count, "" if count == 1 else "s")
+            )
+
     def fail(
         self,
         message: str,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Callable, NamedTuple, Optional, Tuple
 
 from lxml import etree
@@ -31,6 +32,9 @@ def _in_tapaal(file: NetFile) -> bool:
     return file.is_xml and tag(file.root) == "pnml" and member(file.root).kind == TAPAAL
 
 
+_DRAWN_BY_ND = re.compile(r"\s*[pt]\s+-?[\d.]+\s+-?[\d.]+\s")
+
+
 FOREIGN: Tuple[Foreign, ...] = (
     Foreign(
         lambda file: not file.is_xml and file.text.lstrip().startswith(("{", "[")),
@@ -41,6 +45,11 @@ FOREIGN: Tuple[Foreign, ...] = (
         lambda file: not file.is_xml and file.text.startswith("|0|"),
         "the old .net/.def format of GreatSPN is not read",
         "open it in the editor of GreatSPN and save it as PNPRO",
+    ),
+    Foreign(
+        lambda file: not file.is_xml and _DRAWN_BY_ND.match(file.text) is not None,
+        "a drawing of TINA's editor nd (.ndr), which is not read",
+        "save it from nd as .net or PNML",
     ),
     Foreign(
         _in_tapaal,

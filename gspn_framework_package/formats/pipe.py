@@ -8,7 +8,9 @@ marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (colo
                     more than one class of tokens is in use); ``@`` stands for a comma inside
                     a function; empty (5) is the default: no token, weight 1
 capacity            missing or 0: unlimited
-``timed``           missing: immediate; ``rate`` is the weight of an immediate transition
+``timed``           missing: immediate, but exponential with rate 1 if ``rate``, ``priority`` and
+                    ``infiniteServer`` are missing, too (JARP and PNP have no timing);
+                    ``rate`` is the weight of an immediate transition
 ``infiniteServer``  missing: single server, unless an option says otherwise
 ``priority``        missing: 1
 arc ``type``        missing: normal
@@ -27,6 +29,7 @@ from gspn_framework_package.formats.draft import NetDraft, ReadOptions
 from gspn_framework_package.formats.format import Format, XmlReader
 from gspn_framework_package.formats.pipe_update import updater
 from gspn_framework_package.formats.pnml_family import PIPE, member
+from gspn_framework_package.formats.tool_data import note_other_timing
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -50,30 +53,30 @@ from gspn_framework_package.model.net import Net, Position
 NET_TYPE = "P/T net"
 _DEFAULT_CLASS = "Default"
 _VALUE = known("", {"value": known(text=True)}, free="graphics toolspecific")
-_PLACE = known(
-    "id", {"initialMarking": _VALUE, "capacity": _VALUE}, free="name graphics toolspecific"
-)
+_FREE = "name graphics toolspecific comment tagged "
+_PLACE = known("id", {"initialMarking": _VALUE, "capacity": _VALUE}, free=_FREE)
+_TIMING = ("rate", "timed", "infiniteServer", "priority")
 _TRANSITION = known(
     "id",
-    {"rate": _VALUE, "timed": _VALUE, "infiniteServer": _VALUE, "priority": _VALUE},
-    free="name graphics toolspecific orientation",
+    dict.fromkeys(_TIMING, _VALUE),
+    free=_FREE + "orientation",
 )
 _ARC_TYPE = known(
     "value", {"value": known(text=True), "text": known(text=True)}, free="graphics toolspecific"
 )
 _ARC = known(
-    "id source target type",
+    "id source target type tagged",
     {"inscription": _VALUE, "type": _ARC_TYPE},
-    free="name graphics toolspecific arcpath tagged",
+    free=_FREE + "arcpath",
 )
 _DEFINITION = known("id name expression defType type x y", free="graphics name toolspecific")
 _NET = known(
     "id type name",
     {"place": _PLACE, "transition": _TRANSITION, "arc": _ARC, "definition": _DEFINITION},
-    free="name graphics toolspecific labels stateGroup stategroup token tokenclass",
+    free=_FREE + "labels stateGroup stategroup token tokenclass finalmarkings",
     repeated="place transition arc definition",
 )
-_ROOT = known("version", free="net name toolspecific")
+_ROOT = known("version", free="net name toolspecific comment finalmarkings")
 
 
 def from_xml(
@@ -105,6 +108,7 @@ class _Reader:
         self.net = net
         self.options = options
         self.draft = NetDraft(file, self._constants(file))
+        self._untimed = 0
         self.classes: Dict[str, int] = {}  # class of tokens in use -> line of its first use
 
     def read(self) -> None:
@@ -124,6 +128,9 @@ class _Reader:
                 vocabulary.check(element, inside, name_of(element, kind), self.draft.fail)
             if kind in readers:
                 readers[kind](element)
+                for specific in all_of(element, "toolspecific"):
+                    note_other_timing(specific, name_of(element, kind), self.draft)
+        self.draft.note_untimed(self._untimed)
         if len(self.classes) > 1:
             names = sorted(self.classes)
             self.draft.fail(
@@ -161,7 +168,11 @@ class _Reader:
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
         identifier, name = element.get("id"), label(element, "name", "value")
-        timed = self._flag(element, "timed", what)
+        untimed = not any(child(element, part) is not None for part in _TIMING) and not any(
+            specific.get("rateDefinition") for specific in all_of(element, "toolspecific")
+        )
+        self._untimed += untimed
+        timed = untimed or self._flag(element, "timed", what)
         rate = self._rate(element, "rate" if timed else "weight", what)
         if timed:
             servers: Optional[int]

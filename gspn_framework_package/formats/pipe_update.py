@@ -49,7 +49,8 @@ class _PipeNet(XmlNet):
         assert isinstance(new, Transition) and isinstance(old, Transition)
         if new.timed and new.servers not in (None, 1):
             raise CannotHoldError
-        if old.timed != new.timed:
+        timing = old._replace(name=new.name, position=new.position)
+        if old.timed != new.timed or (timing != new and child_of(element, "timed") is None):
             set_text(element, "timed", "value", "true" if new.timed else "false")
         value = new.rate if new.timed else new.weight
         if old.timed != new.timed or value != (old.rate if old.timed else old.weight):

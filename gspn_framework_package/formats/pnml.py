@@ -28,6 +28,7 @@ from gspn_framework_package.formats.format import Format, XmlReader
 from gspn_framework_package.formats.pnml_family import OWN, PNML, STOCHASTIC, member
 from gspn_framework_package.formats.pnml_update import updater
 from gspn_framework_package.formats.repetition import FileSample
+from gspn_framework_package.formats.tool_data import note_other_timing
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -64,19 +65,20 @@ _DELAY = known(
     {"interval": known("closure", {"cn": _TEXT, "ci": _TEXT}, repeated="cn ci")},
     free="graphics",
 )
-_PLACE = known("id", {"initialMarking": _LABEL}, free="name graphics toolspecific label")
-_TRANSITION = known("id", {"delay": _DELAY}, free="name graphics toolspecific label")
-_REFERENCE = known("id ref", free="name graphics toolspecific")
+_FREE = "name graphics toolspecific comment "
+_PLACE = known("id", {"initialMarking": _LABEL}, free=_FREE + "label tagged")
+_TRANSITION = known("id", {"delay": _DELAY}, free=_FREE + "label tagged")
+_REFERENCE = known("id ref", free=_FREE)
 _ARC_TYPE = known("value", {"text": _TEXT, "value": _TEXT}, free="graphics toolspecific")
 _ARC = known(
-    "id source target type",
+    "id source target type tagged",
     {"inscription": _LABEL, "type": _ARC_TYPE, "arctype": _LABEL},
-    free="name graphics toolspecific",
+    free=_FREE + "tagged",
 )
 _ENDS = frozenset(("id", "source", "target"))
-_PAGE = known("id", free="name graphics toolspecific text finalmarkings")
-_NET = known("id type name", free="name graphics toolspecific text finalmarkings")
-_ROOT = known("version", free="net name toolspecific")
+_PAGE = known("id", free=_FREE + "text finalmarkings")
+_NET = known("id type name", free=_FREE + "text finalmarkings")
+_ROOT = known("version", free="net name toolspecific comment finalmarkings")
 _OWN_KEYS = ("capacity", "servers", "parameter")
 
 
@@ -163,11 +165,7 @@ class _Reader:
 
     def note_timing(self, untimed: int) -> None:
         """Note what was assumed on time; ``untimed`` transitions have none in the file."""
-        if untimed:
-            self.draft.note(
-                "%d transition%s without timing: exponential with rate 1"
-                % (untimed, "" if untimed == 1 else "s")
-            )
+        self.draft.note_untimed(untimed)
         if self.parameters:
             meaning = "means, as ProM writes them" if self.means else "rates, as pm4py writes them"
             self.draft.note("parameters of exponential distributions are read as %s" % meaning)
@@ -240,9 +238,14 @@ class _Reader:
                 )
         return own
 
+    def _note_tools(self, parts: vocabulary.Children, what: str) -> None:
+        for specific in parts.get("toolspecific", ()):
+            note_other_timing(specific, what, self.draft)
+
     def _place(self, element: etree._Element) -> None:
         what, line = name_of(element, "place"), line_of(element)
         parts = self._check(element, _PLACE, what)
+        self._note_tools(parts, what)
         text = _text(parts, "initialMarking")
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
         text = self._own(_data(parts), what, line).get("capacity")
@@ -254,6 +257,7 @@ class _Reader:
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
         parts = self._check(element, _TRANSITION, what)
+        self._note_tools(parts, what)
         identifier, name = element.get("id"), _text(parts, "name")
         tools = _data(parts)
         data, own = tools.get(STOCHASTIC, {}), self._own(tools, what, line)
@@ -363,7 +367,7 @@ class _Reader:
             self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
             return
         what, line = name_of(element, "arc"), line_of(element)
-        self._check(element, _ARC, what)
+        self._note_tools(self._check(element, _ARC, what), what)
         kind = arc_kind(element)
         if kind not in ("normal", "inhibitor") and not (kind == "test" and self.tina):
             self.draft.fail(

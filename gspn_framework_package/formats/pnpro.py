@@ -58,8 +58,10 @@ _FUNCTIONS = {
 }
 """The functions of the editor that can be read -> their names here."""
 
-_NODE = "name x y shown-as magnets rotation superpos-tags"
-_CONSTANT = known("name x y consttype type value domain shown-as last-binding", positions=True)
+_DRAWN = "x y width height rotation magnets shown-as alt-name-fn text-size"
+_COMPOSED = "superposition-tags superpos-tags"  # used when nets are composed, which is not read
+_NODE = "name %s %s" % (_DRAWN, _COMPOSED)
+_CONSTANT = known("consttype type value domain last-binding " + _NODE, positions=True)
 _NODES = known(
     "",
     {
@@ -73,10 +75,20 @@ _NODES = known(
 )
 _EDGES = known(
     "",
-    {"arc": known("head tail kind type mult multiplicity", free="point", positions=True)},
+    {
+        "arc": known(
+            "head tail kind type mult multiplicity broken text-size",
+            free="point",
+            positions=True,
+        )
+    },
     repeated="arc",
 )
-_NET = known("name zoom version", {"nodes": _NODES, "edges": _EDGES}, positions=True)
+_SHOWN = (
+    "zoom view-rates view-guards view-priorities view-names view-superpos-tags "
+    "show-timed-cmd show-color-cmd show-fluid-cmd"
+)
+_NET = known("name version " + _SHOWN, {"nodes": _NODES, "edges": _EDGES}, positions=True)
 
 
 def from_xml(

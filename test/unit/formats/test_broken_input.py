@@ -47,6 +47,7 @@ BROKEN = {
     "JSON": (b'{"net": "x.xml"}', "this is JSON, not a net"),
     "text": (b"hello world", "not a net in any format that is known"),
     "binary": (bytes(range(256)) * 4, "neither XML nor text"),
+    "drawing of TINA": (b"p 60 60 {p 1} 1 n\nt 120.5 60 t1 0 w n\n", "save it from nd as .net"),
     "old GreatSPN": (b"|0|\n|\nf 0 1", "old .net/.def format of GreatSPN"),
     "not a number": (
         b"<pnml><net><place id='p'><initialMarking><value>1e999</value></initialMarking></place>"

@@ -108,13 +108,15 @@ def test_everything_is_optional(tmp_path):
         tmp_path,
         '<pnml><net><place id="a"/><transition id="t"/><arc source="a" target="t"/></net></pnml>',
     )
-    assert net == NetBuilder().place("a").immediate("t", inputs="a").build()
-    assert notes == []
+    assert net == NetBuilder().place("a").exponential("t", 1.0, inputs="a").build()
+    assert notes == ["1 transition without timing: exponential with rate 1"]
 
 
 def test_servers_and_weights_that_are_not_said(tmp_path):
     text = document(
-        place("a"), transition("e", "<timed><value>true</value></timed>"), transition("i")
+        place("a"),
+        transition("e", "<timed><value>true</value></timed>"),
+        transition("i", "<priority><value>1</value></priority>"),
     )
     assert read_text(tmp_path, text)[0].transition("e").servers == 1
     assert read_text(tmp_path, text, infinite_servers=True)[0].transition("e").servers is None
@@ -129,7 +131,7 @@ def test_names_that_several_elements_share_fall_back_to_ids(tmp_path):
             '<place id="P0"><name><value>same</value></name></place>',
             '<place id="P1"><name><value>same</value></name></place>',
             '<place id="P2"><name><value> </value></name></place>',
-            '<transition id="T0"><name><value>P0</value></name></transition>',
+            '<transition id="T0"><name><value>P0</value></name><timed/></transition>',
             arc("P0", "T0"),
         ),
     )

@@ -14,6 +14,8 @@ from lxml import etree
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import read_net, read_net_with_notes
+from gspn_framework_package.formats.draft import ReadOptions
+from gspn_framework_package.formats.net_update import update_net
 from gspn_framework_package.model.errors import InputError
 
 DATA = Path(__file__).parent / "data"
@@ -123,17 +125,20 @@ TINA = (
 
 GREATSPN = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
 <project name="FMS" version="121">
-  <gspn name="FMS" zoom="80">
+  <gspn name="FMS" show-color-cmd="false" show-fluid-cmd="false" show-timed-cmd="false"
+      view-guards="false" view-names="false" view-priorities="false" view-rates="false"
+      view-superpos-tags="false" zoom="80">
     <nodes>
-      <constant consttype="INTEGER" name="N" value="4" x="3.0" y="17.0"/>
-      <place label-x="2.5" label-y="1.0" marking="N" name="Pallets" partition="a" partition-x="0.0" x="3.0" y="5.0"/>
-      <transition delay="2.0" delay-x="1.0" guard-x="1.0" label-x="2.0" magnets="THREE_PER_SIDE" name="load"
+      <constant alt-name-fn="LATEX_TEXT" consttype="INTEGER" name="N" text-size="LARGE" value="4" x="3.0" y="17.0"/>
+      <place alt-name-fn="LATEX_TEXT" label-x="2.5" label-y="1.0" marking="N" name="Pallets" partition="a"
+        partition-x="0.0" superpos-x="0.0" superposition-tags="" text-size="SMALL" x="3.0" y="5.0"/>
+      <transition delay="2.0" delay-x="1.0" height="2.0" superposition-tags="sync" guard-x="1.0" label-x="2.0" magnets="THREE_PER_SIDE" name="load"
         nservers="1" nservers-x="0.5" rotation="1.57" shown-as="L" type="EXP" x="3.5" y="9.0"/>
       <transition name="go" priority="2" priority-x="-2.5" type="IMM" weight="3" weight-x="1" x="1.0" y="1.0"/>
       <text-box border="true" height="3" name="t" width="4" x="0.0" y="0.0">words</text-box>
     </nodes>
     <edges>
-      <arc head="load" head-magnet="10" kind="INPUT" mult="1" mult-k="0.5" mult-x="0.1" tail="Pallets" tail-magnet="0">
+      <arc broken="true" head="load" head-magnet="10" kind="INPUT" mult="1" mult-k="0.5" mult-x="0.1" tail="Pallets" tail-magnet="0">
         <point x="10.5" y="9.5"/>
       </arc>
       <arc head="go" kind="INHIBITOR" tail="Pallets"/>
@@ -144,7 +149,41 @@ GREATSPN = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
 </project>
 """
 
+JARP = """<?xml version="1.0" encoding="ISO-8859-1"?>
+<pnml>
+  <!--generator: JARP 1.2-->
+  <net id="n1" type="PTNet">
+    <name><value>P/T net</value></name>
+    <comment><value>drawn by hand</value></comment>
+    <place id="p1"><graphics><position x="244" y="105"/><size width="32" height="32"/></graphics>
+      <name><value>wait.exec</value></name><initialMarking><value>1</value></initialMarking>
+      <comment><value>a note</value></comment></place>
+    <transition id="t1" ><name><value>[ready]</value></name>
+      <toolspecific tool="JARP" version="1.2"><FillColor><value>java.awt.Color[r=1]</value></FillColor></toolspecific>
+    </transition>
+    <arc id="a1" source="p1" target="t1" tagged="false"><inscription><value>1</value></inscription>
+      <toolspecific tool="JARP" version="1.2"><ArrowMode><value>2</value></ArrowMode></toolspecific></arc>
+  </net>
+</pnml>
+"""
+
+PM4PY = """<?xml version='1.0' encoding='UTF-8'?>
+<pnml>
+  <net id="net1" type="http://www.pnml.org/version-2009/grammar/pnmlcoremodel">
+    <page id="n0">
+      <place id="source"><name><text>source</text></name><initialMarking><text>1</text></initialMarking></place>
+      <transition id="a"><name><text>a</text></name>
+        <toolspecific tool="ProM" version="6.4" activity="$invisible$" localNodeID="efb0609a"/></transition>
+      <arc id="1" source="source" target="a"/>
+    </page>
+  </net>
+  <finalmarkings><marking><place idref="source"><text>0</text></place></marking></finalmarkings>
+</pnml>
+"""
+
 VENDORS = {
+    "jarp.pnml": JARP,
+    "pm4py.pnml": PM4PY,
     "tapaal.pnml": TAPAAL,
     "woped.pnml": WOPED,
     "epnk.pnml": EPNK,
@@ -166,6 +205,7 @@ FREE = {
     "arcpath",
     "tagged",
     "finalmarkings",
+    "comment",
     "stategroup",
     "text-box",
     "point",
@@ -183,11 +223,73 @@ def read_text(tmp_path, name, text, **options):
     return read_net_with_notes(path, **options)
 
 
+def changed_file(path, net):
+    """What is read from a file after the net in it has changed."""
+    path.write_bytes(update_net(path.read_bytes(), str(path), ReadOptions(), net))
+    return read_net_with_notes(path)
+
+
 @pytest.mark.parametrize("name", VENDORS)
 def test_what_tools_add_for_themselves_is_read(tmp_path, name):
     net, notes = read_text(tmp_path, name, VENDORS[name])
     assert net.places and net.transitions and net.arcs
     assert not any("ignored" in note for note in notes)
+
+
+@pytest.mark.parametrize("name", VENDORS)
+def test_what_tools_add_for_themselves_is_kept_when_the_net_changes(tmp_path, name):
+    net, notes = read_text(tmp_path, name, VENDORS[name])
+    more = net.with_place(net.places[0]._replace(tokens=net.places[0].tokens + 1))
+    assert changed_file(tmp_path / name, more) == (more, notes)
+    before, after = (
+        [(node.tag, set(node.attrib)) for node in etree.fromstring(text).iter()]
+        for text in (VENDORS[name].encode(), (tmp_path / name).read_bytes())
+    )
+    assert after == before
+
+
+def test_a_net_of_jarp_has_no_timing_until_it_is_given(tmp_path):
+    net, notes = read_text(tmp_path, "jarp.pnml", JARP)
+    assert net.transition("[ready]").timed and net.transition("[ready]").rate == 1.0
+    assert notes == ["1 transition without timing: exponential with rate 1"]
+    faster = net.with_rates({"[ready]": 2.5})
+    assert changed_file(tmp_path / "jarp.pnml", faster) == (faster, [])
+
+
+@pytest.mark.parametrize(
+    "name, old, new, note",
+    [
+        (
+            "woped.pnml",
+            "<time>0</time>",
+            "<time>12</time><timeUnit>1</timeUnit>",
+            "'time' of the tool WoPeD is not used: transition 't1_op_1' has 12 there",
+        ),
+        (
+            "woped.pnml",
+            "<probability>1.0",
+            "<probability>0.3",
+            "'probability' of the tool WoPeD is not used: arc 'a1' has 0.3 there",
+        ),
+        (
+            "pm4py.pnml",
+            'localNodeID="efb0609a"/>',
+            'localNodeID="e"/><toolspecific tool="Other" version="1" meanDelay="3"/>',
+            "'meanDelay' of the tool Other is not used: transition 'a' has 3 there",
+        ),
+        (
+            "jarp.pnml",
+            "<FillColor>",
+            "<FiringRate><value>0.5</value></FiringRate><FillColor>",
+            "'FiringRate' of the tool JARP is not used: transition 't1' has 0.5 there",
+        ),
+    ],
+)
+def test_the_timing_of_other_tools_is_named(tmp_path, name, old, new, note):
+    assert VENDORS[name].count(old) == 1
+    _, before = read_text(tmp_path, name, VENDORS[name])
+    _, notes = read_text(tmp_path, name, VENDORS[name].replace(old, new))
+    assert sorted(notes) == sorted([*before, note])
 
 
 def test_an_inhibitor_arc_of_tapaal_is_one(tmp_path):
