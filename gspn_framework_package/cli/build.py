@@ -48,4 +48,5 @@ def run(args: argparse.Namespace) -> int:
             "%s: %d places, %d transitions, %d robots"
             % (args.output, len(made.net.places), len(made.net.transitions), args.robots)
         )
+        print(made.plan["description"])
     return 0

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Dict
+from typing import Any, Dict, Mapping
 
 from gspn_framework_package.making.site_map import MapEdge, MapNode
-
-_MOVE_BASE = {"target_pose": {"header": {"frame_id": "$node.parent_frame"}, "pose": "$node.pose"}}
 
 
 def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
@@ -22,29 +20,26 @@ def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
         if name.endswith(ending):
             name = name[: -len(ending)]
             break
-    goal = edge.goal or _MOVE_BASE
-    if name == "MoveBase" and not isinstance(goal.get("target_pose"), dict):
-        goal = _MOVE_BASE  # the oldest maps give the pose without a header
+    goal = edge.goal
+    given = goal and goal.get("target_pose")
+    if goal is None or name == "MoveBase" and not (isinstance(given, dict) and "pose" in given):
+        # the oldest maps give the pose without a header
+        goal = {"target_pose": {"header": {"frame_id": node.frame}, "pose": node.pose}}
     return {
         "type": "%s/%sAction" % (package, name),
         "server": edge.action,
-        "goal": _filled(goal, node),
+        "goal": _stamped(goal),
         "outcomes": {"succeeded": arrive},
     }
 
 
-def _filled(value: Any, node: MapNode) -> Any:
-    """A goal of the map with what its ``$node`` words stand for, and the current time."""
-    if isinstance(value, dict):
-        found = {str(key): _filled(part, node) for key, part in value.items()}
-        if "frame_id" in found:
-            found.setdefault("stamp", "now")
-        return found
+def _stamped(value: Any) -> Any:
+    """A goal with the current time in its headers."""
     if isinstance(value, list):
-        return [_filled(part, node) for part in value]
-    return {
-        "$node.pose": node.pose,
-        "$node.parent_frame": node.frame,
-        "$node.name": node.name,
-        "+node.pose": node.pose,
-    }.get(value, value if isinstance(value, (str, int, float, bool)) else None)
+        return [_stamped(part) for part in value]
+    if not isinstance(value, Mapping):
+        return value
+    found = {str(key): _stamped(part) for key, part in value.items()}
+    if "frame_id" in found:
+        found.setdefault("stamp", "now")
+    return found

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.yaml_file import Step, YamlDocument
@@ -19,6 +19,9 @@ MOST_NODES = 2000
 MOST_ELEMENTS = 1_000_000
 """Maximum number of elements of its file: a node has some hundred."""
 
+_WORD_OF_GOAL = re.compile(r"\$\{?[A-Za-z_]|\+\{?(?:node|meta)\b")
+"""What begins a word in a goal that stands for something else."""
+
 _OLD_RESTRICTIONS = (("robot", "robot_type"), ("task", "task_name"))
 
 
@@ -27,6 +30,8 @@ class MapNode(NamedTuple):
 
     :ivar tags: what the map calls such nodes.
     :ivar restriction: who may be there; None: every robot.
+    :ivar capacity: how many robots may be there, if the map says so.
+    :ivar said: what the map says of the node, for the words in goals.
     """
 
     name: str
@@ -36,6 +41,8 @@ class MapNode(NamedTuple):
     frame: str = "map"
     tags: Sequence[str] = ()
     restriction: Optional[Restriction] = None
+    capacity: Optional[int] = None
+    said: Mapping[str, Any] = {}
 
 
 class MapEdge(NamedTuple):
@@ -47,8 +54,7 @@ class MapEdge(NamedTuple):
     :ivar capacity: how many robots may be on it, if the map says so.
     :ivar action: name of the action server that drives along it.
     :ivar action_type: the type of its goals, as the map has it.
-    :ivar goal: its goal, in which ``$node.pose`` and ``$node.parent_frame`` stand for what the node
-        has.
+    :ivar goal: its goal, with what its words stand for.
     :ivar restriction: who may drive there; None: every robot.
     """
 
@@ -64,13 +70,34 @@ class MapEdge(NamedTuple):
     restriction: Optional[Restriction] = None
 
 
+class MapGroup(NamedTuple):
+    """Nodes and edges (A, B), in both directions, where only ``capacity`` robots may be in all."""
+
+    nodes: Sequence[str]
+    edges: Sequence[Tuple[str, str]]
+    capacity: int
+
+
 class SiteMap(NamedTuple):
-    """A map: its ``nodes`` by name, its ``edges``, and ``notes`` on how it was read."""
+    """A map: its ``nodes`` by name, its ``edges``, ``notes`` on how it was read, and ``groups`` of
+    mutual exclusion by name."""
 
     name: str
     nodes: Mapping[str, MapNode]
     edges: Sequence[MapEdge]
     notes: Sequence[str]
+    groups: Mapping[str, MapGroup] = {}
+
+    def group(self, nodes: Sequence[Any], edges: Sequence[Any], capacity: int) -> MapGroup:
+        """Return the group of these nodes and of the edges ``A_B``.
+
+        :raises LookupError: the map has no such node or edge; with the name.
+        """
+        known = {"_".join(pair): pair for pair in ((e.source, e.target) for e in self.edges)}
+        for name in [*nodes, *edges]:
+            if str(name) not in (self.nodes if name in nodes else known):
+                raise LookupError(str(name))
+        return MapGroup([*map(str, nodes)], [known[str(edge)] for edge in edges], capacity)
 
 
 def read_map(path: str) -> SiteMap:
@@ -171,6 +198,7 @@ class _Reader:
         self._pointsets: Dict[str, None] = {}
         self._definitions = _Definitions({})
         self._untyped: Dict[str, int] = {}
+        self._groups: Any = {}
         self._itself = 0
         self._notes: List[str] = []
 
@@ -213,6 +241,7 @@ class _Reader:
                     str(self._definitions.filled(frame)),
                     self._tags(meta.get("tag"), [*at, number, "meta", "tag"]),
                     restriction,
+                    said={"meta": meta, "node": node},
                 ),
                 where,
             )
@@ -334,13 +363,19 @@ class _Reader:
             self._read_position(self._name(name, where), value, where)
         if not isinstance(edges, (list, dict)):
             raise self._document.error("the graph has no list of 'edges'", ["edges"])
+        self._note_unknown(data, {"name", "nodes", "edges", "groups"}, "the graph", [])
+        self._groups = data.get("groups") or {}
         for step, edge in edges.items() if isinstance(edges, dict) else enumerate(edges):
             self._read_graph_edge(edge, ["edges", step])
 
     def _read_position(self, name: str, value: Any, where: List[Step]) -> None:
         tags: List[str] = []
+        capacity = None
         if isinstance(value, dict):
             tags = self._tags(value.get("tags"), [*where, "tags"])
+            capacity = self._capacity(value.get("capacity"), [*where, "capacity"])
+            known = {"name", "x", "y", "yaw", "tags", "capacity"}
+            self._note_unknown(value, known, "the node '%s'" % name, where)
             axes = [value.get(axis) for axis in "xy"]
             yaw = self._number(value.get("yaw", 0.0), [*where, "yaw"])
         elif isinstance(value, list) and len(value) in (2, 3):
@@ -353,7 +388,20 @@ class _Reader:
         x, y = (self._number(axis, where) for axis in axes)
         turned = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turned}
-        self._add(MapNode(name, x, y, pose, tags=tags), where)
+        self._add(MapNode(name, x, y, pose, tags=tags, capacity=capacity), where)
+
+    def _note_unknown(
+        self, value: Mapping[str, Any], known: Set[str], what: str, where: List[Step]
+    ) -> None:
+        for key in value:
+            if key not in known:
+                found = self._document.error("'%s' of %s is not used" % (key, what), [*where, key])
+                self._notes.append(str(found))
+
+    def _capacity(self, value: Any, where: List[Step]) -> Optional[int]:
+        if value is not None and (type(value) is not int or value < 1):
+            raise self._document.error("it is not a whole number above 0", where)
+        return value
 
     def _read_graph_edge(self, edge: Any, where: List[Step]) -> None:
         if isinstance(edge, list) and len(edge) == 2:
@@ -372,9 +420,7 @@ class _Reader:
             for key in ("length", "seconds", "speed")
             if key in edge
         }
-        capacity = edge.get("capacity")
-        if capacity is not None and (type(capacity) is not int or capacity < 1):
-            raise self._document.error("it is not a whole number above 0", [*where, "capacity"])
+        capacity = self._capacity(edge.get("capacity"), [*where, "capacity"])
         a, b = (self._name(edge[key], [*where, key]) for key in ("from", "to"))
         for source, target in ((a, b), (b, a))[: 1 if edge.get("one_way") else 2]:
             self._connect(
@@ -446,7 +492,8 @@ class _Reader:
                 continue
             a, b = self._nodes[edge.source], self._nodes[edge.target]
             length = edge.length or math.hypot(b.x - a.x, b.y - a.y)
-            found[edge.source, edge.target] = edge._replace(length=length)
+            goal = self._filled(edge.goal, a, b, where) if edge.goal else None
+            found[edge.source, edge.target] = edge._replace(length=length, goal=goal)
         if self._itself:
             self._notes.append("edges from a node to itself are left out (%d)" % self._itself)
         if doubles:
@@ -469,7 +516,73 @@ class _Reader:
                 "several pointsets are read as one map: %s" % ", ".join(self._pointsets)
             )
         nodes = {key: node for key, node in self._nodes.items() if key not in self._closed}
-        return SiteMap(name, nodes, list(found.values()), self._notes)
+        site = SiteMap(name, nodes, list(found.values()), self._notes)
+        return site._replace(groups=read_groups(self._groups, site, self._document))
+
+    def _filled(self, value: Any, origin: MapNode, node: MapNode, where: List[Step]) -> Any:
+        """A goal with what its words stand for: ``$node.PATH`` is what the map says of the node
+        where the edge leads, ``+node.PATH`` of the one where it begins (and ``meta``)."""
+        if isinstance(value, dict):
+            return {str(k): self._filled(v, origin, node, where) for k, v in value.items()}
+        if isinstance(value, list):
+            return [self._filled(part, origin, node, where) for part in value]
+        if not isinstance(value, str) or _WORD_OF_GOAL.search(value) is None:
+            return value if isinstance(value, (str, int, float, bool)) else None
+        meant = origin if value.startswith("+") else node
+        frame, given = {"parent_frame": meant.frame, "nav_frame": meant.frame}, meant.said
+        known = {"name": meant.name, "pose": meant.pose, **frame}
+        found: Any = {**given, "node": {**given.get("node", {}), **known}}
+        for step in value[1:].split("."):
+            if isinstance(found, list) and step.isdigit() and int(step) < len(found):
+                found = found[int(step)]
+            else:
+                found = found.get(step) if isinstance(found, dict) else None
+        if found is None:
+            raise self._document.error(
+                "'%s' in the goal of the edge from %s to %s is not understood"
+                % (value, origin.name, node.name),
+                [*where, "goal"],
+                "$node.PATH is what the map says of the node where the edge leads, +node.PATH of "
+                "the one where it begins; the node '%s' has %s"
+                % (meant.name, ", ".join(sorted({*map(str, given.get("node", {})), *known}))),
+            )
+        return found
+
+
+def read_groups(
+    data: Any, site: SiteMap, document: Union[YamlDocument, _Lines]
+) -> Dict[str, MapGroup]:
+    """Return the groups of mutual exclusion in the part ``groups`` of a file.
+
+    :raises InputError: it does not fit, or names what is not in the map.
+    """
+    found = {}
+    for name, given in data.items() if isinstance(data, dict) else [("", data)]:
+        steps: List[Step] = ["groups", str(name)]
+        if isinstance(given, dict):
+            given = {"nodes": [], "edges": [], "capacity": 1, **given}
+        if (
+            not isinstance(given, dict)
+            or set(given) != {"nodes", "edges", "capacity"}
+            or not isinstance(given["nodes"], list)
+            or not isinstance(given["edges"], list)
+            or type(given["capacity"]) is not int
+            or given["capacity"] < 1
+        ):
+            raise document.error(
+                "it is not a group of mutual exclusion",
+                steps,
+                "groups: {crossing: {nodes: [A], edges: [A_B], capacity: 1}}",
+            )
+        try:
+            found[str(name)] = site.group(**given)
+        except LookupError as error:
+            raise document.error(
+                "there is no node or edge '%s' in the map" % error,
+                steps,
+                "A_B is the edge between A and B",
+            ) from None
+    return found
 
 
 class _Definitions:

@@ -3,19 +3,21 @@
 A robot's place says where it is or on which edge, what it does, and, if there are several, its type
 and the level of its battery: so robots of one kind in the same node are exchangeable.
 ``Due_TASK_NODE`` has a token while a task is due, ``Free_A_B`` one for each robot that may still
-drive on an edge, and ``Free_dock_NODE`` one for each free place at a dock.
+drive on an edge, and ``Free_dock_NODE`` one for each free place at a dock. ``Free_node_NODE`` and
+``Free_group_NAME`` limit how many robots are in a node, and in a group of nodes and edges; a robot
+takes its place in the next node before it drives there.
 """
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, write_plan_folder
 from gspn_framework_package.making.site_drawing import Point, SiteDrawing
 from gspn_framework_package.making.site_goals import drive_action
-from gspn_framework_package.making.site_map import MapEdge, read_map
+from gspn_framework_package.making.site_map import MapEdge, MapGroup, read_map
 from gspn_framework_package.making.site_policy import RobotKind
 from gspn_framework_package.making.site_tasks import SiteTasks, read_tasks
 from gspn_framework_package.making.site_team import SiteState, SiteTeam, named
@@ -28,6 +30,8 @@ MOST_NODES = 50_000
 
 PLAN_ROS_FILE = "plan_ros.json"
 """The same plan, with the actions of the map and the tasks for robots on ROS."""
+
+_UNLIMITED = " Nodes hold any number of robots (node_capacity limits it)."
 
 _ACTIONS = '''"""What the robots do where there is no ROS: their actions only take their time."""
 
@@ -106,7 +110,9 @@ def build(
     :raises InputError: a file cannot be read, or both do not fit.
     """
     site = read_map(map_path)
-    tasks = read_tasks(tasks_path, site) if tasks_path is not None else SiteTasks()
+    tasks = SiteTasks(groups=site.groups)
+    if tasks_path is not None:
+        tasks = read_tasks(tasks_path, site)
     team = SiteTeam(site, tasks, map_path, all_edges)
     size = 4 * len(team.states)
     if size > MOST_NODES:
@@ -140,20 +146,66 @@ class _Builder:
         self._durations: Dict[str, Any] = {}
         self._given_back: Dict[str, Any] = {}
         self._resources: List[str] = []
-        self._free = self._limited()
-        """Edge -> resource place and capacity of those where not any number may drive."""
+        self._zones = self._limited()
+        """Resource place -> where only so many robots may be."""
 
-    def _limited(self) -> Dict[Tuple[str, str], Tuple[str, int]]:
-        found: Dict[Tuple[str, str], Tuple[str, int]] = {}
+    def _limited(self) -> Dict[str, MapGroup]:
+        tasks, found = self._tasks, {}
         driven = {(state.node, state.to) for state in self._of("Drive")}
+        visited = dict.fromkeys([*(s.node for s in self._of("At")), *(to for _, to in driven)])
         for pair, edge in self._team.edges.items():
-            capacity = self._tasks.capacity if edge.capacity is None else edge.capacity
-            capacity = self._tasks.edges.get(pair, {}).get("capacity", capacity)
-            if capacity is None or pair not in driven:
+            capacity = tasks.capacity if edge.capacity is None else edge.capacity
+            capacity = tasks.edges.get(pair, {}).get("capacity", capacity)
+            if capacity is None or pair not in driven or "Free_%s_%s" % pair[::-1] in found:
                 continue
-            back = pair[::-1]
-            found[pair] = found[back] if back in found else ("Free_%s_%s" % pair, capacity)
+            found["Free_%s_%s" % pair] = MapGroup((), [pair], capacity)
+        for node in visited:
+            capacity = self._team.site.nodes[node].capacity
+            # an empty battery brings robots to a dock, whoever is there
+            if capacity is None and not (tasks.battery and node in self._team.docks):
+                capacity = tasks.node_capacity
+            capacity = tasks.nodes.get(node, capacity)
+            if capacity is not None:
+                found["Free_node_" + node] = MapGroup([node], (), capacity)
+        for name, group in tasks.groups.items():
+            found["Free_group_" + name] = group
+        starts = list(self._robots.values())
+        at = {named("At", node, kind.suffix): node for node, kind in self._team.start}
+        for free, zone in found.items():
+            here = sum(at[place] in zone.nodes for place in starts)
+            if here > zone.capacity:
+                raise InputError(
+                    "%d robots start in %s, where %d may be"
+                    % (here, ", ".join(zone.nodes), zone.capacity),
+                    element=free,
+                    hint="give another 'start', or a larger capacity",
+                )
+        for robot in self._team.kinds if tasks.battery else ():
+            dock = self._team.dock_of(robot)
+            for free, zone in found.items():
+                if dock in zone.nodes:
+                    raise InputError(
+                        "robots with an empty battery are brought to %s, so it holds any number"
+                        % dock,
+                        element=free,
+                        hint="take it out of 'nodes', 'groups' and the map's capacities",
+                    )
         return found
+
+    def _held(self, node: str, to: str = "") -> List[str]:
+        """What a robot holds in a node; with ``to``, on the edge there: its place there, too."""
+        return [
+            free
+            for free, zone in self._zones.items()
+            if (to or node) in zone.nodes
+            or to
+            and ((node, to) in zone.edges or (to, node) in zone.edges)
+        ]
+
+    def _given(self, place: str, held: Sequence[str]) -> None:
+        """A robot that is lost in a place gives back what it holds."""
+        if held:
+            self._given_back.setdefault(place, {}).update(dict.fromkeys(held, 1))
 
     def _of(self, what: str) -> List[SiteState]:
         return [state for state in self._team.states if state.what == what]
@@ -179,10 +231,18 @@ class _Builder:
             position = self._draw.node(state.node, state.kind.suffix)
             self._net.place(at, starts.count(at), position=position)
             self._actions[at] = self._ros[at] = None
+            self._given(at, self._held(state.node))
         first = self._team.start[0][1].suffix
-        for pair, (free, capacity) in self._free.items():
-            if free == "Free_%s_%s" % pair:
-                self._resource(free, capacity, self._draw.along(*pair, first, 0.5, 0))
+        begun = {named("At", node, kind.suffix): node for node, kind in self._team.start}
+        for number, (free, zone) in enumerate(self._zones.items()):
+            where = self._draw.top(number, -1)
+            if not zone.nodes:
+                where = self._draw.along(*zone.edges[0], first, 0.5, 0)
+            elif not zone.edges and len(zone.nodes) == 1:
+                x, y = self._draw.node(zone.nodes[0], first)
+                where = (x, y - 90)
+            taken = sum(begun[place] in zone.nodes for place in starts)
+            self._resource(free, zone.capacity - taken, where)
         for state in self._of("Drive"):
             self._drive(self._team.edges[state.node, state.to], state.kind)
         for state in self._of("Go"):
@@ -193,9 +253,11 @@ class _Builder:
             self._charging()
         site, policy = self._team.site, self._policy() if self._team.rows else None
         tasks = ", ".join(self._tasks.tasks) or "driving around"
+        about = "Robots on a map of %d nodes: %s." % (len(site.nodes), tasks)
+        limited = any(zone.nodes for zone in self._zones.values())
         plan: Dict[str, Any] = {
             "plan": self._name,
-            "description": "Robots on a map of %d nodes: %s." % (len(site.nodes), tasks),
+            "description": about if limited else about + _UNLIMITED,
             "actions": self._actions,
             "resource_places": self._resources,
             "environment": "simulate",
@@ -214,11 +276,11 @@ class _Builder:
         drained = self._tasks.battery.get(kind.level, 0.0)
         drive, arrive = named("Drive", a, b, suffix), named("Arrive", a, b, suffix)
         drain = named("Drain", a, b, suffix)
-        free = [self._free[a, b][0]] if (a, b) in self._free else []
+        held = self._held(a, b)
+        free = [place for place in held if place not in self._held(b)]
         ros = drive_action(edge, self._team.site.nodes[b], arrive)
         self._act(drive, seconds, ros, 0, self._draw.along(a, b, suffix, 0.48))
-        if free:
-            self._given_back[drive] = {free[0]: 1}
+        self._given(drive, held)
         self._net.exponential(
             arrive,
             (1 - drained) / seconds,
@@ -236,12 +298,12 @@ class _Builder:
                 drained / seconds,
                 None,
                 inputs=drive,
-                outputs=self._after_drain(edge, kind, drain, free),
+                outputs=self._after_drain(edge, kind, drain, held),
                 position=self._draw.along(a, b, suffix, 0.7, 2.2),
             )
 
     def _after_drain(
-        self, edge: MapEdge, kind: RobotKind, drain: str, free: Sequence[str]
+        self, edge: MapEdge, kind: RobotKind, drain: str, held: Sequence[str]
     ) -> List[str]:
         """Where a robot is whose level ends on an edge: at its end; where the battery is read on
         ROS, still on it, so that nobody else takes it to be free."""
@@ -250,17 +312,19 @@ class _Builder:
         if topic is not None and charge is not None:
             self._events[drain] = topic.event(charge)
         if lower is None:
-            return [self._stranded(kind.type), *free]
+            return [self._stranded(kind.type), *held]
         if topic is None:
+            there = self._held(edge.target)
+            free = [place for place in held if place not in there]
             return [named("At", edge.target, lower.suffix), *free]
         return [named("Drive", edge.source, edge.target, lower.suffix)]
 
     def _go(self, a: str, b: str, suffix: str) -> None:
-        free = [self._free[a, b][0]] if (a, b) in self._free else []
+        before, after = self._held(a), self._held(a, b)
         self._net.immediate(
             named("Go", a, b, suffix),
-            inputs=[named("At", a, suffix), *free],
-            outputs=named("Drive", a, b, suffix),
+            inputs=[named("At", a, suffix), *(free for free in after if free not in before)],
+            outputs=[named("Drive", a, b, suffix), *(free for free in before if free not in after)],
             position=self._draw.along(a, b, suffix, 0.25),
         )
 
@@ -289,7 +353,7 @@ class _Builder:
             at, off = named("At", node, suffix), 60 * len(side)
             x, y = self._draw.node(node, suffix)
             self._act(place, given.seconds, given.action, 0, (x + 120 + off, y + 60 + off))
-            self._given_back[place] = {due: 1}
+            self._given(place, [due, *self._held(node)])
             self._net.immediate(
                 named("Start", here, suffix),
                 inputs=[at, due],
@@ -315,7 +379,7 @@ class _Builder:
             free, charge = "Free_dock_" + dock, named("Charge", dock, suffix)
             x, y = self._draw.node(dock, suffix)
             self._act(charge, tasks.charge, self._charged(), 0, (x - 160, y + 60))
-            self._given_back[charge] = {free: 1}
+            self._given(charge, [free, *self._held(dock)])
             self._net.immediate(
                 named("Dock", dock, suffix),
                 inputs=[named("At", dock, suffix), free],

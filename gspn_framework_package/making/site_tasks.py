@@ -9,7 +9,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 import jsonschema
 
 from gspn_framework_package.formats.yaml_file import Step, YamlDocument, read_yaml
-from gspn_framework_package.making.site_map import SiteMap
+from gspn_framework_package.making.site_map import MapGroup, SiteMap, read_groups
 
 SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
 """The JSON schema of the file."""
@@ -57,6 +57,10 @@ class SiteTasks(NamedTuple):
 
     :ivar edges: (node, node) -> capacity and seconds that the file gives that edge, in both
         directions; a capacity of None is any number.
+    :ivar node_capacity: how many robots may be in a node for which nothing else is said; None: any
+        number.
+    :ivar nodes: node -> how many robots may be there; None: any number.
+    :ivar groups: those of the map too.
     :ivar battery: level, from full to low -> probability that it ends on an edge; empty: robots do
         not need to charge.
     :ivar docks: node -> how many robots can charge there at a time.
@@ -69,6 +73,9 @@ class SiteTasks(NamedTuple):
     speed: float = 0.5
     shape: float = 16.0
     capacity: Optional[int] = 1
+    node_capacity: Optional[int] = None
+    nodes: Mapping[str, Optional[int]] = {}
+    groups: Mapping[str, MapGroup] = {}
     edges: Mapping[Tuple[str, str], Mapping[str, Any]] = {}
     tasks: Mapping[str, SiteTask] = {}
     battery: Mapping[str, float] = {}
@@ -130,11 +137,19 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
     for key in ("speed", "shape", "charge", "stranded"):
         if key in data:
             simple[key] = float(data[key])
-    if "capacity" in data:
-        simple["capacity"] = data["capacity"]
+    for key in ("capacity", "node_capacity"):
+        if key in data:
+            simple[key] = data[key]
+    nodes = {
+        node: given["capacity"]
+        for name, given in data.get("nodes", {}).items()
+        for node in reader.meant(name, ["nodes", str(name)])
+    }
     return SiteTasks(
         start=reader.nodes(data.get("start", []), ["start"]),
         edges=reader.edges(data.get("edges", {})),
+        nodes=nodes,
+        groups={**site.groups, **read_groups(data.get("groups", {}), site, document)},
         tasks=tasks,
         battery=battery,
         docks=docks,

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.making.restrictions import Restriction
 from gspn_framework_package.making.site_map import read_map
@@ -301,3 +302,148 @@ def test_tags_mean_the_nodes_that_have_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no node of the map has the tag 'rows'") as caught:
         built(tmp_path, FARM, {"tasks": {"Look": {"at": ["tag:rows"], "seconds": 1}}})
     assert caught.value.hint == "its tags are dock, base, row"
+
+
+def test_words_in_goals_stand_for_what_the_map_says_of_either_node(tmp_path: Path) -> None:
+    goal = {
+        "initial_pose": {"header": {"frame_id": "+node.parent_frame"}, "pose": "+node.pose"},
+        "final_pose": {"header": {"frame_id": "$node.parent_frame"}, "pose": "$node.pose"},
+        "tolerance": "$node.properties.xy",
+        "began": "+node.properties.xy",
+        "x": "$node.pose.position.x",
+        "yaw": "$node.pose.orientation.w",
+        "corner": "$node.verts.1.x",
+        "from": "+node.name",
+        "map": "+meta.map",
+        "text": "+1 m",
+    }
+    edge = {"action": "row", "action_type": "row_msgs/RowGoal", "goal": goal, "node": "B"}
+    site = {
+        "nodes": [
+            entry("A", 1.0, edge, parent_frame="yard", properties={"xy": 0.5}),
+            entry("B", 9.0, properties={"xy": 0.3}, verts=[{"x": 4}, {"x": 5}]),
+        ]
+    }
+    sent = built(tmp_path, site, None).ros_actions["Drive_A_B"]["goal"]
+    assert sent["initial_pose"]["pose"]["position"]["x"] == 1.0
+    assert sent["initial_pose"]["header"] == {"frame_id": "yard", "stamp": "now"}
+    assert sent["final_pose"]["pose"]["position"]["x"] == 9.0
+    assert sent["final_pose"]["header"]["frame_id"] == "map"
+    del sent["initial_pose"], sent["final_pose"]
+    assert sent == {
+        "tolerance": 0.3,
+        "began": 0.5,
+        "x": 9.0,
+        "yaw": 1.0,
+        "corner": 5,
+        "from": "A",
+        "map": "m",
+        "text": "+1 m",
+    }
+
+
+@pytest.mark.parametrize(
+    "word",
+    ["$node.properties.xy", "+node.pse", "$nodes.pose", "${nobody.knows}", "to $node.name", "$x"],
+)
+def test_words_in_goals_that_are_not_understood_are_named(tmp_path: Path, word: str) -> None:
+    edge = {"action": "row", "action_type": "row_msgs/RowGoal", "goal": {"target": word}}
+    path = written(tmp_path, two(edge))
+    with pytest.raises(InputError) as caught:
+        read_map(path)
+    assert "'%s' in the goal of the edge from A to B is not understood" % word in str(caught.value)
+    assert word in Path(path).read_text().splitlines()[(caught.value.line or 0) - 1]
+
+
+def test_words_of_a_graph_that_are_not_used_are_named(tmp_path: Path) -> None:
+    text = "nodes:\n  a: {x: 0, y: 0, yawn: 1}\n  b: [1, 0]\nedges: [[a, b]]\ngroup: {}\n"
+    path = written(tmp_path, text, "graph.yaml")
+    assert sorted(read_map(path).notes) == [
+        "%s:2: nodes.a.yawn: 'yawn' of the node 'a' is not used" % path,
+        "%s:5: group: 'group' of the graph is not used" % path,
+    ]
+
+
+LANE = "nodes: {west: [0, 0], mid: [5, 0], east: [10, 0]}\nedges: [[west, mid], [mid, east]]\n"
+ENDS = {
+    "start": ["west", "east"],
+    "tasks": {
+        "Pick": {"at": ["west"], "seconds": 5.0, "again_after": 20.0},
+        "Drop": {"at": ["east"], "seconds": 5.0, "again_after": 20.0},
+    },
+}
+ALONE = {"lane": {"nodes": ["mid"], "edges": ["west_mid", "mid_east"]}}
+
+
+def lane(folder: Path, text: str = LANE, **tasks: Any) -> SitePlan:
+    found = built(folder, text, {**ENDS, **tasks})
+    found.write(str(folder / "made"))
+    return found
+
+
+@pytest.mark.parametrize("capacity, dead", [(None, False), (1, True)])
+def test_robots_that_wait_for_each_others_node_are_found(
+    tmp_path: Path, capacity: Optional[int], dead: bool
+) -> None:
+    text = "nodes: {a: [0, 0], b: [5, 0]}\nedges: [[a, b]]\n"
+    found = built(tmp_path, text, {"start": ["a", "b"], "node_capacity": capacity})
+    assert ("Nodes hold any number of robots" in found.plan["description"]) is not dead
+    found.write(str(tmp_path / "made"))
+    said = " ".join(item.text for item in check(read_plan(str(tmp_path / "made"))).items)
+    assert ("no dead marking" in said) is not dead
+
+
+@pytest.mark.parametrize(
+    "text, tasks",
+    [
+        (LANE, {"node_capacity": 1}),
+        (LANE, {"nodes": {"mid": {"capacity": 1}}}),
+        (LANE.replace("mid: [5, 0]", "mid: {x: 5, y: 0, capacity: 1}"), {}),
+        (LANE, {"groups": ALONE}),
+        (LANE + yaml.safe_dump({"groups": ALONE}), {}),
+    ],
+)
+def test_capacities_of_nodes_and_groups_hold(
+    tmp_path: Path, text: str, tasks: Dict[str, Any]
+) -> None:
+    lane(tmp_path, text, **tasks)
+    plan = read_plan(str(tmp_path / "made"))
+    whole = "groups" in text or "groups" in tasks
+    lost = {"At_mid", "Drive_west_mid", "Drive_east_mid"} | (
+        {"Drive_mid_west", "Drive_mid_east"} if whole else set()
+    )
+    most = 0
+    for marking in explore(plan.net).markings():
+        found = dict(zip((p.name for p in plan.net.places), map(int, marking)))
+        most = max(most, sum(found[name] for name in lost))
+    assert most == 1
+    assert set(plan.on_evict["At_mid"]) <= {p.name for p in plan.net.places}
+    for name in lost:
+        assert any(n.startswith(("Free_node_", "Free_group_")) for n in plan.on_evict[name])
+
+
+@pytest.mark.parametrize(
+    "text, tasks, said",
+    [
+        (LANE, {"start": ["west"], "node_capacity": 1}, "2 robots start in west, where 1 may be"),
+        (LANE, {"nodes": {"wst": {"capacity": 1}}}, "there is no node 'wst'"),
+        (LANE, {"groups": {"lane": {"edges": ["mid_mid"]}}}, "no node or edge 'mid_mid'"),
+        (LANE + "groups: {lane: {nodes: [wst]}}", {}, "no node or edge 'wst'"),
+        (LANE + "groups: {lane: {node: [west]}}", {}, "not a group of mutual exclusion"),
+        (LANE + "groups: [west]", {}, "not a group of mutual exclusion"),
+        (
+            LANE,
+            {
+                "battery": {"full": 0.1, "low": 0.1},
+                "docks": {"west": 1},
+                "nodes": {"west": {"capacity": 1}},
+            },
+            "brought to west, so it holds any number",
+        ),
+    ],
+)
+def test_limits_that_cannot_hold_are_errors(
+    tmp_path: Path, text: str, tasks: Dict[str, Any], said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        lane(tmp_path, text, **tasks)
