@@ -186,7 +186,8 @@ class Scenario:
     ) -> None:
         """Say what the next attempts at the action of a place do.
 
-        Of several calls that suit an attempt, the first one counts whose ``times`` are not used up.
+        Of several calls that suit an attempt, the first one counts whose ``times`` are not used up;
+        but a call for all that follow replaces an earlier one for the same place and robot.
 
         :param robot: for this robot only.
         :param seconds: how long it takes: a number (``math.inf``: for ever) or a distribution; by
@@ -207,6 +208,11 @@ class Scenario:
                 hint="there are: %s" % ", ".join(log_entries.FAILURES),
             )
         rule = _Rule(place, robot, seconds, result, data, fails, act)
+        self._rules = [
+            (other, left)
+            for other, left in self._rules
+            if times is not None or left[0] >= 0 or other[:2] != rule[:2]
+        ]
         self._rules.append((rule, [-1 if times is None else times]))
 
     # -- what happens from outside -----------------------------------------------------------------

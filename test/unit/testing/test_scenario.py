@@ -124,6 +124,16 @@ def test_the_test_says_what_actions_do() -> None:
     assert run.data("a") == {"robot.at": 9.0, "team.seen": 4}
 
 
+def test_what_is_said_later_for_all_attempts_replaces_what_was_said_before() -> None:
+    run = Scenario(shop())
+    run.action("Deliver", seconds=1000.0)
+    run.action("Deliver", seconds=2.0, times=1)
+    run.action("Deliver", seconds=3.0)
+    for at in (2.0, 2.0 + 3.0):
+        run.submit("order")
+        assert run.until_fired("delivered").at == at
+
+
 def test_an_action_of_the_test_may_fail_or_never_end() -> None:
     def act(attempt: ActionAttempt) -> None:
         raise ActionFailed("no way to %s" % attempt.data["task.id"])
