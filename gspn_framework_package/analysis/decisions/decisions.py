@@ -22,7 +22,7 @@ from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tupl
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import WIDTH, AtLeast, Objective, Request
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.analysis.decisions.export import Decided, policy_of
@@ -38,6 +38,7 @@ from gspn_framework_package.analysis.decisions.solving import (
     Evaluated,
     Robust,
     constrained,
+    follow,
     optimum,
     robust,
 )
@@ -332,13 +333,15 @@ class _Solver:
             rate = net.transitions[t].rate
             factors[t] = (low / rate, high / rate)
 
-        def worst(rows: Booleans) -> Robust:
+        def worst(
+            part: Automaton, earned: Optional[Rewards], proportional: Indices, rows: Booleans
+        ) -> Robust:
             return robust(
-                automaton,
+                part,
                 objective.aim,
-                rewards,
+                earned,
                 factors,
-                labels=labels,
+                labels=proportional,
                 goal=goal,
                 discount=objective.discount,
                 maximise=objective.maximise,
@@ -347,13 +350,14 @@ class _Solver:
                 watch=self._watch,
             )
 
-        found = worst(allowed)
+        found = worst(automaton, rewards, labels, allowed)
         weights = np.zeros(len(automaton.choices))
         chosen = found.row_of[found.row_of >= 0]
         weights[chosen] = 1.0
         grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
         # what the rows that were written guarantee, not what the solution would
-        own = worst((grouped.weights > 0) | automaton.tangible[automaton.row_states])
+        part = follow(automaton, rewards, grouped.weights, goal)
+        own = worst(part.automaton, part.rewards, labels[part.arcs], part.speaks)
         lower, upper = found.lower, found.upper
         if objective.maximise:
             lower = min(lower, own.lower)

@@ -1,7 +1,7 @@
 """Numeric methods for the decision problem of a plan. Each returns certified bounds."""
 
 from gspn_framework_package.analysis.decisions.solving.constraints import Constrained, constrained
-from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate
+from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate, follow
 from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
 from gspn_framework_package.analysis.decisions.solving.robustness import Robust, robust
 from gspn_framework_package.analysis.decisions.solving.sensitivity import sensitivities
@@ -13,6 +13,7 @@ __all__ = [
     "Solved",
     "constrained",
     "evaluate",
+    "follow",
     "optimum",
     "robust",
     "sensitivities",

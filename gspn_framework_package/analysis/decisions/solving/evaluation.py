@@ -79,30 +79,23 @@ def evaluate(
     :raises RefusedError: a run comes to a state without a policy, or the value is infinite.
     :raises LimitError: the bounds did not come close enough.
     """
-    rows = np.where(automaton.tangible[automaton.row_states], 1.0, np.asarray(weights, float))
-    mixed, row_of_arc = _mixed(automaton, rows)
     if aim in (Aim.LONG_RUN, Aim.DISCOUNTED):
         goal = None
-    own = None
-    if rewards is not None:
-        own = Rewards(rewards.rate, np.asarray(rewards.impulse, dtype=np.float64)[row_of_arc])
-    silent = np.bincount(automaton.row_states, weights=rows, minlength=len(automaton)) <= 0
-    if goal is not None:
-        silent &= ~goal
+    followed = follow(automaton, rewards, weights, goal)
     try:
         solved = optimum(
-            mixed,
+            followed.automaton,
             aim,
-            own,
+            followed.rewards,
             goal=goal,
             discount=discount,
             maximise=True,
             width=width,
-            allowed=~silent,
+            allowed=followed.speaks,
             watch=watch,
         )
     except RefusedError as error:
-        if silent.any() and "allowed" in error.message:
+        if not followed.speaks.all() and "allowed" in error.message:
             raise RefusedError("the policy says nothing in a state that a run comes to") from error
         raise
     sojourn, flow = flows(automaton, aim, weights, goal=goal, discount=discount, watch=watch)
@@ -118,6 +111,36 @@ def evaluate(
         sojourn,
         solved.method,
     )
+
+
+class Followed(NamedTuple):
+    """What is left of a decision problem under a policy.
+
+    :ivar automaton: with one row for each state, in which drawn rows are mixed.
+    :ivar rewards: what its runs earn; None: nothing.
+    :ivar arcs: int array: for each of its arcs the arc that it was.
+    :ivar speaks: boolean array over the states: whether the policy says something there.
+    """
+
+    automaton: Automaton
+    rewards: Optional[Rewards]
+    arcs: Indices
+    speaks: Booleans
+
+
+def follow(
+    automaton: Automaton, rewards: Optional[Rewards], weights: Floats, goal: Optional[Booleans]
+) -> Followed:
+    """The decision problem under a policy; see :func:`evaluate` for the arguments."""
+    rows = np.where(automaton.tangible[automaton.row_states], 1.0, np.asarray(weights, float))
+    mixed, arcs = _mixed(automaton, rows)
+    own = None
+    if rewards is not None:
+        own = Rewards(rewards.rate, np.asarray(rewards.impulse, dtype=np.float64)[arcs])
+    speaks = np.bincount(automaton.row_states, weights=rows, minlength=len(automaton)) > 0
+    if goal is not None:
+        speaks |= goal
+    return Followed(mixed, own, arcs, speaks)
 
 
 def _mixed(automaton: Automaton, weights: Floats) -> Tuple[Automaton, Indices]:

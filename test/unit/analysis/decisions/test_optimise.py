@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions import decisions
 from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, Request
 from gspn_framework_package.analysis.decisions.grouping import _Grouping
 from gspn_framework_package.analysis.decisions.optimise import optimise
@@ -221,6 +222,20 @@ def test_the_best_policy_for_the_worst_rates(reading):
     assert report.teams[0].value == pytest.approx(0.5, rel=1e-6)
     assert report.teams[0].upper == pytest.approx(0.5, rel=1e-6)
     assert dict(report.plan.policy.rows[0].choices) == {"walk": 1.0}
+
+
+def test_the_worst_value_of_a_policy_that_draws_is_not_that_of_its_best_row(monkeypatch):
+    group_random = decisions.group_random
+
+    def draw(team, weights, *args, **options):
+        drawn = np.where(team.decides[team.automaton.row_states], 0.5, weights)
+        return group_random(team, drawn, *args, **options)
+
+    monkeypatch.setattr(decisions, "group_random", draw)
+    aim = Objective.long_run({"walked": 1, "driven": 1})
+    request = Request(aim, uncertain={"driven": (1.0, 4.0)}, reading="net")
+    report = optimise(two_ways(), request, simulated=0)
+    assert report.teams[0].value == pytest.approx(2 / 3, rel=1e-6)  # 2 in 2 s and 1 s
 
 
 @pytest.mark.parametrize("reading", ["net", "run"])
