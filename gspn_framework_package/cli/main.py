@@ -11,6 +11,7 @@ is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has e
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import io
 import os
@@ -28,6 +29,9 @@ from gspn_framework_package.model.errors import GspnError, missing_library
 EXIT_USAGE = 2
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
 EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
+
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What a disk that is full or broken says."""
 
 
 class Verb(NamedTuple):
@@ -137,6 +141,10 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             return _interrupted()
         if debug:
             traceback.print_exc()
+        try:
+            sys.stdout.flush()
+        except OSError:  # Python flushes again at exit, and would complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         message, code = _explain(error)
         print(
             "gspn: %s" % message.encode("utf-8", "backslashreplace").decode("utf-8"),
@@ -174,6 +182,8 @@ def _explain(error: Exception) -> Tuple[str, int]:
         return f"error: {missing_library(error)}", EXIT_USAGE
     if isinstance(error, OSError) and error.filename is not None:
         return f"error: {os.fsdecode(error.filename)}: {error.strerror}", EXIT_USAGE
+    if isinstance(error, OSError) and error.errno in _DISK:
+        return f"error: cannot write: {error.strerror}", EXIT_USAGE
     return (
         f"internal error: {type(error).__name__}: {error}\n"
         "This is a fault of gspn, not of its input; with --debug it prints a traceback to report.",

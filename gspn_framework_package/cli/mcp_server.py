@@ -155,7 +155,8 @@ class ModelContextServer:
         with self._lock:
             self._calls.pop(key, None)
         if not call.cancelled.is_set():
-            self._result(key, {"content": [{"type": "text", "text": text}], "isError": failed})
+            content: Json = {"content": [{"type": "text", "text": text}], "isError": failed}
+            self._result(key, content if failed else {**content, **_structured(text)})
 
     def _cancel(self, key: Any) -> None:
         with self._lock:
@@ -177,3 +178,12 @@ class ModelContextServer:
                 self._answers.flush()
             except (OSError, ValueError):
                 pass  # the client has gone: its stream of requests ends too
+
+
+def _structured(text: str) -> Json:
+    """The answer as data, beside its text; nothing if the text was cut."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return {"structuredContent": data} if isinstance(data, dict) else {}

@@ -4,6 +4,7 @@ ended when it takes too long or is cancelled."""
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -74,6 +75,7 @@ def _flag(about: str) -> Json:
 
 PLAN = _text("path of a plan's folder or file, or of a net, as list_plans gives it")
 ROBOTS = _whole("size of the team; by default that of the plan", 1, 10_000)
+MAY_WAIT = _number("most seconds until the answer; a part that takes longer is left out", 0.1)
 OUTPUT = _text("path of a new file or folder to write; needs a server with --allow-write")
 CONDITION = "a condition on markings, such as \"p3 >= 1 and 'Check L1' == 0\", or deadlock"
 
@@ -119,6 +121,7 @@ TOOLS = {
             "reach": _text("can this be reached: " + CONDITION),
             "cover": _text("P=N,...: can a marking with at least these tokens be reached"),
             "mean_time_to": _text("mean time until this holds: " + CONDITION),
+            "may_wait": MAY_WAIT,
         },
         verb="analyse",
     ),
@@ -132,6 +135,7 @@ TOOLS = {
             "robots": ROBOTS,
             "until": _text("ends a run: " + CONDITION),
             "seed": _whole("seed of the random numbers (default 0)", 0, 2**31),
+            "may_wait": MAY_WAIT,
         },
         ("plan", "time"),
         verb="simulate",
@@ -139,7 +143,7 @@ TOOLS = {
     "optimise": _Tool(
         "Compute the best policy of a plan for one aim (reward, mean_time_to, cost_to or reach), "
         "with certified bounds.",
-        {"plan": PLAN, "robots": ROBOTS, **AIMS, "output": OUTPUT},
+        {"plan": PLAN, "robots": ROBOTS, **AIMS, "may_wait": MAY_WAIT, "output": OUTPUT},
         verb="optimise",
         writes=True,
     ),
@@ -213,9 +217,12 @@ class PlanTools:
             where = ".".join(str(step) for step in error.absolute_path)
             raise UsageError(error.message[:300], element=where or None) from None
         if name == "list_plans":
-            return self._cut(json.dumps([entry._asdict() for entry in self._folder.entries()]))
+            return self._cut(
+                json.dumps({"files": [entry._asdict() for entry in self._folder.entries()]})
+            )
         output = self._output(fields.pop("output", None))
-        run = _Runs(self._folder.root, self._limits, tick)
+        seconds = min(fields.pop("may_wait", math.inf), self._limits.seconds)
+        run = _Runs(self._folder.root, self._limits._replace(seconds=seconds), tick)
         if name == "draft_plan":
             return self._cut(self._draft(fields, output, run))
         named = ["--", self._path(fields.pop("plan")), *fields.pop("transitions", [])]
@@ -223,7 +230,7 @@ class PlanTools:
         if name == "check":
             words += _modules()
         if name in ("analyse", "optimise"):  # they give what they have when a part takes too long
-            words.append("--limit-time=%g" % (self._limits.seconds / PARTS))
+            words.append("--limit-time=%g" % (seconds / PARTS))
         if output:
             words.append("--output=" + output)
         return self._cut(run.run([*words, *_options(fields), *named]))
@@ -338,7 +345,7 @@ class _Runs:
             if seconds > self._limits.seconds:
                 raise LimitError(
                     "no answer within %g seconds" % self._limits.seconds,
-                    hint="ask for less, or start gspn mcp with a larger --limit-time",
+                    hint="ask for less, or for more seconds: may_wait, gspn mcp --limit-time",
                 )
 
 

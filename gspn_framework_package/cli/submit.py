@@ -9,6 +9,7 @@ from typing import Any, Dict
 
 from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.execution.log_entries import make_submit, new_task_id
+from gspn_framework_package.formats.json_file import TOO_DEEP, is_too_deep
 from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import DataError, InputError, UsageError
 
@@ -74,6 +75,8 @@ def read_data(text: str) -> Dict[str, Any]:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise DataError("is not JSON: %s" % error, file=where) from None
+    if is_too_deep(data):
+        raise DataError(TOO_DEEP, file=where)
     if not isinstance(data, dict):
         raise DataError("is not a JSON object, but %.100r" % (data,), file=where)
     return data

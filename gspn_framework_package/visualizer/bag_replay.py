@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import Any, Dict, List, Optional, Tuple
 
+from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import GspnError, LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Activity
@@ -111,7 +112,7 @@ def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
             hint="apt install python3-rosbag",
         ) from None
     try:
-        with rosbag.Bag(path) as bag:
+        with open_file(path) as file, rosbag.Bag(file) as bag:
             topics = [
                 topic
                 for topic, info in bag.get_type_and_topic_info().topics.items()

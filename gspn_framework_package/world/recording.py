@@ -122,7 +122,7 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
                 if len(seen) != len(room.people):
                     raise ValueError("%d places of %d people" % (len(seen), len(room.people)))
                 people[float(time)] = tuple(at and (float(at[0]), float(at[1])) for at in seen)
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+    except (RecursionError, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
             "no recording of a world: %s" % error,
             file=str(file),

@@ -54,7 +54,7 @@ def refused(tools, name, **arguments):
 
 
 def test_plans_are_listed_and_checked(tools):
-    assert "tokens/plan.json" in [entry["path"] for entry in call(tools, "list_plans")]
+    assert "tokens/plan.json" in [entry["path"] for entry in call(tools, "list_plans")["files"]]
     report = call(tools, "check", plan="rendezvous", robots=4)
     assert report["accepted"] and report["items"]
     (found,) = call(tools, "explain_witness", plan="rendezvous/plan.json")["sequences"]
@@ -66,6 +66,12 @@ def test_numbers_are_those_of_the_command_line(tools):
     assert analysis["places"] == 7 and "p3 >= 1" in json.dumps(analysis)
     simulated = call(tools, "simulate", plan="tokens", time=50, replications=20, seed=3)
     assert simulated["replications"] == 20 and simulated["seed"] == 3
+
+
+def test_who_calls_says_how_long_the_answer_may_take(tools):
+    assert call(tools, "analyse", plan="tokens", may_wait=90)["places"] == 7
+    told = refused(tools, "simulate", plan="tokens", time=1e9, replications=10**6, may_wait=0.2)
+    assert "no answer within 0.2 seconds" in told
 
 
 def test_a_refused_plan_is_an_answer_and_not_an_error(tools, plans):
@@ -317,6 +323,7 @@ def test_the_program_answers_until_its_input_ends(plans):
         send_call(server, "check", plan="tokens")
         result = json.loads(server.stdout.readline())["result"]
         assert json.loads(result["content"][0]["text"])["accepted"] and not result["isError"]
+        assert result["structuredContent"] == json.loads(result["content"][0]["text"])
         out, err = server.communicate(timeout=60)
         assert (server.returncode, out, err) == (0, b"", b"")
 

@@ -11,7 +11,13 @@ from page_client import PageClient, folder_project, small_net
 from gspn_framework_package.formats import plan_file
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.formats.registry import write_net
-from gspn_framework_package.model.errors import GspnError, LimitError, RefusedError
+from gspn_framework_package.model.errors import (
+    GspnError,
+    InputError,
+    LimitError,
+    RefusedError,
+    UsageError,
+)
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.visualizer import documents
 from gspn_framework_package.visualizer.documents import Folder, read_upload
@@ -225,3 +231,40 @@ def test_a_net_that_is_too_large_to_show_is_refused(monkeypatch):
     monkeypatch.setattr(documents, "ARCS", 3)
     with pytest.raises(LimitError, match="too large for the page"):
         read_upload(sent(net__xml=xml()))
+
+
+def with_subnet(path):
+    plan = plan_of("net.xml")
+    return {**plan, "actions": {"a": {"plan": path, "entry": "a", "exit": "a"}, "b": None}}
+
+
+@pytest.mark.parametrize(
+    "where", ["{secret}", "../secret.json", "link/secret.json", "pipe", "a\0b"]
+)
+def test_a_subnet_of_an_upload_is_read_only_if_it_was_sent(tmp_path, where):
+    secret = tmp_path / "secret.json"
+    secret.write_text('{"password": "hunter2"}')
+    data = json.dumps(with_subnet(where.format(secret=secret))).encode()
+    with pytest.raises(InputError, match="was not sent") as caught:
+        read_upload(sent(plan__json=data, net__xml=xml()))
+    assert "hunter2" not in str(caught.value) and "password" not in str(caught.value)
+
+
+def test_python_files_of_an_upload_are_left_out():
+    files = sent(plan__json=json.dumps(plan_of("net.xml")).encode(), net__xml=xml())
+    assert read_upload([*files, *sent(actions__py=b"import os")]).plan is not None
+    with pytest.raises(UsageError, match="neither a net nor a plan"):
+        read_upload(sent(actions__py=b"import os"))
+
+
+@pytest.mark.parametrize("kind", ["outside", "link", "pipe", "nested"])
+def test_a_subnet_in_the_served_folder_leads_nowhere_else(served, kind):
+    (served.parent / "other.json").write_text(json.dumps(plan_of("net.xml")))
+    names = {"outside": "../other.json", "link": "link.json", "pipe": "pipe.json"}
+    os.symlink(str(served.parent / "other.json"), str(served / "link.json"))
+    os.mkfifo(str(served / "pipe.json"))
+    (served / "inner.json").write_text(json.dumps(with_subnet("../other.json")))
+    path = names.get(kind, "inner.json")
+    (served / "outer.json").write_text(json.dumps(with_subnet(path)))
+    with pytest.raises(GspnError, match="it is a pipe" if kind == "pipe" else "outside the folder"):
+        Folder(str(served)).open("outer.json")
