@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import jsonschema
 
 from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
+from gspn_framework_package.formats.schema_words import SchemaWords, unknown_key
 from gspn_framework_package.formats.subnets import SubnetPart, with_parts
 from gspn_framework_package.model.action import action_from_json, action_to_json
 from gspn_framework_package.model.condition import parse_condition
@@ -61,17 +62,13 @@ def check_schema(
         part = dict(whole["definitions"][definition], definitions=whole["definitions"])
     errors = list(jsonschema.Draft7Validator(part).iter_errors(_without_rows(data)))
     if errors:
-        error = _most_telling(errors)
+        words = SchemaWords(whole["definitions"])
+        error = words.most_telling(errors)
         path = list(error.absolute_path)
-        line = document.line(path + _unknown_key(error)) if document is not None else None
+        line = document.line(path + unknown_key(error)) if document is not None else None
         element = ".".join(str(step) for step in path)
-        raise PlanError(
-            _shorten(error.message),
-            file=file,
-            line=line,
-            element=element or None,
-            hint=_hint(error),
-        )
+        message, hint = words.message(error)
+        raise PlanError(message, file=file, line=line, element=element or None, hint=hint)
 
 
 def _without_rows(data: Any) -> Any:
@@ -102,42 +99,6 @@ def _is_row(row: Any) -> bool:
         and type(row["choose"]) is dict
         and _PROBABILITIES.issuperset(map(type, row["choose"].values()))
     )
-
-
-def _most_telling(errors: List[Any]) -> Any:
-    """Choose the outermost error; if none of several forms fits, choose the error of the form that
-    fits best, if there is one. (``best_match`` of jsonschema chooses differently in each version.)
-    """
-
-    def depth(error: Any) -> Tuple[int, bool]:
-        return len(error.path), error.validator in ("anyOf", "oneOf")
-
-    best = min(errors, key=depth)
-    while best.context:
-        deepest = max(depth(error) for error in best.context)
-        forms = [error for error in best.context if depth(error) == deepest]
-        if len(forms) > 1:
-            break
-        best = forms[0]
-    return best
-
-
-def _unknown_key(error: Any) -> List[str]:
-    """Return a list with the first unknown key, if an unknown key is the error."""
-    if error.validator != "additionalProperties" or not isinstance(error.instance, Mapping):
-        return []
-    return [key for key in error.instance if key not in error.schema.get("properties", {})][:1]
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= 300 else text[:140] + " ... " + text[-140:]
-
-
-def _hint(error: Any) -> Optional[str]:
-    described = error.schema.get("description") if isinstance(error.schema, Mapping) else None
-    if error.validator == "additionalProperties" and "properties" in error.schema:
-        return "known here: " + ", ".join(sorted(error.schema["properties"]))
-    return described.rstrip(".") if described else None
 
 
 def plan_from_json(

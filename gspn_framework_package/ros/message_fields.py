@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import glob
 import io
 import math
@@ -72,8 +73,32 @@ def fill_message(message: genpy.Message, fields: Mapping[str, Any], what: str) -
         message.serialize(io.BytesIO())
     except _MISFITS as error:
         raise PlanError(
-            "its %s does not fit %s: %s" % (what, message._type, _misfit(message, error))
+            "its %s does not fit %s: %s"
+            % (what, message._type, _unknown(type(message), fields) or _misfit(message, error))
         ) from None
+
+
+def _unknown(owner: Any, fields: Mapping[str, Any], path: str = "") -> str:
+    """The first field that the messages of a class do not have, in words; "" if there is none."""
+    types = dict(zip(owner.__slots__, getattr(owner, "_slot_types", ())))
+    for name, value in fields.items():
+        if name not in types:
+            close = difflib.get_close_matches(str(name), list(types), 1)
+            hint = (
+                "did you mean '%s%s'?" % (path, close[0])
+                if close
+                else "it has %s" % (", ".join(types) or "no fields")
+            )
+            return "there is no field '%s%s'; %s" % (path, name, hint)
+        base, _, _ = genmsg.msgs.parse_type(types[name])
+        if base in genmsg.msgs.PRIMITIVE_TYPES or base in ("time", "duration"):
+            continue
+        inner = roslib.message.get_message_class(_full_type(base))
+        for part in value if isinstance(value, (list, tuple)) else [value]:
+            found = inner and isinstance(part, Mapping) and _unknown(inner, part, path + name + ".")
+            if found:
+                return str(found)
+    return ""
 
 
 def _misfit(message: genpy.Message, error: Exception) -> str:

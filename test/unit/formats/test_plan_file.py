@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any, Dict
@@ -10,9 +11,14 @@ from typing import Any, Dict
 import pytest
 
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
-from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json, schema
+from gspn_framework_package.formats.plan_json import (
+    check_schema,
+    plan_from_json,
+    plan_to_json,
+    schema,
+)
 from gspn_framework_package.model.action import FunctionAction, ServerAction
-from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.errors import GspnError, PlanError
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
@@ -328,3 +334,66 @@ def test_a_new_policy_is_written_in_place_of_the_file_that_had_the_old_one(tmp_p
     again = read_plan(str(folder / "new.json"))
     assert again.policy == policy
     assert again.with_policy(plan.policy).hash() == plan.hash()
+
+
+SCHEMA = schema()
+WRONG = [None, True, -1, 1.5, "", "a b", [], [1], ["a", 1], [[]], [{"zzz": 1}]]
+WRONG += [{}, {"zzz": 1}, {"a": None}, {"a": 7}, {"a": {"zzz": 1}}, {"a": [1]}]
+RAW = re.compile(
+    r"given schemas|is not of type|should not be valid|does not match|Additional properties"
+    r"|too short|non-unique|\bNone\b"
+)
+
+
+@pytest.mark.parametrize("name", SCHEMA["properties"])
+def test_a_wrong_value_is_told_in_words_with_its_name(name):
+    for value in WRONG:
+        try:
+            check_schema({"net": "net.xml", "actions": {}, name: value})
+        except PlanError as error:
+            assert error.element is not None and error.element.split(".")[0] == name
+            assert not RAW.search(error.message), error.message
+
+
+@pytest.mark.parametrize(
+    "part, element, message",
+    [
+        ({"robots": {"r": 5}}, "robots.r", "5 is not text"),
+        ({"robots": ["r"]}, "robots.0", '"r" is not an object'),
+        ({"robots": [{"name": "r", "plcae": "P"}]}, "robots.0", "'plcae' was unexpected"),
+        ({"robots": 3}, "robots", "3 is none of what is possible: an object; a list"),
+        (
+            {"actions": {"P": {"server": "s", "gaol": {}}}},
+            "actions.P",
+            "'gaol' was unexpected (did you mean 'goal'?",
+        ),
+        (
+            {"actions": {"P": {"servr": "s", "goal": {}}}},
+            "actions.P",
+            "'servr' was unexpected (did you mean 'server'?",
+        ),
+        (
+            {"actions": {"P": {"server": "s", "outcomes": {"succeeded": 5}}}},
+            "actions.P.outcomes.succeeded",
+            "5 is not text",
+        ),
+        (
+            {"actions": {"P": {"server": "s", "outcomes": {"suceeded": "T"}}}},
+            "actions.P.outcomes",
+            "'suceeded' is not one of ['succeeded', 'aborted', 'rejected', 'preempted'] "
+            "(did you mean 'succeeded'?",
+        ),
+        ({"actions": {"P": {"command": "ls", "outcomes": []}}}, "actions.P.", " is not "),
+        ({"on_failure": {"*": "retry"}}, "on_failure.*", '"retry" is not possible here'),
+        (
+            {"events": {"T": {"after": 1, "topic": "t", "type": "a/B"}}},
+            "events.T",
+            "only one of 'after' and 'topic' is possible",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_part_is_told_by_its_own_name(part, element, message):
+    with pytest.raises(PlanError) as caught:
+        check_schema({"net": "net.xml", "actions": {}, **part})
+    assert (caught.value.element or "").startswith(element)
+    assert message in str(caught.value)

@@ -77,6 +77,11 @@ def test_a_reference_fits_in_a_list():
         ({"target_pose": {"poes": {"from": "task.pose"}}}, "poes"),
         ({"target_pose": {"header": {"frame_id": 3}}}, "frame_id"),
         ({"target_pose": {"header": {"seq": -1, "frame_id": {"from": "x"}}}}, "seq"),
+        ({"target_poes": {}}, "no field 'target_poes'; did you mean 'target_pose'"),
+        (
+            {"target_pose": {"pose": {"positon": {"x": 1}, "orientation": {"w": 1}}}},
+            "no field 'target_pose.pose.positon'; did you mean 'target_pose.pose.position'",
+        ),
     ],
 )
 def test_what_does_not_fit_is_named(fields, named):
