@@ -128,6 +128,8 @@ def _carrier(
         return zenoh_transport(host, plan, namespace, options)
     kind = TopicLink if plan.synchronisation is Synchronisation.FULL else ServiceLink
     quiet = 3 * host.heartbeat
-    link = kind(host.robot, options.run, namespace, host.receive, host.serve, quiet, entrance)
+    link = kind(
+        host.robot, options.run, namespace, host.receive, host.serve, quiet, entrance, host.knows
+    )
     link.serve_at(service_uri)
     return link

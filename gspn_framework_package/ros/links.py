@@ -44,6 +44,10 @@ _SERVICES: Dict[str, Tuple[type, Callable[[str, str], genpy.Message]]] = {
     "set_place": (SetPlace, lambda me, body: SetPlaceRequest(agreement=body)),
 }
 
+MOST_ADDRESSES = 1000
+"""Senders whose addresses are noted between two greetings, before the robot knows whether it has
+anything to say to them."""
+
 Serve = Callable[[Message, Callable[[Message], None]], None]
 """Takes the request of a service call, and a function for its reply."""
 
@@ -96,6 +100,8 @@ class Link(RosFacts):
     :param quiet: seconds without a message from a robot on its topics after which its services are
         called as well.
     :param entrance: checks what other nodes send.
+    :param knows: whether this robot listens to another one; called on any thread. Whoever it does
+        not know costs neither a thread nor a connection, since anybody can send under any name.
 
     :ivar sent: how many messages this robot has sent; a message to several robots counts once.
     """
@@ -109,8 +115,10 @@ class Link(RosFacts):
         serve: Serve,
         quiet: float,
         entrance: Entrance,
+        knows: Callable[[str], bool],
     ) -> None:
         super().__init__(namespace)
+        self._knows = knows
         self._entrance = entrance
         self.robot, self.run = robot, run
         self._namespace = namespace
@@ -197,7 +205,8 @@ class Link(RosFacts):
         )
         if message is None:
             return
-        if news.sender != self.robot:
+        is_new = news.sender not in self._peers
+        if news.sender != self.robot and not (is_new and len(self._peers) >= MOST_ADDRESSES):
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
             self._heard[news.sender] = time.monotonic()
         self._received(message)
@@ -208,9 +217,23 @@ class Link(RosFacts):
         gets through at once."""
         service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
         now = time.monotonic()
-        for name in [to] if to else list(self._peers):
+        for name in self._known_peers(to):
             if now - self._heard.get(name, now) > self._quiet:
                 self._call(name, service, compact(message))
+
+    def _known_peers(self, to: str) -> List[str]:
+        """The robot ``to``, or all with an address; whoever this robot does not know is
+        forgotten."""
+        names = [to] if to else list(self._peers)
+        for name in names:
+            if not self._knows(name):
+                self._forget(name)
+        return [name for name in names if name in self._peers]
+
+    def _forget(self, name: str) -> None:
+        self._peers.pop(name, None)
+        self._heard.pop(name, None)
+        self._calls.forget(name)
 
     def _call(self, name: str, service: str, body: str) -> None:
         peer = self._peers.get(name)
@@ -255,8 +278,9 @@ class TopicLink(Link):
         serve: Serve,
         quiet: float,
         entrance: Entrance,
+        knows: Callable[[str], bool],
     ) -> None:
-        super().__init__(robot, run, namespace, received, serve, quiet, entrance)
+        super().__init__(robot, run, namespace, received, serve, quiet, entrance, knows)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
         self._inbox = rospy.Subscriber(
@@ -285,6 +309,8 @@ class TopicLink(Link):
             return None
         name = _inbox_of(peer.namespace)
         if name not in self._inboxes:
+            if not self._knows(robot):
+                return None
             self._inboxes[name] = None
             self._pool.submit(lambda: self._open(name))  # blocks while there is no master
         inbox = self._inboxes[name]
@@ -292,6 +318,13 @@ class TopicLink(Link):
 
     def _open(self, name: str) -> None:
         self._inboxes[name] = eager_publisher(name, Agreement)
+
+    def _forget(self, name: str) -> None:
+        peer = self._peers.get(name)
+        inbox = self._inboxes.pop(_inbox_of(peer.namespace), None) if peer is not None else None
+        if inbox is not None:
+            self._pool.submit(lambda: _unregister(inbox))  # it asks the master
+        super()._forget(name)
 
 
 def _unregister(*topics: Union[rospy.Publisher, rospy.Subscriber]) -> None:
@@ -323,7 +356,8 @@ class ServiceLink(Link):
                 continue
             body = compact(message)
             neighbours = self._neighbours()
-            for name in [to] if to else [*neighbours, *self._peers]:
+            near = [name for name in neighbours if to in ("", name)]
+            for name in near if to in neighbours else [*near, *self._known_peers(to)]:
                 if name in neighbours:
                     self.sent += 1
                     neighbours[name]._serve(json.loads(body), self._replied)

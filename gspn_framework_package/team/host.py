@@ -240,6 +240,10 @@ class ReplicaHost(Worker):
         """Take a protocol message that is a call, whose reply ``answer`` receives."""
         self.enqueue(self.request, message, answer)
 
+    def knows(self, robot: str) -> bool:
+        """Whether the replica listens to another robot."""
+        return self._replica.knows(robot)
+
     def warn(self, text: str) -> None:
         """Print a warning."""
         self.enqueue(self._narrator.warn, text)

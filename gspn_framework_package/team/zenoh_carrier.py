@@ -55,6 +55,7 @@ _LOOK = 1.0
 NAMESAKE = 1.0
 """Seconds to wait at most for another process of the same name to answer, at the start."""
 
+_MOST_PUBLISHERS = 4096
 _MOST_KEYS = 10_000
 
 
@@ -210,6 +211,8 @@ class ZenohCarrier:
     def _publisher(self, *rest: str) -> zenoh.Publisher:
         publisher = self._publishers.get(rest)
         if publisher is None:
+            if len(self._publishers) >= _MOST_PUBLISHERS:  # robots come and go: the oldest ends
+                self._publishers.pop(next(iter(self._publishers))).undeclare()
             publisher = self._publishers[rest] = self._session.declare_publisher(
                 key_of(self.run, self.robot, *rest),
                 congestion_control=self._zenoh.CongestionControl.DROP,

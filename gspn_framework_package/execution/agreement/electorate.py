@@ -29,7 +29,14 @@ class Electorate:
         # as long as the log stays
         self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
 
+        self._first_team = {*(r.name for r in config.plan.robots), *config.plan.witness}
+
     # -- the others --------------------------------------------------------------------------------
+
+    def is_of_team(self, robot: str) -> bool:
+        """Whether the robot is, or was, in the team, as far as we know."""
+        ledger = self.state.ledger
+        return robot in self._first_team or robot in ledger.state.robots or robot in ledger.logs
 
     def has_namesake(self) -> bool:
         """Whether another process of our name is in the team, and we are not."""

@@ -42,6 +42,12 @@ MOST_COMPLAINTS = 100
 OTHERS = ("others", "not understood")
 """As what further kinds are counted."""
 
+GUESTS = 16
+"""Robots that are not in the team, as far as we know, to which we listen at once."""
+
+STAY = 4
+"""Heartbeats of silence after which such a robot is forgotten."""
+
 LINGER = 20
 """Heartbeats for which a leaving robot waits for a quorum of the others to hear of it."""
 
@@ -240,6 +246,7 @@ class Membership:
         state.next_hello = state.now + (
             pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting)
         )
+        self._forget_guests()
         self.outbox.broadcast(self._hello())
         if not self.config.is_small:  # until then, a busy namesake must not keep it from being told
             for peer in state.peers.all.values():
@@ -288,6 +295,35 @@ class Membership:
         state = self.state
         return [state.next_hello, state.listen_until] if state.listen_until else [state.next_hello]
 
+    def admits(self, message: Envelope) -> bool:
+        """Whether to listen to the sender of a message of the team: to a robot of the team; and to
+        a few others, which begin with a hello, and are forgotten when they fall silent. Anybody
+        can say any name."""
+        state, sender = self.state, message.sender
+        if sender in state.peers.all or self.electorate.is_of_team(sender):
+            return True
+        hello = message.body
+        if not isinstance(hello, Hello):
+            return False
+        if hello.first and state.first_hash and hello.first != state.first_hash:
+            self._refuse_stranger(sender, "%s has another first team" % sender)
+            return False
+        return len(self._guests()) < max(GUESTS, len(self.electorate.members()))
+
+    def _guests(self) -> List[str]:
+        return [r for r in self.state.peers.all if not self.electorate.is_of_team(r)]
+
+    def _forget_guests(self) -> None:
+        """Forget those who are not in the team and have fallen silent."""
+        state = self.state
+        for robot in self._guests():
+            heard = state.peers.all[robot].heard
+            if heard is None or state.now > heard + STAY * self.config.pace.heartbeat:
+                del state.peers.all[robot]
+                state.astray.pop(robot, None)
+                self.proposals.drop_others(robot)
+                self.proposer.forget(robot)
+
     def hear(self, message: Envelope) -> bool:
         """Note that a message of the team came in; returns whether its sender's votes count, also
         in a slot that does not need the votes of all."""
@@ -311,7 +347,7 @@ class Membership:
         sender, peers = message.sender, self.state.peers
         known = self.electorate.known_log(sender)
         if not known:
-            if len(peers.known) < MOST_ROBOTS:
+            if self.electorate.is_of_team(sender):
                 self._note_log(sender, message.log, sure=not self.state.amnesic)
         elif sender in peers.unsure and isinstance(message.body, Hello) and message.body.active:
             self._note_log(sender, message.log, sure=True)
@@ -772,7 +808,7 @@ class Membership:
             self._refuse_stranger(message.sender, "%s has another plan" % message.sender)
 
     def _refuse_stranger(self, sender: str, what: str) -> None:
-        if sender in self.state.strangers:
+        if sender in self.state.strangers or len(self.state.strangers) >= MOST_COMPLAINTS:
             return
         self.state.strangers.add(sender)
         plan = self.config.plan

@@ -95,15 +95,12 @@ class Peers:
     all: Dict[str, Peer] = field(default_factory=dict)
 
     def get(self, robot: str) -> Peer:
-        """What is known of a robot."""
-        peer = self.all.get(robot)
-        if peer is None:
-            peer = self.all[robot] = Peer()
-        return peer
+        """What is known of a robot; nothing of one that was not heard."""
+        return self.all.get(robot) or Peer()
 
     def hear(self, robot: str, now: float) -> Peer:
         """Note that a message of the robot came in."""
-        peer = self.get(robot)
+        peer = self.all.setdefault(robot, Peer())
         if peer.heard is not None:
             silence = now - max(peer.heard, self.since)
             peer.gap = max(silence, peer.gap * 0.5 ** (silence / MEMORY))

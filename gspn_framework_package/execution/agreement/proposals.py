@@ -62,8 +62,10 @@ class Proposals:
         if not items:
             return
         is_news, others = self.state.ledger.is_news, self.state.others_proposals
+        peers, is_of_team = self.state.peers, self.electorate.is_of_team
         for item in self.electorate.without_spares(items):
-            if is_news(item.origin):
+            robot = item.origin.robot  # a name that nobody has is not kept
+            if is_news(item.origin) and (robot in peers.all or is_of_team(robot)):
                 others.setdefault(item.origin.robot, {})[item.origin] = item
 
     def drop_others(self, robot: str) -> None:

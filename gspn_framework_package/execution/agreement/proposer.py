@@ -68,6 +68,10 @@ class Proposer:
         voteless = self.state.voteless
         (voteless.discard if body.vote else voteless.add)(message.sender)
 
+    def forget(self, robot: str) -> None:
+        """A robot that is not in the team has fallen silent."""
+        self.state.voteless.discard(robot)
+
     def on_vote(self, message: Envelope) -> None:
         """A consensus message of a robot whose memory counts."""
         body, consensus, now = message.body, self.consensus, self.state.now

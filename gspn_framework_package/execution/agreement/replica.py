@@ -208,7 +208,7 @@ class Replica:
             self.membership.hear_own_name(message)
         elif message.team != self.config.tag:
             self.membership.hear_stranger(message)
-        else:
+        elif self.membership.admits(message):
             counts = self.membership.hear(message)
             dead = message.log in self.state.peers.dead
             if dead and not isinstance(message.body, messages.Hello):
@@ -343,6 +343,11 @@ class Replica:
     def asserted_off(self) -> Set[str]:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
         return self.electorate.asserted_off()
+
+    def knows(self, robot: str) -> bool:
+        """Whether we listen to a robot, and may have something to say to it; called on any
+        thread."""
+        return robot in self.state.peers.all or self.electorate.is_of_team(robot)
 
     def known_log(self, robot: str) -> str:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""

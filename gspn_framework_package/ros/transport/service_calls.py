@@ -69,12 +69,16 @@ class ServiceCalls:
         line.tasks.put((uri, service, service_class, request, answered))
         return True
 
+    def forget(self, peer: str) -> None:
+        """End the threads of a peer."""
+        for line in self._lines.pop(peer, []):
+            line.tasks.put(None)
+
     def close(self) -> None:
         """End the threads. Running calls lose their deadline, and end when the peer answers or the
         process ends."""
-        for lines in self._lines.values():
-            for line in lines:
-                line.tasks.put(None)
+        for peer in list(self._lines):
+            self.forget(peer)
         self._watch.close()
 
 

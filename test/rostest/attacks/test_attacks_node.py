@@ -193,6 +193,54 @@ class AttacksTest(RobotTestCase):
         self.goes_on()
 
 
+class StrangersTest(RobotTestCase):
+    """A team without a key: anybody can greet in any name."""
+
+    def greet_under_many_names(self, mode):
+        plan = {
+            "net": chain(["A", "B"], B="A"),
+            "actions": {"A": "actions.work", "B": "actions.work"},
+            "robots": dict.fromkeys(ROBOTS, "A"),
+            "synchronisation": mode,
+        }
+        team = self.team(plan, ROBOTS, actions=ACTIONS)
+        heard = []
+        listener = rospy.Subscriber("/gspn_agreement", Agreement, heard.append)
+        out = rospy.Publisher("/gspn_agreement", Agreement, queue_size=100_000)
+        team.start().wait_for_firings(30, 60)
+        hello = wait_for(
+            lambda: next((m for m in heard if '"kind":"hello"' in m.body), None), 20, "a greeting"
+        )
+        listener.unregister()
+        body = json.loads(hello.body)
+
+        def descriptors():
+            return [len(os.listdir("/proc/%d/fd" % robot.process.pid)) for robot in team]
+
+        before = descriptors()
+        for number in range(10_000):
+            name = "stranger_%d" % number
+            said = {**body, "from": name, "log": name, "active": False, "joining": True}
+            out.publish(
+                run=hello.run,
+                sender=name,
+                namespace="/" + name,
+                service_uri=hello.service_uri,
+                body=json.dumps(said),
+            )
+        team.wait_for_firings(100, 60)
+        team["robot_1"].status()
+        for was, now in zip(before, descriptors()):
+            self.assertLess(now, was + 100)
+        out.unregister()
+
+    def test_strangers_with_full_synchronisation(self):
+        self.greet_under_many_names("full")
+
+    def test_strangers_with_partial_synchronisation(self):
+        self.greet_under_many_names("partial")
+
+
 if __name__ == "__main__":
     import rostest
 

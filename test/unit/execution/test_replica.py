@@ -11,7 +11,8 @@ import pytest
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
-from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Hello, Learn
+from gspn_framework_package.execution.agreement.membership import GUESTS
+from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Event, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
@@ -23,6 +24,7 @@ from gspn_framework_package.execution.agreement_simulation.world import (
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
@@ -684,3 +686,31 @@ def test_when_those_for_whom_the_policy_lets_others_wait_die_the_rows_of_the_res
     assert world.run(world.now + 5.0, lambda: len(fired()) == 2)
     assert fired() == ["go", "go"] and world.status("r3")["members"] == ["r3", "r4"]
     world.check()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_strangers_of_the_same_run_cost_little_and_do_not_stop_a_team(partial: bool) -> None:
+    """They greet, ask to join and propose under 10,000 names."""
+    world = World(make_plan(0, 5, partial, 0.0, 0.0, False), 1)
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(1.0)
+    node, replica = world.nodes["r1"], world.nodes["r1"].replica
+    hello = replica.membership._hello()._replace(active=False, joining=True)
+    item = Item(log_entries.Leave("r2"), Origin("", 0, 1, ""))
+    records = replica.records
+    for number in range(10_000):
+        name = "s%d" % number
+        asks = Event([item._replace(origin=Origin(name, 0, 1, name))], False)
+        for body in (hello, asks):
+            said = {**replica.outbox.signed(body), "from": name, "log": name}
+            node.give(interface.Received(json.loads(json.dumps(said))))
+    assert len(replica.state.peers.all) <= 4 + GUESTS
+    assert len(replica.state.others_proposals) <= 4 + GUESTS
+    assert len(replica.state.voteless) <= 4 + GUESTS
+    assert replica.records - records < 100
+    before = world.length()
+    world.run(world.now + 4)
+    assert world.length() > before + 10
+    assert set(replica.state.peers.all) == {"r2", "r3", "r4", "r5"}

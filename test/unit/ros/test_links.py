@@ -56,6 +56,7 @@ def make(monkeypatch):
             None,
             5.0,
             Entrance(seal=Seal(key, run, robot) if key else None),
+            lambda name: not name.startswith("stranger"),
         )
         link.got = got
         link._neighbours = dict  # each as in a process of its own
@@ -173,3 +174,20 @@ def test_what_one_robot_is_told_is_not_taken_by_another(make):
     one._on_message(told)
     assert (len(three.got), len(one.got)) == (1, 0)
     assert [kind.why for kind in one.refusals()] == ["a message for another robot"]
+
+
+def test_senders_that_the_robot_does_not_know_cost_no_thread_and_no_connection(make):
+    one, other = make("r1"), make("r2")
+    called = []
+    one._calls.call = lambda name, *rest: called.append(name)
+    for number in range(10_000):
+        other.robot = "stranger %d" % number
+        one._on_message(came(other._news("", '{"kind": "hello", "from": "%s"}' % other.robot)))
+    other.robot = "r2"
+    assert len(one._peers) == links.MOST_ADDRESSES
+    hello = {"kind": "hello", "from": "r1"}
+    one._heard = dict.fromkeys(one._heard, -1e9)  # all are silent
+    one.send([Send("stranger 1", hello), Send("", hello)])
+    assert (called, one._inboxes, one._peers) == ([], {}, {})
+    one._on_message(came(other._news("", '{"kind": "hello", "from": "r2"}')))
+    assert list(one._peers) == ["r2"]
