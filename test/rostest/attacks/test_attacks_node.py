@@ -245,4 +245,4 @@ if __name__ == "__main__":
     import rostest
 
     rospy.init_node("test_attacks_node", anonymous=True)
-    rostest.rosrun("gspn_framework_package", "attacks", AttacksTest)
+    rostest.rosrun("gspn_framework_package", "attacks", __name__)
