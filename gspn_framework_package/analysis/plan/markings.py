@@ -3,8 +3,8 @@
 They are the *untimed* ones: a robot in a decision place is busy with its action while others move,
 so immediate transitions have no priority here. Counters that nothing reads are omitted, so that the
 exploration ends. A robot can be lost anywhere, so smaller teams are covered too. Firings that the
-policy never chooses are then removed (this does not foresee an action that names an immediate
-transition itself).
+policy never chooses are then removed (this does not foresee a Python action that names an immediate
+transition itself, unless the plan's ``outcomes`` say so).
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from gspn_framework_package.analysis.plan.structure import (
 )
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
 from gspn_framework_package.model.policy import Distribution, PolicyTable
 
 
@@ -77,13 +78,16 @@ class PlanMarkings:
         self._over = self._until()
         self.allowed = ~self._over[self._sources]
         self._answers = _Answers(self, self._table, plan)
+        self.possible = self.allowed.copy()
+        """The firings that may happen: those that are allowed, and those that nobody but an action
+        or a rule of failure asks for."""
         self._cross_out()
         ways = ShortestWays(
-            len(self.space), self._sources, self.space.targets, self.allowed & ~self._is_loss
+            len(self.space), self._sources, self.space.targets, self.possible & ~self._is_loss
         )
         self._ways = ways
         self._ways_with_losses = (
-            ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed)
+            ShortestWays(len(self.space), self._sources, self.space.targets, self.possible)
             if losses
             else ways
         )
@@ -121,6 +125,26 @@ class PlanMarkings:
             for p in asking:
                 wanted |= self._answers.chosen(p, t, self._sources[arcs])
             self.allowed[arcs[~wanted]] = False
+            if not self._may_be_named(transitions[t].name, asking):
+                self.possible[arcs[~wanted]] = False
+
+    def _may_be_named(self, name: str, asking: List[int]) -> bool:
+        """Whether the plan says that an action in one of these places may name a transition, or
+        that a robot asks for it when its action fails or another robot is lost."""
+        plan = self.plan
+        if plan.on_lost.kind is LostKind.FIRE and plan.on_lost.transition == name:
+            return True
+        places = {self.net.places[p].name for p in asking}
+        for place in places:
+            rule = plan.failure_rule(place)
+            if plan.outcomes.get(place, {}).get(name, 0.0) > 0 or (
+                rule.kind is FailureKind.FIRE and rule.transition == name
+            ):
+                return True
+        return any(
+            place in places and name in outcomes_of(action).values()
+            for place, action in plan.bindings()
+        )
 
     def policy_gaps(self) -> Iterator[Finding]:
         """Markings that need a decision but match no row of the policy. A strict plan needs one
@@ -200,7 +224,7 @@ class PlanMarkings:
         or None."""
         arcs = np.flatnonzero(
             (self.space.transitions == transition)
-            & self.allowed
+            & self.possible
             & self._ways_with_losses.reached[self._sources]
         )
         if not len(arcs):
@@ -215,7 +239,7 @@ class PlanMarkings:
     def never_fire(self) -> List[str]:
         """Transitions that never fire in any reachable marking of the whole team."""
         fired = np.zeros(len(self.net.transitions), dtype=bool)
-        fired[self.space.transitions[self.allowed & self._ways.reached[self._sources]]] = True
+        fired[self.space.transitions[self.possible & self._ways.reached[self._sources]]] = True
         return [t.name for t, seen in zip(self.net.transitions[: self._own], fired) if not seen]
 
     def bounds(self) -> Dict[str, int]:
