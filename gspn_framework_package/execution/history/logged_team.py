@@ -111,7 +111,10 @@ class LoggedTeam:
         self.ended: Optional[str] = None
         self.perhaps_ended = False
         self.orders = 0
-        self.last_firing = (-1, -1)
+        self.last_change = (-1, -1)
+        """The last firing that changed the marking, as slot and number in it."""
+        self.moved: Dict[str, Tuple[int, int]] = {}
+        """Robot -> the last firing that moved it."""
         self.data: Values = {}
         self.stages = LoggedStages(agents)
         self._take_rules(plan)

@@ -77,7 +77,8 @@ class SlotCheck(LoggedTeam):
                 break
             direct = self._apply(entry)
             since = 0
-            while at < len(firings) and since < CYCLE:
+            of_entry = int(direct is not None)  # its own firing does not count
+            while at < len(firings) and since < CYCLE + of_entry:
                 if self.ended is None and not (direct and since == 0):
                     self._look_at_until()
                 first = direct if since == 0 else None
@@ -93,7 +94,7 @@ class SlotCheck(LoggedTeam):
                 raise BrokenRuleError(
                     7, "slot %d: %s is due, and does not fire" % (slot, direct.transition)
                 )
-            self._settled(slot, since, firings[at] if at < len(firings) else None)
+            self._settled(slot, since - of_entry, firings[at] if at < len(firings) else None)
         if at < len(firings):
             why = self._why_not(firings[at], None) or "no entry of the slot leads to it"
             raise BrokenRuleError(
@@ -311,8 +312,10 @@ class SlotCheck(LoggedTeam):
         drawn = firing.get("drawn")
         if not drawn:
             return "no draw is recorded"
-        if tuple(drawn) <= self.last_firing:
+        if tuple(drawn) <= self.last_change:
             return "the draw is older than the marking"
+        if tuple(drawn) <= self.moved.get(robot.name, self.last_change):
+            return "the draw is older than the visit"
         number = _uniform(self.seed, drawn[0], drawn[1], robot.name)
         chosen = _choose(choices, number)
         return "" if chosen == t else "the policy's draw is %s" % chosen
@@ -368,7 +371,9 @@ class SlotCheck(LoggedTeam):
                 "%s leads to %s, not to %s as recorded"
                 % (where, _short(self.marking), _short(firing["marking"])),
             )
-        self.last_firing = (slot, index)
+        if any(self._effect(firing["transition"]).values()):
+            self.last_change = (slot, index)
+        self.moved.update((move[0], (slot, index)) for move in firing["moves"])
         arrived = []
         for name, source, target, visit in firing["moves"]:
             if target is None:

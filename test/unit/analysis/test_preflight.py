@@ -616,7 +616,7 @@ def test_robots_are_not_counted_without_an_action_of_their_own():
 
 def test_what_an_action_may_name_can_fire_although_the_policy_never_chooses_it():
     chosen = policy(((None,), {"alone": 1.0}))
-    plan = make_plan(choice(), policy=chosen)
+    plan = make_plan(choice(), policy=chosen, until="b >= 9")
     assert check(plan).of("never_fire")[0].details["transitions"] == ["meet", "c_back"]
     named = replace(plan, outcomes={"d": {"": 0.5, "meet": 0.5}})
     assert not check(named).of("never_fire")

@@ -25,9 +25,13 @@ from gspn_framework_package.execution.event_log import (
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.history.logged_team import LoggedRobot
 from gspn_framework_package.execution.history.slot_check import SlotCheck
+from gspn_framework_package.execution.virtual_time import VirtualRun
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LogError
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 TOUR, MEET, TOKENS, CROWD, ERRANDS, ROUNDS = range(6)
@@ -498,3 +502,42 @@ def test_it_reads_the_policy_as_the_token_game_does(rows: Any, marking: Any, pla
     assert dict(check._choices(LoggedRobot("r", place, 0))) == {
         plan.net.transitions[t].name: v for t, v in (found.choices if found is not None else ())
     }
+
+
+def test_a_draw_is_kept_while_others_go_round_where_they_are(tmp_path):
+    """The one in `a` has drawn a partner who is busy; the marking does not change meanwhile."""
+    net = NetBuilder().place("a", 1).place("b", 1).place("c", 1)
+    net.immediate("meet", inputs=["a", "c"], outputs=["a", "c"])
+    net.exponential("round", inputs="b", outputs="b")
+    times = {"a": 0.5, "b": 1.0, "c": 5.5}
+    plan = Plan(
+        net.build(),
+        policy=Policy(("a",), (PolicyRow((1,), (("meet", 1.0),)),)),
+        actions={place: FunctionAction("actions.work", place) for place in times},
+        robots=tuple(RobotSpec("r_" + place, place) for place in times),
+        durations={place: Duration.deterministic(seconds) for place, seconds in times.items()},
+    ).validate()
+    log = str(tmp_path / "run.jsonl")
+    run = VirtualRun(plan)
+    writer = run.record_in(log, "run", "log")
+    assert run.run(20.0).firings == {"meet": 3, "round": 20}
+    writer.close()
+    assert verify([read_log(log)]).violation is None
+
+
+def test_a_cycle_without_time_may_begin_with_an_event(tmp_path):
+    """The firing of the event is none of those that are counted until the run is cut off."""
+    net = NetBuilder().place("a", 1).place("b").exponential("call", inputs="a", outputs="b")
+    net.immediate("round", inputs="b", outputs="b")
+    plan = Plan(
+        net.build(),
+        actions={"a": FunctionAction("actions.work", "a"), "b": None},
+        robots=(RobotSpec("r", "a"),),
+        events={"call": EventSource(after=1.0)},
+    ).validate()
+    log = str(tmp_path / "run.jsonl")
+    run = VirtualRun(plan)
+    writer = run.record_in(log, "run", "log")
+    assert run.run(20.0).firings == {"call": 1, "round": 10_000}
+    writer.close()
+    assert verify([read_log(log)]).violation is None
