@@ -40,6 +40,7 @@ from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Plan, Synchronisation
+from gspn_framework_package.team.log_file import SYNC_PERIOD_NAME
 
 BRIEF = "gspn_framework_package.benchmark.load.brief"
 LOADS = ("light", "instant", "private")
@@ -148,10 +149,14 @@ def _summary(name: str, values: List[float]) -> Dict[str, Any]:
     }
 
 
+_FSYNC = {"never": "1e9", "no": "", "yes": ""}
+"""What to measure -> the seconds between two syncs; "": the default."""
+
 COLUMNS = (
     ("load", "load"),
     ("mode", "mode"),
     ("robots", "robots"),
+    ("fsync", "fsync"),
     ("firings_per_s", "firings/s"),
     ("messages_per_firing", "messages/firing"),
     ("private_median_ms", "private median [ms]"),
@@ -176,8 +181,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument(
         "--fsync",
-        choices=["yes", "no"],
-        help="wait for the disk, or not (default: as the plan says)",
+        choices=list(_FSYNC),
+        nargs="+",
+        default=[""],
+        help="wait for the disk (yes), have another thread sync the logs every second (no), or "
+        "leave it to the system (never); default: as the plan says",
     )
     parser.add_argument(
         "--evict-after",
@@ -198,21 +206,25 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     try:
         with Master() as master:
             os.environ.update(master.environment)
-            for load, mode, robots in itertools.product(args.load, modes, args.robots):
+            for load, mode, robots, fsync in itertools.product(
+                args.load, modes, args.robots, args.fsync
+            ):
                 if load == "private" and mode is Synchronisation.FULL:
                     continue
                 print(
-                    "latency: %s, %s, %d robots ..." % (load, mode.value, robots),
+                    "latency: %s, %s, %d robots %s ..." % (load, mode.value, robots, fsync),
                     file=sys.stderr,
                     flush=True,
                 )
                 plan = plan_of(load, robots, mode)
-                if args.fsync:
-                    plan = replace(plan, fsync=args.fsync == "yes")
+                master.environment[SYNC_PERIOD_NAME] = _FSYNC.get(fsync, "")
+                if fsync:
+                    plan = replace(plan, fsync=fsync == "yes")
                 if args.evict_after is not None:
                     plan = replace(plan, timing=plan.timing._replace(evict_after=args.evict_after))
                 measured = measure(master, plan, args.window, args.verify)
-                rows.append({"load": load, "mode": mode.value, "robots": robots, **measured})
+                row = {"load": load, "mode": mode.value, "robots": robots, "fsync": fsync}
+                rows.append({**row, **measured})
     except KeyboardInterrupt:
         print("latency: interrupted", file=sys.stderr)
         interrupted = True

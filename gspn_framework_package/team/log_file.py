@@ -77,7 +77,10 @@ def lock_log(path: str) -> BinaryIO:
             return file
 
 
-SYNC_PERIOD = 1.0
+SYNC_PERIOD_NAME = "GSPN_SYNC_PERIOD"
+"""The environment variable that sets the seconds between two syncs of a log."""
+
+SYNC_PERIOD = float(os.environ.get(SYNC_PERIOD_NAME) or 1.0)
 """Seconds between two syncs of a log."""
 
 

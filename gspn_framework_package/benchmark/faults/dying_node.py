@@ -100,13 +100,15 @@ def die_when_told(*told_already: int, death: Optional[Death] = None) -> None:
     told: List[int] = list(told_already)
     append = EventLogWriter.append
 
-    def append_or_die(self: Any, *records: Record, durable: bool = True) -> None:
+    def append_or_die(
+        self: Any, *records: Record, durable: bool = True, synced: bool = False
+    ) -> None:
         due = death.due(records) if death is not None else None
         if due is not None:
             told.append(due)
         if told:
             self._file = DyingFile(self._file, told[0])
-        append(self, *records, durable=durable)
+        append(self, *records, durable=durable, synced=synced)
 
     setattr(EventLogWriter, "append", append_or_die)  # noqa: B010  (mypy lets no method be assigned)
     for number in (CUT, UNSENT):

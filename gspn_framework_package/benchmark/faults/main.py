@@ -3,9 +3,9 @@ checker. Needs ROS.
 
 ``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` runs :mod:`.each_in_turn` on a
 team of each size in each mode, ``--operators ROUNDS`` runs :mod:`.operators`, ``--hostile`` runs
-:mod:`.hostile`, ``--deploying`` runs :mod:`.deploying`; ``--minutes 30`` runs rounds of
-:mod:`.soak` with fresh teams until the time is over. The command starts its own ROS master. Each
-team is finally paused, at rest, and verified.
+:mod:`.hostile`, ``--deploying`` runs :mod:`.deploying`, ``--outages ROUNDS`` runs :mod:`.outages`;
+``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is over. The command
+starts its own ROS master. Each team is finally paused, at rest, and verified.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from gspn_framework_package.benchmark.faults.deploying import Deploying
 from gspn_framework_package.benchmark.faults.each_in_turn import EachInTurn
 from gspn_framework_package.benchmark.faults.hostile import Hostile
 from gspn_framework_package.benchmark.faults.operators import Operators
+from gspn_framework_package.benchmark.faults.outages import Outages
 from gspn_framework_package.benchmark.faults.soak import Soak
 from gspn_framework_package.benchmark.faults.team import RestartableMaster
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
@@ -66,6 +67,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         help="another plan for the running team, while each robot is killed at each step of it",
     )
     scenario.add_argument(
+        "--outages",
+        type=int,
+        metavar="ROUNDS",
+        help="all machines restarted, in order and after losses of power, so many times each",
+    )
+    scenario.add_argument(
         "--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)"
     )
     parser.add_argument(
@@ -85,7 +92,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--keep", action="store_true", help="keep the logs of good teams too")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
-    if min(args.robots) < 2:
+    if min(args.robots) < (1 if args.outages else 2):
         parser.error("--robots: a team has at least two")
     if args.operators is not None and (args.operators < 1 or min(args.robots) < 3):
         parser.error("--operators: at least one round, with teams of three and more")
@@ -111,6 +118,7 @@ def _report(args: argparse.Namespace) -> int:
         "operators": args.operators,
         "hostile": args.hostile,
         "deploying": args.deploying,
+        "outages": args.outages,
     }
     name = next((scenario for scenario, asked in chosen.items() if asked), "soak")
     interrupted = False
@@ -182,13 +190,15 @@ def _scenario(
     def tell(step: str) -> None:
         _tell("%d robots, %s: %s" % (robots, mode.value, step))
 
-    scenario: Union[EachInTurn, Operators, Hostile, Deploying]
+    scenario: Union[EachInTurn, Operators, Hostile, Deploying, Outages]
     if args.operators:
         scenario = Operators(robots, mode, args.operators, tell)
     elif args.hostile:
         scenario = Hostile(robots, mode, tell)
     elif args.deploying:
         scenario = Deploying(robots, mode, tell)
+    elif args.outages:
+        scenario = Outages(robots, mode, args.outages, source.randrange(2**32), tell)
     else:
         scenario = EachInTurn(master, robots, mode, source, tell)
     row = _run(scenario, scenario.run, args.keep)

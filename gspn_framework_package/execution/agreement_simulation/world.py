@@ -288,7 +288,7 @@ class SimulatedNode:
         if record["kind"] in ("promised", "accepted"):
             self.disk.votes[record["kind"], tuple(record["ballot"])] = len(self.disk.lines)
             self.world.promised.add((self.log_id, tuple(record["ballot"])))
-            if "torn" in record or _changes_members(record):
+            if "torn" in record or changes_members(record):
                 self.disk.must_outlive.add(len(self.disk.lines))
         elif record["kind"] in ("reset", "outage"):
             self.log_id = record["log"]
@@ -316,7 +316,7 @@ class SimulatedNode:
             )
 
 
-def _changes_members(record: Record) -> bool:
+def changes_members(record: Record) -> bool:
     """Whether a vote is about who is a member, or whose votes count."""
     return any(
         entry["entry"] in ("join", "leave", "evict") for entry, *_ in record.get("batch", ())

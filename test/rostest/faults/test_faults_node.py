@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from unittest import mock
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
@@ -20,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from robots import Robot, RobotTestCase, copy_plan
 from waiting import wait_for
 
+from gspn_framework_package.execution.event_log import BOOT_ID
 from gspn_framework_package.ros.transport.master_watch import MasterWatch
 
 ACTIONS = '''
@@ -105,6 +107,38 @@ class Faults:
         after = [r for r in victim.log().records if r["kind"] == "goal"][len(visits) :]
         self.assertLessEqual(after[0]["visit"], visits[-1] + 1, "a visit was skipped")
         self.assertGreater(after[0]["incarnation"], 0)
+        self.end_and_verify(team)
+
+    def test_a_team_whose_machines_all_lost_power_waits_for_the_last_and_goes_on(self):
+        team = self.start(evict_after=0)
+        boots = mock.patch.dict(os.environ, {BOOT_ID: "another"})
+        boots.start()
+        self.addCleanup(boots.stop)
+        for robot in team:
+            robot.kill()
+        before = [r for r in team["robot_1"].log().records if r["kind"] == "slot"]
+        late = team["robot_3"]
+        for name in ("robot_1", "robot_2"):
+            team[name].start()
+
+        def misses_the_last():
+            told = [team[name].status() for name in ("robot_1", "robot_2")]
+            return all(s["stuck"] and s["needs_operator"] and s["missing"] for s in told) and told
+
+        told = wait_for(misses_the_last, 30, "two robots that say that they are stuck")
+        for status in told:
+            self.assertEqual(status["missing"], ["robot_3"])
+            self.assertIn("not heard: robot_3", status["waits_for"])
+            logs = {r["robot"]: r["log"] for r in status["robots"]}
+            self.assertEqual(logs, {"robot_1": "torn", "robot_2": "torn", "robot_3": ""})
+        refused = team["robot_1"].command("resume")
+        self.assertFalse(refused.success)
+        self.assertIn("gspn trust", refused.message)
+        late.start()
+        for name in TEAM:
+            self.wait_for_moves(team, name, 3)
+        after = [r for r in team["robot_1"].log().records if r["kind"] == "slot"]
+        self.assertEqual(after[: len(before)], before)
         self.end_and_verify(team)
 
     def test_a_robot_that_is_paused_beyond_its_eviction_comes_back(self):

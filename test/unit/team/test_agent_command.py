@@ -15,6 +15,7 @@ from waiting import wait_for
 
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.execution.event_log import BOOT_ID
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team import log_file
 
@@ -140,6 +141,38 @@ def test_an_operator_with_keys_asks_orders_submits_and_deploys(secured, tmp_path
         code, said = gspn("stop", by=by, run=run)
         assert code == 1 and says in said.err
     assert gspn("stop")[0] == 0
+
+
+def test_an_operator_has_the_robot_that_is_here_go_on_after_a_loss_of_power(
+    secured, tmp_path, capsys, monkeypatch
+):
+    def gspn(verb, *words):
+        way = ["--connect", secured.hub.endpoint, "--keys", str(tmp_path / "keys" / "ann")]
+        code = main([verb, *words, *way])
+        return code, capsys.readouterr()
+
+    secured.wait_for_team()
+    assert gspn("submit", "order", "--id", "o1")[0] == 0
+    secured.close()
+    for robot in secured.hosts:
+        log = secured.folder / "logs" / "monday" / (robot + ".jsonl")
+        *kept, last = log.read_bytes().splitlines(keepends=True)
+        assert json.loads(last)["kind"] == "closed"
+        log.write_bytes(b"".join(kept))
+    monkeypatch.setenv(BOOT_ID, "another")
+    secured.start("robot_1")
+    wait_for(lambda: "not heard: robot_2" in gspn("status")[1].out, 60, "what robot_1 waits for")
+    code, said = gspn("resume")
+    assert code == 1 and "gspn trust" in said.out
+    code, said = gspn("trust")
+    assert code == 2 and "--yes" in said.err
+    assert "Given up: what only these know: robot_2." in said.out
+    code, said = gspn("trust", "--yes")
+    assert code == 0, said
+    wait_for(lambda: gspn("status")[0] == 0, 60, "robot_1 to go on")
+    assert "o1" in gspn("status", "--data")[1].out
+    secured.start("robot_2")
+    wait_for(lambda: "torn" not in gspn("status")[1].out, 60, "robot_2 to be let in")
 
 
 def test_a_name_that_runs_already_is_refused_and_its_log_is_let_go(secured, tmp_path, capsys):
