@@ -38,7 +38,6 @@ QUICK = (
     "torn without all",
     "members unsynced",
     "torn votes unsynced",
-    "vote lost",
     "unsynced votes",
     "moves while paused",
     "drops the first",

@@ -31,9 +31,9 @@ from gspn_framework_package.execution.ledger import Ledger
 
 def _persists_no_promise() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
+        def persist(self: Outbox, record: Any, **waits: bool) -> None:
             if record["kind"] != "promised":
-                original(self, record, durable=durable)
+                original(self, record, **waits)
 
         return persist
 
@@ -146,7 +146,7 @@ def _off_for_ever() -> ContextManager[Any]:
 def _any_of_those_left() -> ContextManager[Any]:
     """As in a former version, the remaining members decide by their own quorum."""
 
-    def may_decide(self: Electorate, voters: Any) -> bool:
+    def may_decide(self: Electorate, voters: Any, by_all: bool = False) -> bool:
         off = self.asserted_off()
         return is_quorum(voters, [m for m in self.members() if m not in off])
 
@@ -154,7 +154,7 @@ def _any_of_those_left() -> ContextManager[Any]:
 
 
 def _evicts_nobody() -> ContextManager[Any]:
-    return mock.patch.object(Electorate, "not_cast_out", lambda self, voters, items: set())
+    return mock.patch.object(Electorate, "not_cast_out", lambda self, *given: set())
 
 
 def _drops_its_slots() -> ContextManager[Any]:
@@ -305,7 +305,7 @@ def _trusts_every_end() -> ContextManager[Any]:
 
 def _never_waits_for_the_disk() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
+        def persist(self: Outbox, record: Any, **waits: bool) -> None:
             original(self, record)
 
         return persist
@@ -315,8 +315,9 @@ def _never_waits_for_the_disk() -> ContextManager[Any]:
 
 def _waits_for_votes_only_sometimes() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
-            original(self, record, durable=durable and record["kind"] != "accepted")
+        def persist(self: Outbox, record: Any, **waits: bool) -> None:
+            voted = record["kind"] == "accepted"
+            original(self, record, **{how: on and not voted for how, on in waits.items()})
 
         return persist
 

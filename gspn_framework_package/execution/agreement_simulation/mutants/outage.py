@@ -43,10 +43,9 @@ def _changes_members_unsynced() -> ContextManager[Any]:
 
 def _votes_unsynced() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(
-            self: Outbox, record: Record, *, durable: bool = False, synced: bool = False
-        ) -> None:
-            original(self, record, durable=durable, synced=synced and "torn" not in record)
+        def persist(self: Outbox, record: Record, **waits: bool) -> None:
+            torn = "torn" in record
+            original(self, record, **{how: on and not torn for how, on in waits.items()})
 
         return persist
 
@@ -115,5 +114,12 @@ MUTANTS = [
         _votes_unsynced,
         **_KINDS,
     ),
-    Mutant("vote lost", "outage", "a vote on the disk is forgotten", _forgets_its_vote, **_KINDS),
+    Mutant(
+        "vote lost",
+        "outage",
+        "a vote on the disk is forgotten",
+        _forgets_its_vote,
+        seeds=("7162:3:full:outage",),
+        **_KINDS,
+    ),
 ]

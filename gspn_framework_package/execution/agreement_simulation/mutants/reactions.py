@@ -218,9 +218,9 @@ def _continues_ahead_again() -> ContextManager[Any]:
 
 def _writes_no_offer() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
+        def persist(self: Outbox, record: Any, **waits: bool) -> None:
             if record["kind"] != "offered":
-                original(self, record, durable=durable)
+                original(self, record, **waits)
 
         return persist
 
