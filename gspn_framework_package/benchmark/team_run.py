@@ -160,6 +160,7 @@ class TeamRun:
             "robots:=%d" % len(self.robots),
             "run:=" + self._run,
             "log_dir:=" + self.folder,
+            "modules:=gspn_framework_package.benchmark.load",
             *arguments,
         ]
         self._tails = [

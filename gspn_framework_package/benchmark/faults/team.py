@@ -132,6 +132,7 @@ class LaunchedTeam:
             "_robot:=" + name,
             "_run:=" + RUN,
             "_log_dir:=" + self.folder,
+            "_modules:=" + BRIEF.rpartition(".")[0],
         ]
         words += ["__ns:=/" + name, "__name:=executor", "_place:=" + place, *arguments]
         words.append(dying_node.DEATH + self.death_file(name))
