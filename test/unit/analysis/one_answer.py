@@ -1,0 +1,201 @@
+"""Holds everything that answers for a plan to the same answer: the check, the analysis, the
+simulation, ``Scenario``, a run in virtual time, and the verification of its log."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from unittest.mock import patch
+
+from generated_plans import small_plans, with_events
+from hypothesis import strategies as st
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.plan.structure import idle_places
+from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.analysis.simulation import simulate
+from gspn_framework_package.execution import turn
+from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.history import slot_check, verify
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.virtual_time import VirtualRun
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
+from gspn_framework_package.formats.subnets import fill_parameters
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.event import Tasks
+from gspn_framework_package.testing import Scenario
+
+CUT_OFF = "a cycle of immediate transitions"
+"""How a run ends whose transitions fire without time between them."""
+
+RUNS, TIME, FIRINGS = 2, 20.0, 60
+MARKINGS = 500
+AT_ONCE = 500
+"""Firings after which a run is cut off here: a cycle without time goes on for ever in any case."""
+
+
+@st.composite
+def plans(draw):
+    """Plans in which every action takes time, many with places that are mapped to null."""
+    base = small_plans()
+    plan = draw(with_events(base) if draw(st.integers(0, 3)) == 0 else base)
+    idle = draw(st.sampled_from([0.0, 0.0, 0.3, 0.6]))
+    actions = {
+        p: None if draw(st.floats(0, 1)) < idle else plan.actions[p] for p in plan.action_places
+    }
+    durations = {
+        p: plan.durations[p]
+        if p in plan.durations and plan.durations[p].mean > 0
+        else Duration.exponential(1.0)
+        for p in plan.action_places
+    }
+    queues = draw(st.sampled_from([(), tuple(sorted(plan.resource_places))]))
+    plan = replace(plan, actions=actions, durations=durations, tasks=Tasks(queues)).validate()
+    return with_parameters(plan) if draw(st.booleans()) else plan
+
+
+def with_parameters(plan):
+    """The plan as it is read from a file with a parameter in place of an action."""
+    data = plan_to_json(plan)
+    data["actions"] = {
+        p: a if a is None else {**a, "settings": {"speed": "${speed}"}}
+        for p, a in data["actions"].items()
+    }
+    read = plan_from_json(fill_parameters({**data, "parameters": {"speed": 2}}, None))
+    assert all(
+        action.settings == {"speed": 2}
+        for action in read.actions.values()
+        if isinstance(action, FunctionAction)
+    )
+    return read
+
+
+def run_of(plan, seed, log=None, losses=0.0):
+    """A run in virtual time, and how it went."""
+    run = VirtualRun(plan, seed=seed, loss_rate=losses)
+    writer = run.record_in(str(log), "run", "log") if log is not None else None
+    result = run.run(TIME, firings=FIRINGS)
+    if writer is not None:
+        writer.close()
+    return run, result
+
+
+def answers(plan, folder, told=None):
+    """Require one answer.
+
+    :param folder: for the log of a run.
+    :param told: a counter of what was seen.
+    :raises AssertionError: two answer differently.
+    """
+    with patch.object(turn, "FIRINGS_PER_ENTRY", AT_ONCE), patch.object(
+        slot_check, "CYCLE", AT_ONCE
+    ):
+        _answers(plan, folder, Counter() if told is None else told)
+
+
+def _answers(plan, folder, told):
+    report = check(plan, standalone=True, limit=MARKINGS)
+    told["plans"] += 1
+    told["refused" if report.refused else "doubtful" if report.doubts else "may run"] += 1
+    for name in {item.check for item in report.items if item.severity is Severity.REFUSED}:
+        told["refused: " + name] += 1
+    runs = [run_of(plan, seed) for seed in range(RUNS)]
+    losing = [run_of(plan, 9, losses=0.2)]
+    cut_off = any(run.state.ended == CUT_OFF for run, _ in runs)
+    told["runs cut off"] += cut_off
+    decided = report.complete and not any(i.details.get("undecided") for i in report.items)
+    told["decided"] += decided
+    # markings do not say which robot is where: with null for some robots only, the check refuses more
+    exact = idle_places(plan) == idle_places(plan, everybody=True)
+    cycle = any(i.severity is Severity.REFUSED for i in report.of("timeless_cycle"))
+    told["cycles refused"] += cycle
+    told["cycles refused and seen"] += cycle and cut_off
+    if decided:
+        assert cycle or not cut_off, "a run is cut off, and the check lets it pass"
+        assert cycle or not any(r.state.ended == CUT_OFF for r, _ in losing), "with losses"
+        for item in report.of("timeless_cycle") if exact else ():
+            if item.severity is Severity.REFUSED and item.details.get("sequence") == []:
+                assert cut_off, "the check says that every run ends at once: %s" % item.text
+    _unstuck(plan, report, runs, decided, told)
+    _never(plan, report, runs, decided)
+    short = max(0.01, min(run.now for run, _ in runs))  # agents may multiply
+    _simulated(plan, short, report, decided, cycle, told)
+    _analysed(plan, decided, cycle, told)
+    # the log of a run is by the rules, and a scenario is the same run
+    folder.mkdir(exist_ok=True)
+    log = folder / "run.jsonl"
+    log.unlink(missing_ok=True)
+    run, _ = run_of(plan, 0, log)
+    found = verify([read_log(str(log))])
+    assert found.violation is None, found.violation
+    if plan.events:
+        return
+    scenario = Scenario(plan, seed=0, drawn=True)
+    try:
+        scenario.advance(min(run.now, TIME))
+    except AssertionError as error:
+        assert "without time" in str(error) and cut_off
+    count = min(len(scenario.firings), found.firings)
+    same = [f.transition for f in scenario.firings][:count]
+    assert same == _fired(log)[:count], "a scenario is another run"
+    ended = scenario.ended.reason if scenario.ended else None
+    if run.result is not None and run.state.ended == CUT_OFF:
+        assert ended == CUT_OFF
+
+
+def _fired(log):
+    return [f.transition for step in replay(read_log(str(log))) for f in step.firings]
+
+
+def _unstuck(plan, report, runs, decided, told):
+    """No run comes to a dead marking that the check rules out."""
+    ruled_out = decided and all(i.severity is Severity.OK for i in report.of("dead_markings"))
+    for run, _ in runs:
+        team = run.state.active()
+        idle = run.result is None and run.now < TIME and not run._running
+        stuck = idle and team and all(r.phase in (Phase.DONE, Phase.INACTIVE) for r in team)
+        if stuck and not all(r.phase is Phase.INACTIVE for r in team):
+            told["stuck runs"] += 1
+            enabled = plan.net.enabled(run.state.marking)
+            told["stuck with something enabled"] += bool(enabled) and ruled_out
+            assert enabled or not ruled_out, "a run is stuck: %s" % (run.state.marking,)
+
+
+def _never(plan, report, runs, decided):
+    """What never fires, by the check, does not fire."""
+    if not decided:
+        return
+    never = {t for item in report.of("never_fire") for t in item.details["transitions"]}
+    for _, result in runs:
+        fired = {t for t, n in result.firings.items() if n}
+        assert not never & fired, "never fires, and fired: %s" % sorted(never & fired)
+
+
+def _simulated(plan, seconds, report, decided, cycle, told):
+    try:
+        simulate(plan, time=seconds, replications=2, seed=5)
+    except RefusedError as error:
+        without_time = "without time" in str(error)
+        told["simulations refused"] += 1
+        assert not (without_time and decided) or cycle, "simulate: %s" % error
+        return
+    if idle_places(plan) != idle_places(plan, everybody=True):
+        return
+    sure = [i for i in report.of("timeless_cycle") if i.details.get("sequence") == []]
+    assert not (decided and sure and sure[0].severity is Severity.REFUSED), "simulate runs it"
+
+
+def _analysed(plan, decided, cycle, told):
+    """The analysis finds a trap only where the check does."""
+    try:
+        Analysis(plan, limit=MARKINGS).chain  # noqa: B018
+        told["analysed"] += 1
+    except LimitError:
+        return
+    except RefusedError as error:
+        if "timeless trap" in str(error):
+            told["traps in analysis"] += 1
+            assert cycle or not decided, "analyse: %s" % error
