@@ -229,6 +229,8 @@ def _quorum(
     # whoever was told that a quorum is off did not have to ask it
     misled = {r for r, those in assertions if not _is_quorum(set(members) - those, members)}
     for robot, votes in by_robot.items():
+        if robot in evicted:
+            continue  # it was off, and its vote may be one for an attempt that was lost
         for ballot, batch, _ in votes:
             if ballot > first and ballot[1] not in misled and not _leads_to(batch, record):
                 raise BrokenRuleError(
