@@ -83,7 +83,6 @@ LAYERS = {
     "ros": "Thin adapters between the core and ROS.",
     "visualizer": "The page.",
     "world": "The simulated room.",
-    "benchmark": "What the figures of the benchmarks are measured with.",
 }
 
 

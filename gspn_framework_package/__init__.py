@@ -12,8 +12,8 @@ The layers, inner to outer (an inner one never imports an outer one):
     token game, event log, agreement protocol, standalone executor.
 ``ros``
     the nodes: thin adapters between ROS messages and the core.
-``visualizer``, ``world``, ``cli``, ``benchmark``
-    the page, the simulated world, the command line, the benchmarks.
+``visualizer``, ``world``, ``cli``
+    the page, the simulated world, the command line.
 
 The inner four need no ROS.
 """

@@ -96,10 +96,6 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "demo": Verb(
         ".demo", "run a plan on a team of robots (needs ROS and a master), and show what happens"
     ),
-    "bench": Verb(
-        ".bench",
-        "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
-    ),
     "agent": Verb(".agent", "be one robot of a team, without ROS"),
     "keys": Verb(".keys", "make, show and revoke the certificates of a team"),
     "router": Verb(".router", "pass messages on between robots that have no ROS master in common"),

@@ -7,7 +7,7 @@ import json
 import os
 
 from gspn_framework_package.execution.event_log import DamagedLogError, log_files, read_log
-from gspn_framework_package.execution.history import Verdict, Violation, verify
+from gspn_framework_package.execution.verifier import Verdict, Violation, verify
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

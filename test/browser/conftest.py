@@ -10,7 +10,7 @@ import pytest
 from page_reading import resize
 from story_film import NoFilm, StoryFilm
 
-from gspn_framework_package.benchmark.page.rendering import CHROMIUM, FLAGS
+from benchmarks.page.rendering import CHROMIUM, FLAGS
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.serving import WebServer

@@ -19,10 +19,12 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw
 
-from gspn_framework_package.benchmark.page.rendering import chromium
-from gspn_framework_package.benchmark.ports import free_port
-from gspn_framework_package.benchmark.room_ros import end_launch, last_lines
-from gspn_framework_package.benchmark.team_run import Master, need_ros
+sys.path.append(str(Path(__file__).resolve().parents[2]))
+
+from benchmarks.page.rendering import chromium
+from benchmarks.ports import free_port
+from benchmarks.room_ros import end_launch, last_lines
+from benchmarks.team_run import Master, need_ros
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.world.camera import Camera, scalable_font
 from gspn_framework_package.world.film import Film

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gspn_framework_package.benchmark.page.feed import workshop
+from benchmarks.page.feed import workshop
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.project import Project

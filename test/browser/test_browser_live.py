@@ -10,7 +10,7 @@ import pytest
 from page_reading import boxes, dots, marking, overlaps, settle
 from told_run import ToldRun
 
-from gspn_framework_package.benchmark.ports import free_port
+from benchmarks.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.robot_colours import colour_of
 
@@ -279,7 +279,7 @@ def feed(port):
     command = [
         sys.executable,
         "-m",
-        "gspn_framework_package.benchmark.page.feed",
+        "benchmarks.page.feed",
         "100",
         "100",
         str(port),

@@ -3,7 +3,7 @@
 import pytest
 from page_reading import settle
 
-from gspn_framework_package.benchmark.nets import kanban, philosophers
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.builder import NetBuilder

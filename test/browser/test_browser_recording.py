@@ -4,7 +4,7 @@ import threading
 
 from page_reading import marking, settle
 
-from gspn_framework_package.benchmark.page.long_log import write_log
+from benchmarks.page.long_log import write_log
 from gspn_framework_package.visualizer import recording
 
 

@@ -3,7 +3,7 @@
 import pytest
 from page_reading import boxes, dots, enabled, marking, overlaps, resize, settle
 
-from gspn_framework_package.benchmark.page.feed import workshop
+from benchmarks.page.feed import workshop
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 

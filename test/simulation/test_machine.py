@@ -8,13 +8,13 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
+from agreement.plans import make_plan
+from agreement.world import Weather, World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import Weather, World
 from gspn_framework_package.execution.event_log import EventLog
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 
 
 class Team(RuleBasedStateMachine):

@@ -1,11 +1,11 @@
 """The simulation and the checker find faults that were put there on purpose (some; all of them:
-``python3 -m gspn_framework_package.benchmark.mutants``)."""
+``python3 -m benchmarks.mutants``)."""
 
 from __future__ import annotations
 
 import pytest
 
-from gspn_framework_package.execution.agreement_simulation.mutants import MUTANTS, hunt
+from agreement.mutants import MUTANTS, hunt
 
 QUICK = (
     "bare half",

@@ -5,13 +5,13 @@ import subprocess
 
 import pytest
 
-from gspn_framework_package.benchmark.netns import rules
+from benchmarks.netns import rules
 
 pytest.importorskip("rospy", reason="ROS is not here")
-from gspn_framework_package.benchmark.netns.gateways import Gateways
-from gspn_framework_package.benchmark.netns.main import why_not
-from gspn_framework_package.benchmark.netns.network import Network, why_impossible
-from gspn_framework_package.benchmark.netns.scenarios import minority, mute, router_killed
+from benchmarks.netns.gateways import Gateways
+from benchmarks.netns.main import why_not
+from benchmarks.netns.network import Network, why_impossible
+from benchmarks.netns.scenarios import minority, mute, router_killed
 from gspn_framework_package.model.errors import ExecutionError
 
 DELAY = 0.05

@@ -9,11 +9,11 @@ import time
 
 import pytest
 
+from agreement.schedule import Schedule, run_schedule
+from agreement.world import ViolationError
+from benchmarks.agreement import draw_schedules
 from gspn_framework_package import execution
-from gspn_framework_package.benchmark.agreement import draw_schedules
 from gspn_framework_package.execution.agreement import config
-from gspn_framework_package.execution.agreement_simulation.schedule import Schedule, run_schedule
-from gspn_framework_package.execution.agreement_simulation.world import ViolationError
 
 SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "600"))
 FAILED = os.path.join(os.path.dirname(__file__), "failed_seeds.txt")

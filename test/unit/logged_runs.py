@@ -7,7 +7,7 @@ from typing import Any, Dict, List
 
 from game_driver import make_plan
 
-from gspn_framework_package.execution.agreement_simulation.world import World
+from agreement.world import World
 from gspn_framework_package.execution.event_log import header, line_of
 from gspn_framework_package.execution.firing import Ended
 from gspn_framework_package.execution.ledger import Ledger

@@ -6,7 +6,7 @@ import pytest
 
 from gspn_framework_package.analysis.decisions import optimise as optimising
 from gspn_framework_package.analysis.decisions.optimise import _Exactly
-from gspn_framework_package.benchmark.nets import kanban
+from benchmarks.nets import kanban
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.formats.plan_file import read_plan

@@ -11,7 +11,7 @@ import pytest
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import read_log, replay
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.run_door import (
     DeployRequest,
     RunDoor,

@@ -49,7 +49,7 @@ ENDLESS = {"serve", "replay", "record", "router", "agent"}
 """Verbs that end at Ctrl-C, or follow a live team: their arguments are parsed, the rest is tested
 elsewhere."""
 
-LONG = {"bench", "film"}
+LONG = {"film"}
 """Verbs that take minutes: their arguments are parsed, the rest is tested elsewhere."""
 
 SERVICES = {
@@ -129,7 +129,7 @@ def _try(command: Command, sandbox: Path) -> None:
     elif words[:4] == ["python3", "-m", "coverage", "run"]:
         at = words.index("-m", 4)
         _options_exist(command, [sys.executable, *words[at : at + 2]], words[at + 2 :])
-    elif words[:2] == ["python3", "-m"] and words[2].startswith(PACKAGE + ".benchmark."):
+    elif words[:2] == ["python3", "-m"] and words[2].split(".")[0] == "benchmarks":
         _options_exist(command, [sys.executable] + words[1:3], words[3:])
     elif words[0] in ("./run_demo", "./run_tests"):
         _options_exist(command, [str(ROOT / words[0])], words[1:])

@@ -96,8 +96,6 @@ OPTIONS = [
     ["film", "-o", "x.mp4", "--robots", "1000000000"],
     ["film", "-o", "x.mp4", "--seconds", "nan"],
     ["film", "-o", "x.mp4", "--speed", "0"],
-    ["bench", "--sizes", "3,1000000000"],
-    ["bench", "--window", "inf"],
 ]
 
 

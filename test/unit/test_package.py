@@ -31,7 +31,7 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: The layers, each with a number: a module may import only from its own layer and from those with
 #: a lower number. Those of the outer shell have numbers in the order in which they build on
-#: each other: the command line may start anything, nothing but the benchmarks starts it.
+#: each other: the command line may start anything, nothing starts it.
 LAYERS = {
     "model": 0,
     "formats": 1,
@@ -44,8 +44,7 @@ LAYERS = {
     "ros": 5,
     "visualizer": 6,
     "world": 6,
-    "benchmark": 7,
-    "cli": 8,
+    "cli": 7,
 }
 INNER = [layer for layer, number in LAYERS.items() if number <= 4]
 
@@ -188,18 +187,6 @@ def test_the_layer_check_sees_an_outward_import(module, line):
 )
 def test_the_layer_check_lets_inward_imports_pass(module, line):
     assert outward_imports(PACKAGE / module, line) == []
-
-
-@pytest.mark.long
-def test_only_the_bench_verb_imports_the_benchmarks():
-    benchmark = PACKAGE / "benchmark"
-    importing = [
-        path.relative_to(PACKAGE)
-        for path in MODULES
-        if benchmark not in path.parents
-        and any(name.startswith(PACKAGE.name + ".benchmark") for name in imports_of(path))
-    ]
-    assert importing == [Path("cli", "bench.py")]
 
 
 @pytest.mark.long

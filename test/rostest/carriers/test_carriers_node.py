@@ -21,7 +21,7 @@ from meeting import WORK, meeting_of
 from waiting import wait_for
 
 from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.team.keys import NewMember, make_team
 

@@ -8,9 +8,10 @@ import sys
 from unittest import mock
 
 HERE = os.path.dirname(os.path.abspath(__file__))
-sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+TESTS = os.path.dirname(HERE)
+sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 
-from gspn_framework_package.benchmark.ports import free_port
+from benchmarks.ports import free_port
 
 PORT = free_port()
 os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % PORT

@@ -16,12 +16,13 @@ import rosgraph
 import rospy
 
 HERE = os.path.dirname(os.path.abspath(__file__))
-sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+TESTS = os.path.dirname(HERE)
+sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 
 from robots import chain, write_plan
 from waiting import wait_for
 
-from gspn_framework_package.benchmark.ports import free_port
+from benchmarks.ports import free_port
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.srv import Command, GetState

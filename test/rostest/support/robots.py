@@ -19,7 +19,7 @@ import rospy
 from waiting import wait_for
 
 from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.srv import Command, GetState
 

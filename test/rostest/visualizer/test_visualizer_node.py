@@ -13,12 +13,13 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
 HERE = os.path.dirname(os.path.abspath(__file__))
-sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+TESTS = os.path.dirname(HERE)
+sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 
 from robots import ROOT, RobotTestCase, copy_plan, start_node
 from waiting import wait_for
 
-from gspn_framework_package.benchmark.ports import free_port
+from benchmarks.ports import free_port
 
 
 class Page:

@@ -4,7 +4,7 @@ and checkers."""
 import stormpy
 from stormpy import developer, environments, transformations
 
-from gspn_framework_package.benchmark.storm import storm_jani
+from benchmarks.storm import storm_jani
 
 # Storm's time-bounded answers are good to 1e-6 by default, which is what the tests ask of ours.
 # stormpy.Environment does not show that part of Storm's environment, so it is set as by Storm's

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from steady_answers import assert_answers_of
 
+from benchmarks.nets import FAMILIES
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.on_disk import chain as chain_module
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
@@ -15,7 +16,6 @@ from gspn_framework_package.analysis.on_disk.search import search
 from gspn_framework_package.analysis.on_disk.steady import steady_state
 from gspn_framework_package.analysis.solution import linear
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.benchmark.nets import FAMILIES
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError
 

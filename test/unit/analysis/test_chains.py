@@ -28,8 +28,8 @@ from gspn_framework_package.analysis.solution.transient import (
 )
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.benchmark.large_nets import endings
-from gspn_framework_package.benchmark.nets import kanban, polling
+from benchmarks.large_nets import endings
+from benchmarks.nets import kanban, polling
 from gspn_framework_package.cli.analysis_text import analysis_text
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError

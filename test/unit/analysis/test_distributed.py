@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from steady_answers import assert_answers_of
 from thread_ranks import on_ranks
 
+from benchmarks import distributed as benchmark
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.distributed import DistributedAnalysis
 from gspn_framework_package.analysis.distributed.growth import growth
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.report import Questions, report
-from gspn_framework_package.benchmark import distributed as benchmark
-from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.formats.plan_file import read_plan

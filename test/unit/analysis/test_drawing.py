@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
+from benchmarks.large_nets import ring
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
-from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.model.builder import NetBuilder

@@ -11,6 +11,7 @@ from generated_nets import split
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.nets import machines, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.report import Questions, asked_conditions, report
@@ -20,7 +21,6 @@ from gspn_framework_package.analysis.symmetry.automorphisms import automorphisms
 from gspn_framework_package.analysis.symmetry.factors import Exchange, Listed, Turned
 from gspn_framework_package.analysis.symmetry.lumped_space import explore_lumped
 from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
-from gspn_framework_package.benchmark.nets import machines, philosophers
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.model.builder import NetBuilder

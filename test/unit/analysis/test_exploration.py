@@ -11,12 +11,12 @@ from generated_nets import bounded_nets, reference_space
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.large_nets import ring, star
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.state_space import sparse_engine
 from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
 from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.benchmark.large_nets import ring, star
-from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
 from gspn_framework_package.model.net import MAX_COUNT, Arc, Net, Place, Transition
@@ -301,7 +301,7 @@ def test_numba_is_not_loaded_for_what_numpy_does_sooner():
     program = (
         "import sys\n"
         "from gspn_framework_package.analysis.analyse import Analysis\n"
-        "from gspn_framework_package.benchmark.nets import kanban\n"
+        "from benchmarks.nets import kanban\n"
         "analysis = Analysis(kanban(2))\n"
         "assert analysis.steady.method == 'Gauss-Seidel' and analysis.space.engine == 'numpy'\n"
         "assert 'numba' not in sys.modules\n"

@@ -10,6 +10,8 @@ import threading
 import pytest
 from waiting import wait_for
 
+from benchmarks.large_nets import cells, ring, workflow
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis import analyse
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import (
@@ -22,8 +24,6 @@ from gspn_framework_package.analysis.limits import (
 )
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.structure import invariants
-from gspn_framework_package.benchmark.large_nets import cells, ring, workflow
-from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net

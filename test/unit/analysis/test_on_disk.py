@@ -10,6 +10,8 @@ from generated_nets import bounded_nets
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks import on_disk
+from benchmarks.nets import FAMILIES
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.on_disk import answers
@@ -27,8 +29,6 @@ from gspn_framework_package.analysis.report import Questions
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.packing import Packing
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.benchmark import on_disk
-from gspn_framework_package.benchmark.nets import FAMILIES
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.model.builder import NetBuilder

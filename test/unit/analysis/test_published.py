@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.state_space.properties import Properties
-from gspn_framework_package.benchmark.nets import (
+from benchmarks.nets import (
     courier,
     flexible_manufacturing,
     kanban,
@@ -14,6 +11,9 @@ from gspn_framework_package.benchmark.nets import (
     polling,
     readers_writers,
 )
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.state_space.properties import Properties
 
 
 @pytest.mark.parametrize(

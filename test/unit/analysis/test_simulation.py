@@ -14,9 +14,9 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from benchmarks.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.simulation import machine, marking_table, simulate
-from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition

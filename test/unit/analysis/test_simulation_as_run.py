@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from benchmarks.policy import decision_net, random_policy
 from gspn_framework_package.analysis.simulation import kernel, machine, simulate
 from gspn_framework_package.analysis.simulation.plan_run import PlanRun
 from gspn_framework_package.analysis.simulation.plan_tables import (
@@ -20,7 +21,6 @@ from gspn_framework_package.analysis.simulation.plan_tables import (
     PlanTables,
     compile_condition,
 )
-from gspn_framework_package.benchmark.policy import decision_net, random_policy
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction

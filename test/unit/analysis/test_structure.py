@@ -7,6 +7,8 @@ from generated_nets import bounded_nets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.large_nets import ring
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.structure import Structure, classify, conflict_sets
 from gspn_framework_package.analysis.structure.invariants import (
@@ -20,8 +22,6 @@ from gspn_framework_package.analysis.structure.siphons import (
     minimal_traps,
     unguarded_siphon,
 )
-from gspn_framework_package.benchmark.large_nets import ring
-from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Arc, Net, Place, Transition

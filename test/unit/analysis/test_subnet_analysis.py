@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.policy import decision_net, random_policy
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.analysis.plan.structure import PolicyCover
@@ -15,7 +16,6 @@ from gspn_framework_package.analysis.preflight.check_plan import check
 from gspn_framework_package.analysis.report import report, rows
 from gspn_framework_package.analysis.simulation import kernel, simulate
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
-from gspn_framework_package.benchmark.policy import decision_net, random_policy
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.plan import Plan, RobotSpec

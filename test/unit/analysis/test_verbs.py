@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.report import Part, keys_of
-from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli import analyse
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.plot import alike

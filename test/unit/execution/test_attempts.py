@@ -9,9 +9,9 @@ import pytest
 from game_driver import make_plan
 from logged_runs import Story, ring, save_logs
 
+from agreement.plans import make_plan as team_plan
+from agreement.world import World
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan as team_plan
-from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.attempts import (
     OUTAGE,
     AttemptFollower,

@@ -10,15 +10,15 @@ import pytest
 from shop_plan import shop
 from waiting import wait_for
 
+from agreement.plans import make_plan
+from agreement.world import World
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.breakpoints import FILE_NAME, BreakpointFile, Breakpoints
 from gspn_framework_package.execution.event_log import EventLog
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.errors import InputError, PlanError
 from gspn_framework_package.model.plan import Plan

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
+from agreement.plans import make_plan
 from gspn_framework_package.execution import event_log, log_entries
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.event_log import (
     EventLogWriter,
     end_is_there,

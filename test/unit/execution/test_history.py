@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import World
+from agreement.plans import make_plan
+from agreement.world import World
 from gspn_framework_package.execution.event_log import (
     DamagedLogError,
     EventLog,
@@ -22,9 +22,9 @@ from gspn_framework_package.execution.event_log import (
     next_sum,
     read_log,
 )
-from gspn_framework_package.execution.history import verify
-from gspn_framework_package.execution.history.logged_team import LoggedRobot
-from gspn_framework_package.execution.history.slot_check import SlotCheck
+from gspn_framework_package.execution.verifier import verify
+from gspn_framework_package.execution.verifier.logged_team import LoggedRobot
+from gspn_framework_package.execution.verifier.slot_check import SlotCheck
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from agreement.plans import make_plan
+from agreement.world import World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import VERSION, MessageError, parse
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.event_log import EventLog
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Origin
+from gspn_framework_package.execution.verifier import verify
 
 TOKENS = 2
 HUGE = 10**4300

@@ -7,15 +7,15 @@ from typing import Any, List
 
 import pytest
 
+from agreement.plans import make_plan
+from agreement.world import SimulatedNode, World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import Event, Prepare
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import SimulatedNode, World
 from gspn_framework_package.execution.event_log import EventLog
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Origin
+from gspn_framework_package.execution.verifier import verify
 
 TOUR, MEET, TOKENS, CROWD = range(4)
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import pytest
 
+from agreement.plans import another_plan
 from gspn_framework_package.execution import log_entries, plan_change
-from gspn_framework_package.execution.agreement_simulation.plans import another_plan
 from gspn_framework_package.execution.event_log import EventLog, header, replay
 from gspn_framework_package.execution.firing import Fault, StartAction
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder

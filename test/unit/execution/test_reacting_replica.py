@@ -7,14 +7,14 @@ from typing import Any, List
 
 import pytest
 
+from agreement.plans import make_plan
+from agreement.world import SimulatedNode, World
 from gspn_framework_package.execution import log_entries, team_state, token_game
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import SimulatedNode, World
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import StartAction
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import EventSource

@@ -15,15 +15,15 @@ from gspn_framework_package.execution.agreement.membership import GUESTS
 from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Event, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import (
+from agreement.plans import make_plan
+from agreement.world import (
     SimulatedNode,
     Weather,
     World,
 )
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.action import FunctionAction

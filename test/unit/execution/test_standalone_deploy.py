@@ -11,8 +11,8 @@ import pytest
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.errors import ExecutionError, PlanError, RefusedError
 from gspn_framework_package.model.policy import Policy, PolicyRow

@@ -23,8 +23,8 @@ from gspn_framework_package.execution.event_log import (
     read_log,
     replay,
 )
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.plan_change import stage_of
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan, read_policy
 from gspn_framework_package.model.errors import LogError

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
-from gspn_framework_package.execution.history.slot_check import SlotCheck
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.verifier.slot_check import SlotCheck
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (

@@ -11,7 +11,7 @@ from test_reacting import guard_net, shop_net
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import read_log, replay
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder

@@ -13,11 +13,11 @@ from typing import Any, Dict, List
 import pytest
 from logged_runs import Story, ring, save_logs
 
+from agreement.plans import make_plan as team_plan
+from agreement.world import World
 from gspn_framework_package.cli import history
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan as team_plan
-from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.log_entries import Done, Failed
 from gspn_framework_package.fleet import store as stores
 from gspn_framework_package.fleet.database import OLDEST_FOR_SQL, duckdb

@@ -8,8 +8,8 @@ import pytest
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats import subnets
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json

@@ -10,8 +10,8 @@ import pytest
 
 from gspn_framework_package.cli.status import order_lines
 from gspn_framework_package.execution.event_log import LogFile, read_log
-from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.plan_change import stage_of
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import PlanError, RefusedError
 from gspn_framework_package.team import host as host_module

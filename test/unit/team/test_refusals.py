@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from gspn_framework_package.benchmark.plans import ring_plan
+from benchmarks.plans import ring_plan
 from gspn_framework_package.cli.status import refusal_lines
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import VERSION

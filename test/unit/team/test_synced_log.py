@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from agreement.plans import make_plan
 from gspn_framework_package.execution.event_log import BOOT_ID
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.team import log_file

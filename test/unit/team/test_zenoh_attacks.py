@@ -8,11 +8,11 @@ import threading
 import pytest
 from zenoh_team import MEMBERS, Hub, make_keys, wait_for
 
-from gspn_framework_package.benchmark.plans import ring_plan
+from benchmarks.plans import ring_plan
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.team.agent import PrintedVoice, make_agent
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.host import HostOptions

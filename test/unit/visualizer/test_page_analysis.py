@@ -11,7 +11,7 @@ import pytest
 from page_client import PageClient, small_net
 from waiting import wait_for
 
-from gspn_framework_package.benchmark.nets import kanban
+from benchmarks.nets import kanban
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer import analysis_jobs, analysis_worker

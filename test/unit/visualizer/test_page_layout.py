@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from gspn_framework_package.benchmark.nets import kanban, philosophers
+from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.net import Arc, Net, Place, Transition

@@ -21,8 +21,8 @@ import waitress.trigger
 from page_client import small_net
 from waiting import wait_for
 
+from benchmarks.page.viewers import measure_memory
 from gspn_framework_package import visualizer
-from gspn_framework_package.benchmark.page.viewers import measure_memory
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.project import Project

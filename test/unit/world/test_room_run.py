@@ -3,7 +3,7 @@
 import pytest
 
 from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import PlanError

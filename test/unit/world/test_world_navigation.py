@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.benchmark import room_tight
+from benchmarks import room_tight
 from gspn_framework_package.world.avoidance import STANDING_GAP, OtherRobot, brake, choose, follow
 from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
 from gspn_framework_package.world.grid import RESOLUTION, SPARE, Grid

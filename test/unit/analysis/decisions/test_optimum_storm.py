@@ -19,7 +19,7 @@ stormpy = pytest.importorskip(
     "stormpy", reason="stormpy has no wheel for this Python; it is an oracle of the tests only"
 )
 
-from gspn_framework_package.benchmark.storm import storm_automaton  # noqa: E402
+from benchmarks.storm import storm_automaton  # noqa: E402
 
 EXAMPLES = int(os.environ.get("GSPN_STORM_EXAMPLES", "40"))
 relaxed = settings(

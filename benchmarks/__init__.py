@@ -1,0 +1,17 @@
+"""Benchmarks: one command each, with ratios side by side, and the machine and versions in the
+output. They belong to the checkout and are not installed."""
+
+import sys
+from pathlib import Path
+
+from gspn_framework_package.model.errors import missing_library
+
+try:
+    import lxml  # noqa: F401
+    import numpy  # noqa: F401
+    import psutil  # noqa: F401
+except ModuleNotFoundError as missing:  # reported here, since each benchmark is a separate program
+    sys.exit("error: " + missing_library(missing))
+
+# the simulated teams of test/agreement
+sys.path.append(str(Path(__file__).resolve().parents[1] / "test"))

@@ -1,0 +1,395 @@
+"""Optimal policies against Storm, in one run.
+
+``python3 -m benchmarks.decisions [--quick] [--repeat N] [--markdown FILE]
+[--json FILE]``
+
+Each measurement runs in its own process; each is repeated, in turns, and the fastest counts. Both
+build the Markov automaton from the same net and find the best policy: ours with bounds of a
+relative width of 1e-6, Storm with its sound methods (1e-6 too) and with its plain default. Compiled
+code is loaded before the clock starts. The waiting patrol is a plan, whose automaton Storm reads
+from a file; building it is not counted on either side. Where stormpy is not installed, or does not
+come to an end in three minutes, its columns stay empty.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+
+import numpy as np
+
+from benchmarks.inspection_grid import inspection_grid
+from benchmarks.machine import (
+    LIBRARIES,
+    describe_machine,
+    machine_line,
+    table,
+)
+from benchmarks.processes import peak_mb
+from gspn_framework_package.analysis.arrays import Booleans
+from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim, Objective
+from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem
+from gspn_framework_package.analysis.decisions.solving import optimum
+from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.state_space.rated_graph import enabling_degree
+from gspn_framework_package.analysis.state_space.space import StateSpace
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.net import Net
+
+PATROL = Path(__file__).resolve().parents[2] / "plans" / "patrol" / "plan.json"
+
+
+class Case(NamedTuple):
+    """A problem: its kind, the number of robots, a further size, and whether the mean time to a
+    condition is asked instead of a share of time."""
+
+    kind: str
+    robots: int
+    size: int = 0
+    time_to: bool = False
+
+    @property
+    def title(self) -> str:
+        """Its name in the table."""
+        aim = "mean time to all inspected" if self.time_to else "share of time"
+        if self.kind == "patrol":
+            return "patrol with WAIT, checks per second"
+        what = "grid 3x3, %d levels" % self.size if self.kind == "grid" else "3 rooms"
+        return "%s, %d robot%s, %s" % (what, self.robots, "s" * (self.robots > 1), aim)
+
+
+CASES = (
+    Case("grid", 1, 5),
+    Case("grid", 2, 4),
+    Case("grid", 2, 4, True),
+    Case("rooms", 3),
+    Case("rooms", 5),
+    Case("rooms", 10),
+    Case("patrol", 4),
+)
+QUICK = (Case("grid", 1, 4), Case("grid", 1, 4, True), Case("rooms", 3))
+PATIENCE = 180
+"""Seconds after which a measurement is given up."""
+
+LARGEST = Case("grid", 2, 12)
+"""With ``--large``: 5,334,849 states."""
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the benchmark, or (with ``--worker``) one measurement of it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="small nets only")
+    parser.add_argument("--large", action="store_true", help="also the largest one, ours alone")
+    parser.add_argument("--repeat", type=int, default=2, metavar="N", help="(default 2)")
+    parser.add_argument("--markdown", metavar="FILE", help="write the table there too")
+    parser.add_argument("--json", metavar="FILE", help="write all measurements there")
+    parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
+    args = parser.parse_args(arguments)
+    if args.worker:
+        engine, text = args.worker
+        print(json.dumps(_work(engine, Case(*json.loads(text)))))
+        return 0
+    rows = []
+    for case in QUICK if args.quick else CASES:
+        rows.append(_measured(case, ("storm", "ours", "plain"), args.repeat))
+    if args.large:
+        rows.append(_measured(LARGEST, ("ours",), 1))
+    machine = describe_machine((*LIBRARIES, "stormpy"))
+    text = "%s\n\n%s" % (machine_line(machine), _table(rows))
+    print(text)
+    if args.markdown:
+        Path(args.markdown).write_text(text + "\n", encoding="utf-8")
+    if args.json:
+        report = {"machine": machine, "cases": rows}
+        Path(args.json).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+# -- problems --------------------------------------------------------------------------------------
+
+
+def rooms(robots: int) -> Net:
+    """Robots clean three rooms, each of which gets dirty by and by, up to three heaps: a robot
+    chooses a room that is not full, or rests."""
+    builder = NetBuilder().place("free", tokens=robots).place("resting")
+    builder.immediate("rest", weight=0, inputs="free", outputs="resting")
+    builder.exponential("rested", rate=0.5, servers=None, inputs="resting", outputs="free")
+    for room, (dirt, clean) in enumerate(((0.3, 0.5), (0.2, 0.3), (0.1, 0.2))):
+        going, cleaning = "going_%d" % room, "cleaning_%d" % room
+        tidy, dirty, space = "tidy_%d" % room, "dirty_%d" % room, "space_%d" % room
+        builder.place(going).place(cleaning).place(tidy, tokens=3).place(dirty)
+        builder.place(space, tokens=min(robots, 2))
+        builder.exponential("soil_%d" % room, rate=dirt, inputs=tidy, outputs=dirty)
+        builder.immediate("go_%d" % room, weight=0, inputs=["free", space], outputs=going)
+        builder.exponential(
+            "arrive_%d" % room, rate=0.4, servers=None, inputs=going, outputs=cleaning
+        )
+        builder.exponential(
+            "clean_%d" % room,
+            rate=clean,
+            servers=None,
+            inputs=[cleaning, dirty],
+            outputs=["free", space, tidy],
+        )
+        builder.exponential(
+            "leave_%d" % room,
+            rate=0.1,
+            servers=None,
+            inputs=cleaning,
+            outputs=["free", space],
+        )
+    return builder.build()
+
+
+def net_of(case: Case) -> Net:
+    """The net of a case."""
+    if case.kind == "grid":
+        return inspection_grid(3, case.robots, case.size)
+    return rooms(case.robots)
+
+
+def condition_of(case: Case, net: Net) -> str:
+    """What is asked about: where time is to be spent, or what is to be reached. For Storm and for
+    us: no operator but ``&`` and ``|`` is used."""
+    names = [p.name for p in net.places]
+    if case.time_to:
+        return " & ".join("(%s >= 1)" % n for n in names if n.startswith("done_"))
+    start = "inspecting_" if case.kind == "grid" else "tidy_"
+    if case.kind == "grid":
+        return " | ".join("(%s >= 1)" % n for n in names if n.startswith(start))
+    return " & ".join("(%s >= 2)" % n for n in names if n.startswith(start))
+
+
+def automaton_of(space: StateSpace) -> Automaton:
+    """The decision problem of a net: whoever decides chooses among the immediate transitions."""
+    vanishing = space.is_vanishing
+    counts = np.diff(space.offsets)
+    rows = np.concatenate([[0], np.cumsum(np.where(vanishing, counts, 1))])
+    # one row per arc of a vanishing state, one per tangible state
+    of_rows = vanishing[np.repeat(np.arange(len(space)), np.diff(rows))]
+    lengths = np.ones(int(rows[-1]), dtype=np.int64)
+    lengths[~of_rows] = counts[~vanishing]
+    values = np.ones(space.arcs)
+    sources = space.sources
+    transitions = space.net.transitions
+    order = np.argsort(space.transitions, kind="stable")
+    ends = np.searchsorted(space.transitions[order], np.arange(len(transitions) + 1))
+    for t, transition in enumerate(transitions):
+        arcs = order[ends[t] : ends[t + 1]]
+        if transition.timed and len(arcs):
+            values[arcs] = transition.rate
+            if transition.servers != 1:
+                values[arcs] *= enabling_degree(space.net, t, space.store, sources[arcs])
+    choices = np.full(len(lengths), CHANCE, dtype=np.int32)
+    arcs = np.concatenate([[0], np.cumsum(lengths)])
+    choices[of_rows] = space.transitions[arcs[:-1][of_rows]]
+    return Automaton(
+        ~vanishing,
+        rows,
+        arcs,
+        space.targets.astype(np.int32),
+        values,
+        space.transitions.astype(np.int32),
+        choices,
+        ((0, 1.0),),
+    )
+
+
+class WaitingPatrol(NamedTuple):
+    """The decision problem of the patrol: at most one robot may be at a location, and robots may
+    wait."""
+
+    automaton: Automaton
+    rewards: Rewards
+    allowed: Booleans
+
+
+def _patrol() -> WaitingPatrol:
+    plan = read_plan(str(PATROL))
+    names = [p.name for p in plan.net.places]
+    never = ['"%s" + "%s" > 1' % (names[i], names[i + 1]) for i in range(0, 16, 4)]
+    waiting = [name for name in names if "Decide" in name]
+    decisions = DecisionProblem(
+        plan, reading="net", never=never, may_wait=waiting, team_sizes=[len(plan.robots)]
+    )
+    team = decisions.teams[0]
+    checks = {t.name: 1.0 for t in plan.net.transitions if "Temperature" in t.name}
+    rewards = decisions.rewards(team, Objective.long_run(checks))
+    return WaitingPatrol(team.automaton, rewards, decisions.allowed(team))
+
+
+# -- measuring -------------------------------------------------------------------------------------
+
+Measurement = Dict[str, Any]
+
+
+def _measured(case: Case, engines: Sequence[str], repeat: int) -> Measurement:
+    row: Measurement = {"case": case.title}
+    for turn in range(repeat):
+        for engine in engines:
+            if turn and (engine not in row or row[engine]["total"] > 20):
+                continue
+            found = _measure(engine, case)
+            if found is not None and (engine not in row or found["total"] < row[engine]["total"]):
+                row[engine] = found
+    print("%s: %s" % (case.title, {e: row.get(e) for e in engines}), file=sys.stderr)
+    return row
+
+
+def _measure(engine: str, case: Case) -> Optional[Measurement]:
+    command = [sys.executable, "-m", "benchmarks.decisions"]
+    try:
+        done = subprocess.run(
+            [*command, "--worker", engine, json.dumps(case)],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        print("%s, %s: given up after %d s" % (case.title, engine, PATIENCE), file=sys.stderr)
+        return None
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        print("%s, %s: %s" % (case.title, engine, last), file=sys.stderr)
+        return None
+    result: Measurement = json.loads(done.stdout.splitlines()[-1])
+    return result
+
+
+def _work(engine: str, case: Case) -> Measurement:
+    if engine == "ours":
+        _ours(Case("grid", 1, 4))  # loads all code
+        _ours(Case("grid", 1, 4, True))
+        if case.kind != "patrol":
+            explore(net_of(case), engine="numba", limit=100)
+        return _ours(case)
+    return _storm(case, engine == "storm")
+
+
+def _ours(case: Case) -> Measurement:
+    import numba  # noqa: F401  # large automata are solved by compiled loops: load them
+
+    start = time.perf_counter()
+    goal: Optional[Booleans] = None
+    allowed: Optional[Booleans] = None
+    if case.kind == "patrol":
+        automaton, rewards, allowed = _patrol()
+        start = time.perf_counter()
+    else:
+        net = net_of(case)
+        space = explore(net, engine="numba", limit=10**8)
+        holds = space.holds(condition_of(case, net).replace("&", "and").replace("|", "or"))
+        automaton = automaton_of(space)
+        rewards = Rewards(holds.astype(float), np.zeros(space.arcs))
+        goal = holds if case.time_to else None
+    built = time.perf_counter()
+    solved = optimum(
+        automaton,
+        Aim.TIME_TO if case.time_to else Aim.LONG_RUN,
+        rewards,
+        goal=goal,
+        allowed=allowed,
+        maximise=not case.time_to,
+        width=WIDTH,
+    )
+    done = time.perf_counter()
+    return {
+        "states": len(automaton),
+        "build": built - start,
+        "solve": done - built,
+        "total": done - start,
+        "lower": solved.lower,
+        "upper": solved.upper,
+        "value": 0.5 * (solved.lower + solved.upper),
+        "method": "%s, %d rounds" % (solved.method, solved.rounds),
+        "peak_mb": peak_mb(),
+    }
+
+
+def _storm(case: Case, sound: bool) -> Measurement:
+    import stormpy
+
+    from benchmarks.storm import storm_automaton, storm_jani
+
+    start = time.perf_counter()
+    if case.kind == "patrol":
+        automaton, rewards, allowed = _patrol()
+        with tempfile.TemporaryDirectory() as folder:
+            model = storm_automaton(automaton, rewards, None, folder, allowed)
+        properties = list(stormpy.parse_properties('R{"earned"}max=? [LRA]'))
+        start = time.perf_counter()
+    else:
+        net = net_of(case)
+        jani = storm_jani(net)
+        text = "Tmin=? [F %s]" if case.time_to else "LRAmax=? [%s]"
+        properties = list(stormpy.parse_properties(text % condition_of(case, net), jani))
+        options = stormpy.BuilderOptions(properties, jani)
+        options.set_apply_maximal_progress_assumption(True)
+        model = stormpy.build_model(jani, options=options)
+    built = time.perf_counter()
+    environment = {} if sound else {"environment": stormpy.Environment()}
+    result = stormpy.model_checking(model, properties[0], **environment)
+    done = time.perf_counter()
+    return {
+        "states": model.nr_states,
+        "build": built - start,
+        "solve": done - built,
+        "total": done - start,
+        "value": float(result.get_value(model.initial_states[0])),
+        "peak_mb": peak_mb(),
+    }
+
+
+# -- reporting -------------------------------------------------------------------------------------
+
+
+def _table(rows: List[Measurement]) -> str:
+    head = (
+        "problem",
+        "states",
+        "ours build s",
+        "solve s",
+        "Storm build s",
+        "sound s",
+        "plain s",
+        "all: Storm sound / ours",
+        "value",
+        "width",
+        "Storm differs by",
+    )
+    cells = []
+    for row in rows:
+        ours, storm, plain = (row.get(e, {}) for e in ("ours", "storm", "plain"))
+        value = ours.get("value")
+        known = value is not None and storm.get("value") is not None
+        cells.append(
+            [
+                row["case"],
+                ours.get("states"),
+                ours.get("build"),
+                ours.get("solve"),
+                storm.get("build"),
+                storm.get("solve"),
+                plain.get("solve"),
+                storm["total"] / ours["total"] if storm and ours else None,
+                None if value is None else "%.9g" % value,
+                None if value is None else (ours["upper"] - ours["lower"]) / abs(value),
+                abs(storm["value"] - value) / abs(value) if known else None,
+            ]
+        )
+    return table(head, cells)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

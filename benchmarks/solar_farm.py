@@ -1,0 +1,192 @@
+"""The solar farm of the multi-robot GSPNR toolbox: ``python3 -m
+benchmarks.solar_farm``.
+
+The model is that of Azevedo, Matos, Lima and Avendaño, *Petri Net Toolbox for Multi-Robot Planning
+under Uncertainty* (Applied Sciences 11, 2021), with the numbers of its authors' files: UAVs with
+two levels of battery inspect four panels, and a UGV drives to those that are discharged and charges
+them. A round ends when all panels have been inspected. The policy with the highest reward per
+second is computed, beside that of a team that chooses at random.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from typing import Any, Dict, List, Optional, Sequence
+
+import numpy as np
+
+from benchmarks.machine import describe_machine, machine_line, table
+from benchmarks.plans import INSTANT
+from gspn_framework_package.analysis.arrays import Floats
+from gspn_framework_package.analysis.decisions.aims import Aim, Objective
+from gspn_framework_package.analysis.decisions.automaton import WAIT
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
+from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
+from gspn_framework_package.model.action import Action, FunctionAction
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.plan import Plan, RobotSpec
+
+CENTRE = "centre"
+PANELS = ("panel1", "panel2", "panel3", "panel4")
+SECONDS = {
+    ("panel1", "panel2"): 17.0,
+    ("panel2", "panel3"): 11.0,
+    ("panel2", CENTRE): 25.0,
+    (CENTRE, "panel4"): 29.0,
+}
+"""Edge -> mean time that it takes, in both directions."""
+
+INSPECTING, CHARGING, NEXT_ROUND, WAITING = 0.0111, 0.005555556, 2.0, 1.0
+"""Rates (1/s): of an inspection, of charging, of the next round when all panels are inspected, and
+of the UGV's waiting."""
+
+DISCHARGED = 0.2
+"""How often a UAV is discharged after an inspection, or after a flight that does not end in the
+centre."""
+
+INSPECTION, STRANDED = 200.0, -1.0
+"""The reward for an inspection, and that for each second of a discharged UAV."""
+
+
+def solar_farm_plan(uavs: int) -> Plan:
+    """The plan, with that many UAVs and a UGV, all in the centre. Charged UAVs are in places that
+    end with ``_B1``, discharged ones in those with ``_B0``."""
+    net = NetBuilder("solar_farm")
+    idle: Dict[str, None] = {}
+    busy: List[str] = []
+
+    def rest(name: str, tokens: int = 0) -> str:
+        if name not in idle:
+            idle[name] = None
+            net.place(name, tokens)
+        return name
+
+    def act(name: str, rate: float, source: Sequence[str], output: Sequence[str]) -> None:
+        net.exponential(name, rate, None, inputs=source, outputs=output)
+
+    def work(name: str) -> str:
+        net.place(name)
+        busy.append(name)
+        return name
+
+    def uncertain(after: str, where: str) -> None:
+        """The battery after something: chance."""
+        for level, share in (("B1", 1 - DISCHARGED), ("B0", DISCHARGED)):
+            name = "%s_%s" % (after, level)
+            net.immediate(name, share, inputs=after, outputs=rest("%s_%s" % (where, level)))
+
+    rest(CENTRE + "_B1", uavs)
+    rest(CENTRE + "_UGV", 1)
+    resources = ["inspections", *("due_" + panel for panel in PANELS)]
+    for name in resources:
+        net.place(name, int(name != "inspections"))
+    chance = []
+    for (a, b), seconds in (*SECONDS.items(), *((k[::-1], v) for k, v in SECONDS.items())):
+        for kind in ("B1", "UGV"):
+            way = "%s_%s_%s" % (a, b, kind)
+            start = rest("%s_%s" % (a, kind))
+            net.immediate("go_" + way, inputs=start, outputs=work("to_" + way))
+            lands = kind == "B1" and b != CENTRE
+            end = rest("landed_" + way if lands else "%s_%s" % (b, kind))
+            act("arrived_" + way, 1 / seconds, ["to_" + way], [end])
+            if lands:
+                chance.append(end)
+                uncertain(end, b)
+    for panel in PANELS:
+        charged, ugv = panel + "_B1", panel + "_UGV"
+        net.immediate(
+            "inspect_" + panel,
+            inputs=[charged, "due_" + panel],
+            outputs=[work("inspecting_" + panel), "inspections"],
+        )
+        end = rest("inspected_" + panel)
+        act("finished_" + panel, INSPECTING, ["inspecting_" + panel], [end])
+        chance.append(end)
+        uncertain(end, panel)
+        pair = [work("charging_" + panel), work("lending_" + panel)]
+        net.immediate("charge_" + panel, inputs=[panel + "_B0", ugv], outputs=pair)
+        act("charged_" + panel, CHARGING, pair, [charged, ugv])
+        net.immediate("wait_" + panel, inputs=ugv, outputs=work("waiting_" + panel))
+        act("waited_" + panel, WAITING, ["waiting_" + panel], [ugv])
+    every = ["due_" + panel for panel in PANELS]
+    net.exponential("next_round", NEXT_ROUND, inputs={"inspections": len(PANELS)}, outputs=every)
+    actions: Dict[str, Action] = {**idle}
+    actions.update((name, FunctionAction(INSTANT, name)) for name in busy)
+    robots = [RobotSpec("uav_%d" % (k + 1), CENTRE + "_B1") for k in range(uavs)]
+    return Plan(
+        net=net.build(),
+        name="solar_farm",
+        actions=actions,
+        resource_places=frozenset(resources),
+        robots=(*robots, RobotSpec("ugv", CENTRE + "_UGV")),
+        simulate_environment=True,
+        chance=frozenset(chance),
+    ).validate()
+
+
+def solve(uavs: int) -> Dict[str, Any]:
+    """The best policy's reward per second, and that of random choices."""
+    plan = solar_farm_plan(uavs)
+    started = time.perf_counter()
+    decisions = DecisionProblem(plan, team_sizes=[len(plan.robots)])
+    team = decisions.teams[0]
+    rewards = {"inspect_" + panel: INSPECTION for panel in PANELS}
+    rewards.update({panel + "_B0": STRANDED for panel in PANELS})
+    earned = decisions.rewards(team, Objective.long_run(rewards))
+    best = optimum(team.automaton, Aim.LONG_RUN, earned, allowed=decisions.allowed(team))
+    seconds = time.perf_counter() - started
+    at_random = evaluate(team.automaton, Aim.LONG_RUN, earned, _at_random(decisions, team))
+    return {
+        "uavs": uavs,
+        "places": len(plan.net.places),
+        "transitions": len(plan.net.transitions),
+        "states": len(team.automaton),
+        "lower": best.lower,
+        "upper": best.upper,
+        "random": at_random.value,
+        "seconds": seconds,
+    }
+
+
+def _at_random(decisions: DecisionProblem, team: Team) -> Floats:
+    """The weights of the rows if each is as likely as the others of its state."""
+    automaton = team.automaton
+    allowed = decisions.allowed(team) & (automaton.choices != WAIT)
+    rows = np.bincount(automaton.row_states, weights=allowed, minlength=len(automaton))
+    weights: Floats = allowed / np.maximum(rows, 1)[automaton.row_states]
+    return weights
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the benchmark; returns 0."""
+    parser = argparse.ArgumentParser(
+        prog="benchmarks.solar_farm", description="the solar farm of the GSPNR toolbox"
+    )
+    parser.add_argument("--uavs", type=int, nargs="+", default=[1, 2], help="how many (1 2)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(arguments)
+    machine, results = describe_machine(("numpy", "scipy", "numba")), [solve(n) for n in args.uavs]
+    if args.json:
+        print(json.dumps({"machine": machine, "results": results}, indent=2))
+        return 0
+    head = ["UAVs", "states", "reward/s, best, certified", "at random", "s"]
+    rows = [
+        [
+            r["uavs"],
+            r["states"],
+            "%.9g to %.9g" % (r["lower"], r["upper"]),
+            "%.6g" % r["random"],
+            "%.2f" % r["seconds"],
+        ]
+        for r in results
+    ]
+    print(machine_line(machine) + "\n\n" + table(head, rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,8 +1,0 @@
-"""``python3 -m gspn_framework_package.benchmark.netns``."""
-
-import sys
-
-from gspn_framework_package.benchmark.netns.main import main
-
-if __name__ == "__main__":  # the documentation build imports every module
-    sys.exit(main())

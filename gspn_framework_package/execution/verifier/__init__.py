@@ -1,0 +1,180 @@
+"""The history checker: whether the logs of a run are consistent and valid.
+
+:func:`verify` uses only the logs. It checks the invariants of ``docs/agreement.md`` and the
+protocol's own rules, and shares no code with the token game or the protocol.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.verifier.merge import Merged
+from gspn_framework_package.execution.verifier.robots import (
+    LoggedProposals,
+    Origin,
+    RobotCheck,
+    check_real_time,
+)
+from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError, SlotCheck
+from gspn_framework_package.execution.verifier.votes import check_votes
+from gspn_framework_package.model.errors import LogError
+
+
+class Violation(NamedTuple):
+    """The first broken rule: its number (``docs/agreement.md``), and what happened."""
+
+    rule: int
+    text: str
+
+
+class Verdict(NamedTuple):
+    """The result of a check.
+
+    :ivar violation: the first violation; None if there is none.
+    :ivar slots: how many slots of the agreed log were found.
+    :ivar firings: how many firings they hold.
+    :ivar robots: how many robots there are at the end, including lost ones.
+    :ivar logs: how many logs were read.
+    :ivar notes: remarks that are not violations.
+    """
+
+    violation: Optional[Violation]
+    slots: int
+    firings: int
+    robots: int
+    logs: int
+    notes: List[str]
+
+    def to_json(self) -> Dict[str, Any]:
+        """The verdict as a JSON object."""
+        data: Dict[str, Any] = self._asdict()
+        data["valid"] = self.violation is None
+        data["violation"] = self.violation._asdict() if self.violation else None
+        return data
+
+
+def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = True) -> Verdict:
+    """Check the logs of one run.
+
+    :param logs: the logs of the robots, in any robot order; include the old log of a robot that
+        lost it, before its newer one.
+    :param settled: whether the team was left alone until nothing was pending. Then a proposal that
+        is not in the log, or an action that was not started, is also a violation (rules 8 and 9).
+    :param complete: whether all logs of the run are here; otherwise votes cannot be counted.
+    :raises LogError: there are no logs, they are of different runs or plans, or a record is
+        damaged.
+    """
+    if not logs:
+        raise LogError("no logs were given")
+    for key in ("run", "plan_hash"):
+        values = {str(log.header[key]) for log in logs}
+        if len(values) > 1:
+            raise LogError("the logs are of different %ss: %s" % (key, ", ".join(sorted(values))))
+    notes: List[str] = []
+    state = _Check(logs, settled, complete, notes)
+    violation = None
+    try:
+        state.run()
+    except BrokenRuleError as error:
+        violation = Violation(error.rule, error.text)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
+        raise LogError("a record is damaged (%r)" % error) from None
+    return Verdict(violation, state.length, state.firings, state.robots, len(logs), notes)
+
+
+class _Check:
+    def __init__(
+        self, logs: Sequence[EventLog], settled: bool, complete: bool, notes: List[str]
+    ) -> None:
+        self.logs = logs
+        self.settled = settled
+        self.complete = complete
+        self.notes = notes
+        self.length = self.firings = self.robots = 0
+
+    def run(self) -> None:
+        merged = Merged(self.logs)
+        self.length = merged.length
+        for log in self.logs:
+            if log.cut:
+                self.notes.append("the last line of %s was cut off" % log.path)
+        if self.length < len(merged.slots):
+            self.notes.append(
+                "no log has slot %d: what is after it cannot be checked" % self.length
+            )
+        plan = self.logs[0].plan
+        replay = SlotCheck(plan, bool(self.logs[0].header.get("agents")))
+        situations, members, markings, plans = [], [], [], []
+        ended_at: Optional[int] = None
+        for slot in range(self.length):
+            members.append(replay.members())
+            record = merged.slots[slot]
+            replay.slot(record)
+            self.firings += len(record["firings"])
+            situations.append(replay.situations())
+            markings.append({place: n for place, n in replay.marking.items() if n})
+            plans.append(replay.plan)
+            if ended_at is None and replay.ended is not None:
+                ended_at = slot
+        self.robots = len(replay.robots)
+        proposals = LoggedProposals(merged, self.length)
+        if self.logs[0].robot:
+            check_votes(merged, members, situations, self.complete)
+            if self.complete:
+                self._check_presence(merged, replay)
+        invoked: Dict[Origin, float] = {}
+        newest = {log.robot: i for i, log in enumerate(self.logs)}
+        for i, log in enumerate(self.logs):
+            check = RobotCheck(
+                log,
+                merged,
+                proposals,
+                situations,
+                markings,
+                i,
+                plans,
+                ended_at,
+                newest[log.robot] != i,
+            )
+            check.check()
+            invoked.update(check.invoked)
+            last = self.settled and newest[log.robot] == i and replay.ended is None
+            if last:
+                check.check_goal_at_end()
+                here = replay.robots.get(log.robot)
+                if here is not None and here.here:
+                    check.check_tasks_at_end(replay.stages)
+            if check.open:
+                text = "%s: %d proposals are not in the log" % (log.robot, len(check.open))
+                here = replay.robots.get(log.robot)
+                wanted = any(o in check.invoked for o in check.open)
+                if last and wanted and here is not None and here.here:
+                    raise BrokenRuleError(9, text)
+                self.notes.append(text)
+        if len({str(log.header.get("host", "")) for log in self.logs}) == 1:
+            check_real_time(merged, proposals, invoked)
+        self.notes += [
+            "the team adopted the plan '%s' (%s)" % (adopted.name, adopted.hash()[:12])
+            for adopted in replay.stages.plans
+        ]
+        if merged.void:
+            self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
+
+    def _check_presence(self, merged: Merged, replay: SlotCheck) -> None:
+        """Check that no log is missing of a robot that did anything; robots that were never
+        switched on have none. Rule 9."""
+        here = {log.robot for log in self.logs}
+        said = {
+            origin[0]
+            for slot in range(1, self.length)
+            for origin in merged.slots[slot]["origins"]
+            if origin[0]
+        }
+        needed = {r.name for r in replay.robots.values() if r.here} | set(replay.witnesses) | said
+        missing = sorted(needed - here)
+        if missing:
+            raise BrokenRuleError(
+                9,
+                "the log of %s is missing; where it is lost, say --incomplete" % ", ".join(missing),
+            )

@@ -1,0 +1,85 @@
+"""What a deliberate fault is, and the hunt for it."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from typing import Any, Callable, ContextManager, Iterator, NamedTuple, Optional, Sequence
+from unittest import mock
+
+from agreement.schedule import Schedule, run_schedule
+from agreement.world import ViolationError
+
+
+class Mutant(NamedTuple):
+    """A deliberate fault: the ``part`` of the program that it is in, a ``text`` that describes it,
+    ``apply``, which patches it in, and whether it shows in ``partial`` synchronisation or full
+    (None: in both)."""
+
+    name: str
+    part: str
+    text: str
+    apply: Callable[[], ContextManager[Any]]
+    partial: Optional[bool] = None
+    robots: int = 3
+    """The number of robots in most of the teams."""
+    kinds: Sequence[str] = ("",)
+    """The kinds of schedules in which it shows."""
+    seeds: Sequence[str] = ()
+    """Schedules that are run before others: random ones would find it late."""
+
+
+class Caught(NamedTuple):
+    """The outcome of a hunt: the number of schedules until the mutant was caught (None: not
+    caught), the schedule that caught it, and the message."""
+
+    schedules: Optional[int]
+    schedule: str
+    text: str
+
+
+def hunt(
+    mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)
+) -> Caught:
+    """Run schedules with the mutant until one fails.
+
+    :param limit: the maximum number of schedules.
+    :param first_seed: the seed of the first one; each further seed is one higher.
+    :param sizes: team sizes to draw from, besides the mutant's own, which counts twice.
+    """
+    with mutant.apply():
+        for i in range(limit):
+            if i < len(mutant.seeds):
+                schedule = Schedule.parse(mutant.seeds[i])
+            else:
+                schedule = _random_schedule(mutant, first_seed + i, sizes)
+            try:
+                run_schedule(schedule)
+            except ViolationError as error:
+                return Caught(i + 1, str(schedule), str(error))
+            except Exception as error:  # a mutant may crash the program itself: also caught
+                if isinstance(error, TypeError) and "<locals>" in str(error):
+                    raise  # it is the mutant that no longer fits the program
+                return Caught(i + 1, str(schedule), "%s: %s" % (type(error).__name__, error))
+    return Caught(None, "", "not caught in %d schedules" % limit)
+
+
+def _random_schedule(mutant: Mutant, seed: int, sizes: Sequence[int]) -> Schedule:
+    source = random.Random("mutants|%d" % seed)
+    robots = source.choice([*sizes, mutant.robots, mutant.robots])
+    partial = source.random() < 0.5 if mutant.partial is None else mutant.partial
+    return Schedule(seed, robots, partial, source.choice(list(mutant.kinds)))
+
+
+@contextlib.contextmanager
+def all_patched(*patches: ContextManager[Any]) -> Iterator[None]:
+    """All of these patches, one inside the other."""
+    with contextlib.ExitStack() as stack:
+        for patch in patches:
+            stack.enter_context(patch)
+        yield
+
+
+def wrap(owner: Any, name: str, make: Callable[[Any], Any]) -> ContextManager[Any]:
+    """A patch of ``owner.name`` with what ``make`` makes of the original."""
+    return mock.patch.object(owner, name, make(getattr(owner, name)))
