@@ -20,9 +20,9 @@ import signal
 from collections import Counter
 from typing import Any, Callable, Dict, List, Sequence
 
+from agreement.world import changes_members
 from benchmarks.faults.team import LaunchedTeam, require
 from benchmarks.log_tail import LogTail
-from agreement.world import changes_members
 from gspn_framework_package.execution.event_log import BOOT_ID, read_log
 from gspn_framework_package.model.plan import Synchronisation
 

@@ -11,12 +11,15 @@ is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has e
 from __future__ import annotations
 
 import argparse
+import difflib
 import errno
 import importlib
 import io
 import os
+import re
 import signal
 import sys
+import textwrap
 import traceback
 from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
 
@@ -39,74 +42,187 @@ class Verb(NamedTuple):
 
     :ivar module: the full name of the module or, with a leading dot, its name in this package.
     :ivar help: what the verb does, in one line.
+    :ivar example: the words of a command line.
     """
 
     module: str
     help: str
+    example: str = ""
 
     def load(self) -> Any:
         """Import and return the module, which declares the verb's arguments and runs it."""
         return importlib.import_module(self.module, __package__)
 
 
-VERBS: Dict[str, Union[Verb, OrderVerb]] = {
-    "new": Verb(".new", "write a plan to begin with: patrol, inspect, deliver, charge, rendezvous"),
-    "build": Verb(".build", "make a plan from a topological map and the tasks there"),
-    "check": Verb(".check", "check whether a plan may run, before any robot moves"),
-    "run": Verb(".run", "execute a plan without ROS, its agents on threads"),
-    "simulate": Verb(".simulate", "simulate many runs of a net or plan, with confidence intervals"),
-    "sweep": Verb(
-        ".sweep", "measure a net or plan for many teams, rates, durations or policies at once"
-    ),
-    "analyse": Verb(
-        ".analyse", "analyse a net, or a plan under its policy: structure, state space, time"
-    ),
-    "plot": Verb(
-        ".plot", "plot results of the analysis: tokens over time, distributions, throughput"
-    ),
-    "draw": Verb(".draw", "draw a net, its coverability tree or its Markov chain"),
-    "convert": Verb(".convert", "write a net in another format, or a plan as one file"),
-    "diff": Verb(".diff", "compare two plans or nets: what was added, removed and changed"),
-    "explain": Verb(
-        ".explain", "play a firing sequence step by step, such as the one behind a finding of check"
-    ),
-    "serve": Verb(
-        ".serve", "open the page: simulate, analyse and execute the nets and plans of a folder"
-    ),
-    "replay": Verb(
-        ".replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
-    ),
-    "export": Verb(
-        ".export", "write recorded runs for other tools: as a rosbag, an MCAP file or a table"
-    ),
-    "mcp": Verb(".mcp", "serve the plans of a folder to language models: check, analyse, draft"),
-    "compare": Verb(
-        ".compare", "compare runs with what their plan predicts: intervals, and an alarm per place"
-    ),
-    "verify": Verb(".verify", "check the logs of a run against the rules, from the logs alone"),
-    "history": Verb(".history", "keep months of a fleet's logs as tables, and report on them"),
-    "fit": Verb(".fit", "learn durations, outcomes and failures from the logs of runs"),
-    "optimise": Verb(
-        ".optimise", "compute the best policy of a plan for an aim, with certified bounds"
-    ),
-    "film": Verb(
-        ".film",
-        "film robots in a room, without a display: a recorded run, or a patrol simulated for it",
-    ),
-    "demo": Verb(
-        ".demo", "run a plan on a team of robots (needs ROS and a master), and show what happens"
-    ),
-    "agent": Verb(".agent", "be one robot of a team, without ROS"),
-    "keys": Verb(".keys", "make, show and revoke the certificates of a team"),
-    "router": Verb(".router", "pass messages on between robots that have no ROS master in common"),
-    "status": Verb(".status", "show what every robot of a running team does and waits for"),
-    "breakpoints": Verb(".breakpoints", "halt a robot at a place or a transition, for debugging"),
-    "deploy": Verb(".deploy", "put another plan into a running team, without stopping it"),
-    "submit": Verb(".submit", "give a task to a running team"),
-    "trust": Verb(".trust", "go on without the robots that stay off after a loss of power"),
-    **ORDERS,
+GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
+    "make a plan": {
+        "new": Verb(
+            ".new",
+            "write a plan to begin with: patrol, inspect, deliver, charge, rendezvous",
+            "new patrol my_patrol --places door window gate --robots 3",
+        ),
+        "build": Verb(
+            ".build",
+            "make a plan from a topological map and the tasks there",
+            "build site.tmap2 --tasks tasks.yaml -o site",
+        ),
+        "check": Verb(
+            ".check", "check whether a plan may run, before any robot moves", "check my_patrol"
+        ),
+        "explain": Verb(
+            ".explain",
+            "play a firing sequence step by step, such as the one behind a finding of check",
+            "explain my_patrol arrive leave",
+        ),
+        "draw": Verb(
+            ".draw",
+            "draw a net, its coverability tree or its Markov chain",
+            "draw my_patrol -o net.svg",
+        ),
+        "diff": Verb(
+            ".diff",
+            "compare two plans or nets: what was added, removed and changed",
+            "diff my_patrol better.json",
+        ),
+        "convert": Verb(
+            ".convert",
+            "write a net in another format, or a plan as one file",
+            "convert my_patrol net.pnml",
+        ),
+    },
+    "predict and improve it": {
+        "analyse": Verb(
+            ".analyse",
+            "analyse a net, or a plan under its policy: structure, state space, time",
+            "analyse my_patrol --robots 2",
+        ),
+        "simulate": Verb(
+            ".simulate",
+            "simulate many runs of a net or plan, with confidence intervals",
+            "simulate my_patrol --time 600 --replications 100",
+        ),
+        "sweep": Verb(
+            ".sweep",
+            "measure a net or plan for many teams, rates, durations or policies at once",
+            "sweep my_patrol --vary robots=1:5",
+        ),
+        "plot": Verb(
+            ".plot",
+            "plot results of the analysis: tokens over time, distributions, throughput",
+            "plot net.xml -o tokens.svg",
+        ),
+        "optimise": Verb(
+            ".optimise",
+            "compute the best policy of a plan for an aim, with certified bounds",
+            "optimise my_patrol --reward arrive=1 -o better.json",
+        ),
+        "fit": Verb(
+            ".fit",
+            "learn durations, outcomes and failures from the logs of runs",
+            "fit my_patrol run.jsonl -o learned.json",
+        ),
+        "compare": Verb(
+            ".compare",
+            "compare runs with what their plan predicts: intervals, and an alarm per place",
+            "compare learned.json run.jsonl",
+        ),
+    },
+    "run it": {
+        "run": Verb(
+            ".run",
+            "execute a plan without ROS, its agents on threads",
+            "run my_patrol --seconds 5 --log run.jsonl",
+        ),
+        "serve": Verb(
+            ".serve",
+            "open the page: simulate, analyse and execute the nets and plans of a folder",
+            "serve my_patrol --edit",
+        ),
+        "demo": Verb(
+            ".demo",
+            "run a plan on a team of robots (needs ROS and a master), and show what happens",
+            "demo --plan my_patrol --robots 3",
+        ),
+        "agent": Verb(
+            ".agent",
+            "be one robot of a team, without ROS",
+            "agent my_patrol --robot robot_1 --connect tcp/HOST:7447",
+        ),
+        "router": Verb(
+            ".router",
+            "pass messages on between robots that have no ROS master in common",
+            "router --listen tcp/0.0.0.0:7447",
+        ),
+        "keys": Verb(
+            ".keys", "make, show and revoke the certificates of a team", "keys show team_keys"
+        ),
+    },
+    "look back": {
+        "replay": Verb(
+            ".replay",
+            "open the page on a recorded run: an event log, or a rosbag of fired_transitions",
+            "replay run.jsonl",
+        ),
+        "verify": Verb(
+            ".verify",
+            "check the logs of a run against the rules, from the logs alone",
+            "verify run.jsonl",
+        ),
+        "history": Verb(
+            ".history",
+            "keep months of a fleet's logs as tables, and report on them",
+            "history report --store fleet",
+        ),
+        "export": Verb(
+            ".export",
+            "write recorded runs for other tools: as a rosbag, an MCAP file or a table",
+            "export run.jsonl --csv run.csv",
+        ),
+        "film": Verb(
+            ".film",
+            "film robots in a room, without a display: a recorded run, or a patrol simulated for "
+            "it",
+            "film patrol.mp4 --robots 4",
+        ),
+        "mcp": Verb(
+            ".mcp",
+            "serve the plans of a folder to language models: check, analyse, draft",
+            "mcp my_plans",
+        ),
+    },
+    "operate a running team": {
+        "status": Verb(
+            ".status", "show what every robot of a running team does and waits for", "status"
+        ),
+        "submit": Verb(
+            ".submit",
+            "give a task to a running team",
+            "submit order --data task.json --id o12",
+        ),
+        "deploy": Verb(
+            ".deploy",
+            "put another plan into a running team, without stopping it",
+            "deploy better.json",
+        ),
+        "breakpoints": Verb(
+            ".breakpoints",
+            "halt a robot at a place or a transition, for debugging",
+            "breakpoints Door",
+        ),
+        "trust": Verb(
+            ".trust",
+            "go on without the robots that stay off after a loss of power",
+            "trust",
+        ),
+        **ORDERS,
+    },
 }
-"""Verb -> its module or order, in the order in which a new user needs them."""
+"""What verbs are for -> verb -> its module or order."""
+
+VERBS: Dict[str, Union[Verb, OrderVerb]] = {
+    name: verb for verbs in GROUPS.values() for name, verb in verbs.items()
+}
+"""Verb -> its module or order."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -192,6 +308,11 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and ``message``, and exit with 2."""
+        unknown = re.match(r"argument VERB: invalid choice: '(.*)' \(choose", message)
+        if unknown:
+            close = difflib.get_close_matches(unknown.group(1), list(VERBS), 2)
+            hint = "did you mean %s?" % " or ".join(close) if close else "gspn --help lists them"
+            self.exit(EXIT_USAGE, f"gspn: error: there is no verb '{unknown.group(1)}' ({hint})\n")
         self.print_usage(sys.stderr)
         self.exit(EXIT_USAGE, f"gspn: error: {message}\n")
 
@@ -207,20 +328,41 @@ def _parser(words: Sequence[str]) -> _Parser:
     )
     parser = _Parser(
         prog="gspn",
-        description="Executes, simulates and analyses Generalized Stochastic Petri Net plans.",
+        usage="gspn [-h] [--debug] [--version] VERB ...",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Executes, simulates and analyses Generalized Stochastic Petri Net plans.\n\n"
+        + _verbs_text(),
         epilog="Exit codes: 0 yes, 1 the plan or the answer is no, 2 wrong input or usage. "
         "'gspn VERB --help' explains a verb.",
         parents=[common],
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"gspn {__version__}")
-    verbs = parser.add_subparsers(title="verbs", metavar="VERB", dest="verb", required=True)
+    verbs = parser.add_subparsers(
+        prog="gspn", metavar="VERB", dest="verb", required=True, help=argparse.SUPPRESS
+    )
     asked = next((word for word in words if not word.startswith("-")), None)
     for name, entry in VERBS.items():
-        verb = verbs.add_parser(name, help=entry.help, parents=[common], allow_abbrev=False)
+        verb = verbs.add_parser(name, parents=[common], allow_abbrev=False)
         if name == asked:
             verb.description = entry.help
             loaded = entry.load()
             loaded.add_arguments(verb)
+            if entry.example:
+                verb.epilog = "%s Example: gspn %s" % (verb.epilog or "", entry.example)
             verb.set_defaults(run=loaded.run, parser=verb)
     return parser
+
+
+def _verbs_text() -> str:
+    """The verbs by what they are for, a line or two each."""
+    lines = []
+    grouped = {name for verbs in GROUPS.values() for name in verbs}
+    others = {name: verb for name, verb in VERBS.items() if name not in grouped}
+    for title, verbs in [*GROUPS.items(), *([("others", others)] if others else [])]:
+        lines.append("%s:" % title)
+        for name, verb in verbs.items():
+            text = textwrap.wrap(verb.help, 64)
+            lines += ["  %-12s %s" % pair for pair in zip([name] + [""] * len(text), text)]
+        lines.append("")
+    return "\n".join(lines).rstrip()

@@ -26,6 +26,13 @@ class OrderVerb(NamedTuple):
     robot: str = ""
     argument: Tuple[str, str] = ("", "")
 
+    @property
+    def example(self) -> str:
+        """The words of a command line."""
+        verb = self.command.replace("_", "-")
+        argument = {"set_place": " Door", "fire": " open_shop"}.get(self.command, "")
+        return verb + (" robot_2" if self.robot else "") + argument
+
     def load(self) -> OrderVerb:
         """Return this object, which declares the verb's arguments and runs it."""
         return self

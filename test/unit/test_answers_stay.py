@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.nets import kanban
 from gspn_framework_package.analysis.decisions import optimise as optimising
 from gspn_framework_package.analysis.decisions.optimise import _Exactly
-from benchmarks.nets import kanban
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.formats.plan_file import read_plan

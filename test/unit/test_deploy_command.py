@@ -11,7 +11,6 @@ import pytest
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import read_log, replay
-from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.run_door import (
     DeployRequest,
     RunDoor,
@@ -20,6 +19,7 @@ from gspn_framework_package.execution.run_door import (
     chosen_run,
     running_plans,
 )
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError

@@ -386,14 +386,18 @@ def test_a_verb_is_what_the_table_says(name):
     shown = gspn(name, "--help")
     assert shown.returncode == 0
     assert shown.stdout.startswith("usage: gspn " + name)
-    assert dispatcher.VERBS[name].help in " ".join(shown.stdout.split())
+    words = " ".join(shown.stdout.split())
+    assert dispatcher.VERBS[name].help in words
+    example = dispatcher.VERBS[name].example
+    assert example.split()[0] == name and words.endswith("Example: gspn " + example)
+    dispatcher._parser(example.split()).parse_args(example.split())
 
 
 def test_help_lists_every_verb_and_imports_none():
     shown = gspn("--help", interpreter_options=["-X", "importtime"])
     assert shown.returncode == 0
     for name in dispatcher.VERBS:
-        assert re.search(r"^    {}\b".format(re.escape(name)), shown.stdout, re.MULTILINE)
+        assert re.search(r"^  {}\b".format(re.escape(name)), shown.stdout, re.MULTILINE)
     modules = [v.module for v in dispatcher.VERBS.values() if isinstance(v, dispatcher.Verb)]
     assert ".check" in modules
     for module in modules:
@@ -406,6 +410,12 @@ def test_version():
         0,
         ["gspn", gspn_framework_package.__version__],
     )
+
+
+def test_a_misspelt_verb_is_answered_with_the_one_that_was_meant():
+    shown = gspn("analyze", "net.xml")
+    assert (shown.returncode, shown.stdout) == (2, "")
+    assert shown.stderr == "gspn: error: there is no verb 'analyze' (did you mean analyse?)\n"
 
 
 @pytest.mark.parametrize("words", [[], ["no-such-verb"], ["--no-such-option"]])

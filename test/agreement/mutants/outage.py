@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any, Collection, ContextManager, Dict, Sequence
 from unittest import mock
 
+from agreement.mutants.mutant import Mutant, wrap
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.recovery import Recovery
-from agreement.mutants.mutant import Mutant, wrap
 from gspn_framework_package.execution.event_log import Record
 
 

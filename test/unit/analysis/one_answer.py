@@ -17,8 +17,8 @@ from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.execution import turn
 from gspn_framework_package.execution.event_log import read_log, replay
-from gspn_framework_package.execution.verifier import slot_check, verify
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.verifier import slot_check, verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.formats.subnets import fill_parameters

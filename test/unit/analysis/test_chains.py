@@ -11,6 +11,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from scipy import sparse
 from scipy.linalg import expm
 
+from benchmarks.large_nets import endings
+from benchmarks.nets import kanban, polling
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.report import Questions, report
@@ -28,8 +30,6 @@ from gspn_framework_package.analysis.solution.transient import (
 )
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.watch import Watch
-from benchmarks.large_nets import endings
-from benchmarks.nets import kanban, polling
 from gspn_framework_package.cli.analysis_text import analysis_text
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gspn_framework_package.cli.main import main
 from agreement.plans import make_plan
 from agreement.world import World
+from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import (
     DamagedLogError,
     EventLog,

@@ -7,10 +7,10 @@ from typing import Any, List
 
 import pytest
 
-from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.agreement import interface
 from agreement.plans import make_plan
 from agreement.world import SimulatedNode, World
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.verifier import verify
 

@@ -13,8 +13,8 @@ from gspn_framework_package.execution import log_entries, plan_change, team_stat
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
-from gspn_framework_package.execution.verifier import cargo, verify
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.verifier import cargo, verify
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import LogError, PlanError

@@ -8,6 +8,12 @@ from typing import Any, List, Optional
 
 import pytest
 
+from agreement.plans import make_plan
+from agreement.world import (
+    SimulatedNode,
+    Weather,
+    World,
+)
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
@@ -15,17 +21,11 @@ from gspn_framework_package.execution.agreement.membership import GUESTS
 from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Event, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
-from agreement.plans import make_plan
-from agreement.world import (
-    SimulatedNode,
-    Weather,
-    World,
-)
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
-from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation, Timing
