@@ -144,7 +144,7 @@ def test_new_plans_are_written_where_that_is_allowed(plans):
             {"from": "back", "to": "a"},
         ],
     }
-    document = {"net": net, "actions": {"a": None, "b": None}}
+    document = {"net": net, "actions": {"a": {"server": "a"}, "b": None}}
     drafted = call(tools, "draft_plan", document=document, output="drafted")
     assert drafted["check"]["accepted"], drafted
     assert call(tools, "check", plan="drafted")["accepted"]

@@ -131,7 +131,7 @@ def test_a_measure_is_in_the_text_the_json_and_the_csv(toy_measures, tmp_path, c
 
 
 def test_a_measure_that_is_not_decided_has_its_reason(toy_measures, tmp_path, capsys):
-    assert dispatcher.main(["analyse", machine(tmp_path), "--json", "--limit", "1"]) == 0
+    assert dispatcher.main(["analyse", machine(tmp_path), "--json", "--limit", "1"]) == 1
     data = json.loads(capsys.readouterr().out)
     assert data["fullest"] is data["busy"] is None
     assert data["undecided"]["busy"] == data["undecided"]["steady_state"]
