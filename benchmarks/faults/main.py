@@ -42,7 +42,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run a scenario; returns 0: no violation, and every team came to rest, 1: otherwise, 2: wrong
     usage, or no ROS."""
     parser = argparse.ArgumentParser(
-        prog="benchmark.faults",
+        prog="benchmarks.faults",
         description="Kills, cuts off, stops and restarts the processes of robot teams, and "
         "verifies their logs.",
         epilog="Exit codes: 0 all valid, 1 a violation or a team that did not go on, 2 wrong "
