@@ -883,7 +883,7 @@ class _Run:
                 n.replica.ledger.length,
                 n.replica.waits_for() or "-",
                 len(n.replica.state.own_proposals),
-                [o.item.entry for o in n.replica.state.own_proposals[:2]],
+                [o.item.entry for o in list(n.replica.state.own_proposals)[:2]],
                 n.replica.state.attempt,
             )
             for n in self.world.alive()

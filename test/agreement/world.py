@@ -730,7 +730,7 @@ class World:
             rivals = [o for o in self.alive() if o.name == node.name and not self.stands_by(o)]
             if node.superseded and len(rivals) > 1 and not over:
                 return False  # it has not noticed yet
-            if not over and any(not o.item.private for o in replica.state.own_proposals):
+            if not over and replica.state.own_proposals.asking:
                 return False
             if self._owes_a_vote(replica):
                 return False

@@ -28,6 +28,7 @@ from typing import Any, Dict, List, Mapping, Optional, Protocol, Set, Union
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import (
+    MOST_ITEMS,
     Accept,
     Accepted,
     Batch,
@@ -235,7 +236,7 @@ class Consensus:
         if self.electorate.not_cast_out(attempt.promises, (), by_all):
             first = accepted.items if accepted is not None else ()
             forced = self.proposals.batch_without_quorum(
-                attempt.frozen, first, attempt.promises, by_all
+                attempt.frozen and attempt.all_told, first, attempt.promises, by_all
             )
             if forced is None:
                 state.attempt = None  # the next one is frozen
@@ -245,7 +246,9 @@ class Consensus:
             batch = accepted
         else:
             unasked = self._unasked(attempt) if self.config.partial else {}
-            batch = self.proposals.batch(attempt.frozen, unasked)
+            batch = Batch([], [])
+            if not unasked or self.proposals.end_lives(unasked):
+                batch = self.proposals.batch(attempt.frozen and attempt.all_told, unasked)
             if unasked and not self._are_replaced(unasked, batch):
                 if attempt.frozen or not self.proposals.has_control():
                     return False
@@ -358,7 +361,8 @@ class Consensus:
         self._answer_prepare(message, body, vote=True)
 
     def _answer_prepare(self, message: Envelope, body: Prepare, vote: bool) -> None:
-        items = self.proposals.own_items()
+        # what comes after them might as well be made after this answer, unless nothing may be
+        items = self.proposals.own_items(*(() if body.frozen else (self.config.limits.batch,)))
         self.outbox.answer(
             message, Promise(body.slot, body.ballot, vote, self.state.accepted, items)
         )
@@ -392,7 +396,7 @@ class Consensus:
         votes = state.votes.setdefault(ballot, set())
         votes |= {self.config.name, ballot.robot}
         held_items = {item.origin for item in body.batch.items}
-        waiting = [i for i in self.proposals.own_items() if i.origin not in held_items]
+        waiting = self.proposals.own_items(self.config.limits.batch, held_items)
         self.outbox.answer(message, Accepted(body.slot, ballot, waiting))
         # those who proposed it get the votes directly
         if not self.config.partial and self.config.is_small:
@@ -426,6 +430,7 @@ class Consensus:
             attempt.strangers.add(message.sender)
         if body.vote and self._is_counted(message, attempt.torn):
             attempt.promises[message.sender] = body.accepted
+        attempt.all_told = attempt.all_told and len(body.items) < MOST_ITEMS
         if self._first_phase_over() and attempt.batch is not None:
             attempt.sent, attempt.began, attempt.tries = now, now, 0
             attempt.patient = self.state.slow > 0

@@ -64,7 +64,7 @@ class Deployment:
         vote = staged.votes.get(self.config.name)
         if vote is not None and vote[0] == self.state.incarnation:
             return True
-        for own in self.state.own_proposals:
+        for own in self.state.own_proposals.asking:
             entry = own.item.entry
             if isinstance(entry, log_entries.Staged) and (entry.incarnation, entry.stage) == (
                 self.state.incarnation,

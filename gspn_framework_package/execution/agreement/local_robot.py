@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import random
+from collections import Counter, OrderedDict
 from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
@@ -23,8 +24,8 @@ from gspn_framework_package.execution.agreement.state import Goal, Position, Pro
 from gspn_framework_package.execution.breakpoints import Halts
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
+from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.errors import LogError
@@ -52,13 +53,19 @@ class LocalRobot:
         self.electorate = electorate
         self.proposals = proposals
         self.halts = halts
+        self._from: Optional[Position] = None
+        """Where the log had our robot when we took it over."""
+        self._led_to: OrderedDict[Origin, Position] = OrderedDict()
+        """Where our local transitions that are not in the log led it from there."""
+        self._entered: Counter[int] = Counter()
+        """How often these led it to each place."""
         self._began: Optional[Tuple[Goal, Plan, str]] = None
         """The goal that was started last, and the plan and place that it was started by."""
         self._take_rules(config.game)
 
     def _take_rules(self, game: TokenGame) -> None:
         """From now on these rules apply."""
-        config, self._game = self.config, game
+        config, self._game, self._from = self.config, game, None
         alone = config.partial and not config.witness
         self._transitions = LocalTransitions(game, config.name) if alone else None
         self._environment = Environment(
@@ -94,19 +101,35 @@ class LocalRobot:
         state, own_proposals = self.state, self.state.own_proposals
         robot = self.electorate.own_robot()
         if robot is None or robot.phase.gone or state.ledger.state.ended is not None:
-            state.position = None
-            return [own for own in own_proposals if own.item.private]
-        state.position = Position(
+            state.position = self._from = None
+            return [own for own in own_proposals if own.item.private] if own_proposals.local else []
+        at = Position(
             robot.place, robot.incarnation, robot.visit, robot.attempt, robot.phase is Phase.DOING
         )
-        void = []
-        for own in own_proposals:
-            if own.item.private:
-                entry = own.item.entry
-                assert isinstance(entry, log_entries.Done)
-                if self._go(entry) is None:
-                    void.append(own)
-        return void
+        while self._from and self._led_to and next(iter(self._led_to)) not in own_proposals:
+            _, self._from = self._led_to.popitem(last=False)
+            self._entered[self._from.place] -= 1
+        if at == self._from and len(self._led_to) == own_proposals.local:
+            return []  # the log has them as we made them
+        self._from = state.position = at
+        self._led_to.clear()
+        self._entered.clear()
+        return [own for own in own_proposals if own.item.private and not self._makes(own.item)]
+
+    def _makes(self, item: Item) -> bool:
+        """Make a local transition that waits; False if it is not possible."""
+        assert isinstance(item.entry, log_entries.Done)
+        made = self._go(item.entry) is not None
+        if made:
+            self._note_made(item.origin)
+        return made
+
+    def _note_made(self, origin: Origin) -> None:
+        """Our robot is where this local transition led it."""
+        at = self.state.position
+        assert at is not None
+        self._led_to[origin] = at
+        self._entered[at.place] += 1
 
     def _go(self, entry: log_entries.Done) -> Optional[Tuple[int, int, int]]:
         """Make a local transition: (transition, place left, place entered), None if it is not
@@ -162,7 +185,7 @@ class LocalRobot:
             elif self._may_move_alone():
                 firing = self._make(entry)
                 if firing is not None:
-                    self.proposals.add_local_transition(entry, firing)
+                    self._note_made(self.proposals.add_local_transition(entry, firing))
                     self.outbox.put(
                         interface.Fired(firing, True, self.state.ledger.hash, self._game.plan, True)
                     )
@@ -204,7 +227,7 @@ class LocalRobot:
             and not robot.paused
             and not state.ledger.state.paused
             and not state.is_frozen()
-            and all(o.item.private or o.suspect for o in state.own_proposals)
+            and all(own.suspect for own in state.own_proposals.asking)
             and self.electorate.surely_a_member()
         )
 
@@ -294,22 +317,9 @@ class LocalRobot:
         data = self.state.ledger.state.data_of(robot)
         if robot.visit == at.visit:
             return data, robot.resumed_from
-        if at.place in self._places_ahead(robot, at.visit):
+        if self._entered[at.place] > 1:
             return data, 0  # an earlier local transition has led there
         return data, robot.interrupted.get(at.place, 0)
-
-    def _places_ahead(self, robot: RobotState, visit: int) -> List[int]:
-        """The places that the robot entered after the log and before ``visit``."""
-        places: List[int] = []
-        place = robot.place
-        for own in self.state.own_proposals:
-            entry = own.item.entry
-            if own.item.private and isinstance(entry, log_entries.Done) and self._transitions:
-                found = self._transitions.find(place, entry.result)
-                if found is not None and robot.visit + len(places) == entry.visit < visit - 1:
-                    place = found[1]
-                    places.append(place)
-        return places
 
     # -- the simulated environment -----------------------------------------------------------------
 
@@ -320,7 +330,7 @@ class LocalRobot:
         if not self._game.plan.simulate_environment or not self.electorate.may_vote():
             return
         drawn_kinds = (log_entries.Fire, log_entries.Submit)
-        if any(isinstance(o.item.entry, drawn_kinds) for o in state.own_proposals):
+        if any(isinstance(o.item.entry, drawn_kinds) for o in state.own_proposals.asking):
             return
         due = self._environment.next_time(state.ledger.state, state.now)
         if due is None or state.now < due:

@@ -329,7 +329,7 @@ class Membership:
         in a slot that does not need the votes of all."""
         state, sender = self.state, message.sender
         peer = state.peers.hear(sender, state.now)
-        if state.own_proposals:
+        if state.own_proposals.asking:
             self.proposals.withdraw_suspicion([sender])
         if sender in state.off:
             self._heard_though_off(sender)
@@ -625,7 +625,7 @@ class Membership:
         if any(
             isinstance(own.item.entry, log_entries.Join)
             and own.item.origin.incarnation == state.incarnation
-            for own in state.own_proposals
+            for own in state.own_proposals.asking
         ):
             return
         place = self._home()
@@ -676,11 +676,11 @@ class Membership:
             self._fence(not is_quorum(self.electorate.heard_within(timing.fence_after), members))
         if timing.evict_after > 0:
             silent = self.electorate.silent(timing.evict_after)
-            own = state.own_proposals
+            own = state.own_proposals.asking
             self.proposals.withdraw_suspicion(
                 o.suspect for o in own if o.suspect and o.suspect not in silent
             )
-            accused = {o.suspect for o in state.own_proposals}
+            accused = {o.suspect for o in state.own_proposals.asking}
             for robot in sorted(silent - accused):
                 known = state.ledger.state.robots.get(robot)
                 jury = state.peers.accusers(robot) | {self.config.name}

@@ -6,14 +6,19 @@ the log), puts records and the answers to orders into the outbox.
 
 from __future__ import annotations
 
-from typing import Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Set
+from typing import Collection, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Set
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
-from gspn_framework_package.execution.agreement.messages import Batch
+from gspn_framework_package.execution.agreement.messages import MOST_ITEMS, Batch
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.state import CONTROLS, Proposal, ReplicaState
+from gspn_framework_package.execution.agreement.state import (
+    CONTROLS,
+    Proposal,
+    ReplicaState,
+    Waiting,
+)
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Fault, Firing, firing_to_json
 from gspn_framework_package.execution.ledger import Item, Origin
@@ -44,7 +49,7 @@ class Proposals:
             )
         self.state.own_proposals.append(Proposal(item, order_id, suspect))
 
-    def add_local_transition(self, entry: log_entries.Done, firing: Firing) -> None:
+    def add_local_transition(self, entry: log_entries.Done, firing: Firing) -> Origin:
         """A local transition was made, and has to get into the log at some time."""
         origin = self._next_origin()
         self.outbox.persist(
@@ -56,6 +61,7 @@ class Proposals:
             }
         )
         self.state.own_proposals.append(Proposal(Item(entry, origin, True)))
+        return origin
 
     def add_others(self, items: Sequence[Item]) -> None:
         """Keep the proposals of others."""
@@ -66,7 +72,7 @@ class Proposals:
         for item in self.electorate.without_spares(items):
             robot = item.origin.robot  # a name that nobody has is not kept
             if is_news(item.origin) and (robot in peers.all or is_of_team(robot)):
-                others.setdefault(item.origin.robot, {})[item.origin] = item
+                others.setdefault(robot, Waiting()).append(Proposal(item))
 
     def drop_others(self, robot: str) -> None:
         """Drop a robot's proposals."""
@@ -91,16 +97,16 @@ class Proposals:
         """
         state = self.state
         is_news = state.ledger.is_news
-        for robot in list(state.others_proposals):
-            kept = {o: i for o, i in state.others_proposals[robot].items() if is_news(o)}
-            if kept:
-                state.others_proposals[robot] = kept
-            else:
-                del state.others_proposals[robot]
-        gone = [own for own in state.own_proposals if not is_news(own.item.origin)]
-        if gone:
-            state.own_proposals = [own for own in state.own_proposals if is_news(own.item.origin)]
-        for own in gone:
+        others = state.others_proposals
+        changed = {o.robot for o in fresh} if step is not None else set(others)
+        for robot in changed.intersection(others):
+            waiting = others[robot]
+            for origin in [o for o in waiting.origins if not is_news(o)]:
+                waiting.remove(origin)
+            if not waiting:
+                del others[robot]
+        # ours are of one log in each incarnation, so those that are no news come first
+        for own in state.own_proposals.pop_while(lambda origin: not is_news(origin)):
             if own.order_id:
                 self._answer(own, own.item.origin in fresh, step)
 
@@ -128,49 +134,57 @@ class Proposals:
 
     def withdraw_suspicion(self, robots: Iterable[str]) -> None:
         """Withdraw the Evicts for silence of robots that were heard again."""
-        heard = set(robots)
-        self.state.own_proposals = [
-            own for own in self.state.own_proposals if own.suspect not in heard or not own.suspect
-        ]
+        heard, waiting = set(robots), self.state.own_proposals
+        for own in [own for own in waiting.asking if own.suspect and own.suspect in heard]:
+            waiting.remove(own.item.origin)
 
     def withdraw_forced_evictions(self, robot: str, why: str) -> None:
         """Withdraw the evictions by force of a robot that is not off."""
-        kept = []
-        for own in self.state.own_proposals:
+        for own in list(self.state.own_proposals.asking):
             entry = own.item.entry
             if isinstance(entry, log_entries.Evict) and entry.forced and entry.robot == robot:
-                self._persist_void(own, why)
+                self.void(own, why)
                 if own.order_id:
                     self.outbox.order_result(own.order_id, False, why)
-            else:
-                kept.append(own)
-        self.state.own_proposals = kept
 
     def void(self, own: Proposal, why: str) -> None:
-        """A local transition does not hold."""
-        self.state.own_proposals.remove(own)
-        self._persist_void(own, why)
-
-    def _persist_void(self, own: Proposal, why: str) -> None:
+        """A proposal does not hold."""
+        self.state.own_proposals.remove(own.item.origin)
         self.outbox.persist({"kind": "void", "origin": list(own.item.origin), "why": why})
 
     def keep_orders_only(self) -> None:
         """Our robot is gone: drop its own proposals, but not the operators'."""
-        self.state.own_proposals = [o for o in self.state.own_proposals if o.order_id]
+        orders = [own for own in self.state.own_proposals.asking if own.order_id]
+        self.state.own_proposals = Waiting()
+        for own in orders:
+            self.state.own_proposals.append(own)
 
     def drop_all(self, why: str) -> None:
         """We forget our log, and everything that was to get into it."""
-        for own in self.state.own_proposals:
+        for own in self.state.own_proposals.asking:
             if own.order_id:
                 self.outbox.order_result(own.order_id, False, why)
-        self.state.own_proposals = []
+        self.state.own_proposals = Waiting()
         self.state.others_proposals = {}
 
     # -- questions ---------------------------------------------------------------------------------
 
-    def own_items(self) -> List[Item]:
-        """Our own proposals."""
-        return [own.item for own in self.state.own_proposals]
+    def own_items(
+        self, local: int = MOST_ITEMS, without: Collection[Origin] = frozenset()
+    ) -> List[Item]:
+        """The first of our own proposals, up to that many local transitions, as many as a message
+        holds: none is passed over.
+
+        :param without: these are left out.
+        """
+        items: List[Item] = []
+        for own in self.state.own_proposals:
+            if local == 0 or len(items) == MOST_ITEMS:
+                break
+            if own.item.origin not in without:
+                items.append(own.item)
+                local -= own.item.private
+        return items
 
     def origins(self) -> List[str]:
         """The robots whose proposals others announced."""
@@ -178,20 +192,21 @@ class Proposals:
 
     def told_of(self, robots: Iterable[str]) -> List[Item]:
         """The announced proposals of these robots."""
-        others = self.state.others_proposals
-        return [
-            item
-            for robot in robots
-            for item in sorted(others[robot].values(), key=lambda i: i.origin)
-        ]
+        return [own.item for robot in robots for own in self.state.others_proposals[robot]]
 
     def has_control(self) -> bool:
         """Whether an order waits that needs every robot to freeze its local transitions."""
-        return any(isinstance(own.item.entry, CONTROLS) for own in self.state.own_proposals) or any(
-            isinstance(item.entry, CONTROLS)
-            for items in self.state.others_proposals.values()
-            for item in items.values()
-        )
+        return any(isinstance(entry, CONTROLS) for entry in self._asking())
+
+    def end_lives(self, robots: Mapping[str, bool]) -> bool:
+        """Whether something waits that ends the life of one of these members, as in
+        :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`."""
+        return any(self.electorate.ends_life(entry, robots) for entry in self._asking())
+
+    def _asking(self) -> Iterator[log_entries.Entry]:
+        """What waits, ours and that of others, without local transitions."""
+        waiting = (self.state.own_proposals, *self.state.others_proposals.values())
+        return (own.item.entry for one in waiting for own in one.asking)
 
     def batch(
         self,
@@ -201,18 +216,24 @@ class Proposals:
     ) -> Batch:
         """The batch for the open slot.
 
-        :param frozen: nobody makes a local transition until the slot is decided.
+        :param frozen: nobody makes a local transition until the slot is decided, and all that were
+            made are known.
         :param unasked: members, as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`: the
             slot cannot be decided without the entries that end the lives of these.
         :param accepted: what comes first, since somebody voted for it.
         """
         held = {i.origin for i in accepted}
-        waiting = self.in_order(frozen or not self.config.partial)
+        most = self.config.limits.batch
+        whole = frozen or bool(unasked) or not self.config.partial
+        waiting = self.in_order(
+            frozen or not self.config.partial, local=None if whole else most + len(held)
+        )
         items = [*accepted, *(i for i in waiting if i.origin not in held)]
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
         items = self._without_lost_lives(items, unasked or {})
-        most = self.config.limits.batch
+        if frozen and self.config.partial:  # in one slot, with the order for which they wait
+            most = min(MOST_ITEMS, most + sum(i.private for i in items))
         if len(items) > most and unasked:
             needed = self._up_to_those_who_end(items, unasked)
             needed |= {n for n, i in enumerate(items) if i.origin in held}
@@ -240,7 +261,7 @@ class Proposals:
         off = self.electorate.not_cast_out(voters, (), by_all)
         for robot in sorted(off):
             eviction = log_entries.Evict(robot, state.off[robot], True)
-            entries = (own.item.entry for own in state.own_proposals)
+            entries = (own.item.entry for own in state.own_proposals.asking)
             evictions = (e for e in entries if isinstance(e, log_entries.Evict))
             # whoever ordered it
             if all(e._replace(by=log_entries.NOBODY) != eviction for e in evictions):
@@ -280,29 +301,39 @@ class Proposals:
         control = max((n for n in needed if isinstance(items[n].entry, CONTROLS)), default=-1)
         return needed | {n for n, i in enumerate(items) if i.private and n < control}
 
-    def in_order(self, frozen: bool, most: Optional[int] = None) -> List[Item]:
-        """The first ``most`` items: for each robot, in the order of the members (others after
-        them), first its leading local transitions, then the rest. If not ``frozen``: without the
-        orders that need it, and without whatever follows them.
+    def in_order(self, frozen: bool, local: Optional[int] = None) -> List[Item]:
+        """What waits: for each robot, in the order of the members (others after them), first its
+        leading local transitions, then the rest. If not ``frozen``: without the orders that need
+        it, and without whatever follows them.
+
+        :param local: no more than so many local transitions of members, and nothing that comes
+            after them, are wanted.
         """
-        order = self.electorate.members()
-        items: Dict[str, List[Item]] = {}
-        for own in self.state.own_proposals:
-            items.setdefault(own.item.origin.robot, []).append(own.item)
-        for robot, others in self.state.others_proposals.items():
-            known = items.setdefault(robot, [])
-            held = {i.origin for i in known}
-            known += [i for o, i in others.items() if o not in held]
+        order, others = self.electorate.members(), self.state.others_proposals
         first: List[Item] = []
         rest: List[Item] = []
-        for robot in sorted(items, key=lambda r: (_rank(order, r), r)):
+        for robot in sorted({self.config.name, *others}, key=lambda r: (_rank(order, r), r)):
             leading = True
-            for item in sorted(items[robot], key=lambda i: i.origin):
+            for own in self._waiting_of(robot):
+                item = own.item
                 if not frozen and isinstance(item.entry, CONTROLS):
                     break
                 leading = leading and item.private
                 (first if leading else rest).append(item)
-        return (first + rest)[:most]
+                if len(first) == local and robot in order:
+                    return first
+        return first + rest
+
+    def _waiting_of(self, robot: str) -> Iterable[Proposal]:
+        """What waits of one robot; of ours, what is known of another process of it, too."""
+        told = self.state.others_proposals.get(robot, ())
+        if robot != self.config.name:
+            return told
+        own = self.state.own_proposals
+        if not told:
+            return own
+        more = [p for p in told if p.item.origin not in own]
+        return sorted([*own, *more], key=lambda p: p.item.origin)
 
     # -- our own log, read back --------------------------------------------------------------------
 

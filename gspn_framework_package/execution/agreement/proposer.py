@@ -176,7 +176,7 @@ class Proposer:
         if state.ledger.state.ended is not None:
             return False
         own = state.own_proposals
-        if any(not o.item.private for o in own):
+        if own.asking:
             return True
         if own and (len(own) >= FLUSH_AT or self._somebody_asks_the_policy()):
             return True
@@ -277,11 +277,16 @@ class Proposer:
     def _send_event(self, to: List[str]) -> None:
         state = self.state
         items = self.proposals.own_items()
-        told = (tuple(to), state.ledger.length, len(items), tuple(self.proposals.origins()))
+        told = (
+            tuple(to),
+            state.ledger.length,
+            len(state.own_proposals),
+            tuple(self.proposals.origins()),
+        )
         if told == state.told[:4] and state.now < state.told[4]:
             return
         state.told = (*told, state.now + self.config.pace.retry)
-        extra = self.proposals.in_order(True, self.config.limits.batch)
+        extra = self.proposals.in_order(True)[: self.config.limits.batch]
         known = {i.origin for i in items}
         items = items + [i for i in extra if i.origin not in known]
         self.outbox.send_all(to, Event(items[:MOST_ITEMS], self.electorate.may_vote()))

@@ -91,7 +91,7 @@ class Reactions:
         """Whether an event would change nothing, as far as we know: the same event of this visit is
         on its way or held already, or its transition is not enabled and would not be held. Sources
         that show something new all the time must not fill the log."""
-        for own in self.state.own_proposals:
+        for own in self.state.own_proposals.asking:
             entry = own.item.entry
             if isinstance(entry, log_entries.Interrupt) and entry[:4] == event[:4]:
                 return True
@@ -216,7 +216,7 @@ class Reactions:
             self.outbox.order_result(order, False, why)
 
     def _proposed(self) -> Set[Tuple[str, str]]:
-        entries = (own.item.entry for own in self.state.own_proposals)
+        entries = (own.item.entry for own in self.state.own_proposals.asking)
         return {(e.transition, e.id) for e in entries if isinstance(e, log_entries.Submit)}
 
     def _patience(self) -> float:

@@ -24,7 +24,7 @@ from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
-from gspn_framework_package.execution.firing import Ended, Fault, Firing, StartAction
+from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.token_game import Step
 from gspn_framework_package.model.errors import LogError
@@ -96,8 +96,11 @@ class Replication:
             state.first_hash = state.ledger.hash
         returned = {i.entry.robot for i in kept if isinstance(i.entry, log_entries.Join)}
         self.proposer.next_slot(mine, returned)
+        local = _local_visits(kept)
         for number, firing in enumerate(step.firings):
-            published = mine and not _was_local(firing, kept)
+            # a local transition was published when it was made
+            of_visit = (firing.robot, firing.incarnation, firing.visit)
+            published = mine and of_visit not in local
             plan = step.game_of(number, game).plan
             self.outbox.put(interface.Fired(firing, published, state.ledger.hash, plan))
         self.outbox.put(*(c for c in step.commands if isinstance(c, (Fault, Ended))))
@@ -250,12 +253,10 @@ class Replication:
         self.state.first_hash = next(first, "")
 
 
-def _was_local(firing: Firing, items: Sequence[Item]) -> bool:
-    """Whether a firing is a local transition, published when it was made."""
-    return any(
-        i.private
-        and isinstance(i.entry, log_entries.Done)
-        and (i.entry.robot, i.entry.incarnation, i.entry.visit)
-        == (firing.robot, firing.incarnation, firing.visit)
+def _local_visits(items: Sequence[Item]) -> Set[Tuple[str, int, int]]:
+    """The visits (robot, incarnation, number) that local transitions ended."""
+    return {
+        (i.entry.robot, i.entry.incarnation, i.entry.visit)
         for i in items
-    )
+        if i.private and isinstance(i.entry, log_entries.Done)
+    }

@@ -8,8 +8,21 @@ nothing.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass, field, fields
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple
+from typing import (
+    AbstractSet,
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
@@ -39,6 +52,65 @@ class Proposal(NamedTuple):
     suspect: str = ""
 
 
+class Waiting:
+    """Proposals of one robot, in the order of their origins. Local transitions may be many, so what
+    concerns the others alone does not look at them."""
+
+    def __init__(self) -> None:
+        self._all: OrderedDict[Origin, Proposal] = OrderedDict()
+        self._asking: Dict[Origin, Proposal] = {}
+
+    def __iter__(self) -> Iterator[Proposal]:
+        return iter(self._all.values())
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __contains__(self, origin: Origin) -> bool:
+        return origin in self._all
+
+    @property
+    def origins(self) -> AbstractSet[Origin]:
+        """Where they come from."""
+        return self._all.keys()
+
+    @property
+    def asking(self) -> Collection[Proposal]:
+        """Those that are no local transitions."""
+        return self._asking.values()
+
+    @property
+    def local(self) -> int:
+        """How many are local transitions."""
+        return len(self._all) - len(self._asking)
+
+    def append(self, proposal: Proposal) -> None:
+        """Add a proposal; one of the same origin is replaced."""
+        origin, known = proposal.item.origin, self._all
+        late = bool(known) and origin not in known and origin < next(reversed(known))
+        known[origin] = proposal
+        self._asking.pop(origin, None)
+        if not proposal.item.private:
+            self._asking[origin] = proposal
+        if late:
+            self._all = OrderedDict(sorted(known.items()))
+            self._asking = dict(sorted(self._asking.items()))
+
+    def remove(self, origin: Origin) -> None:
+        """Take a proposal out."""
+        del self._all[origin]
+        self._asking.pop(origin, None)
+
+    def pop_while(self, gone: Callable[[Origin], bool]) -> List[Proposal]:
+        """Take out the first ones, as long as they are ``gone``; returns them."""
+        out = []
+        while self._all and gone(next(iter(self._all))):
+            origin, proposal = self._all.popitem(last=False)
+            self._asking.pop(origin, None)
+            out.append(proposal)
+        return out
+
+
 @dataclass
 class BallotAttempt:
     """A running attempt of ours to get a batch into ``slot``."""
@@ -61,6 +133,8 @@ class BallotAttempt:
     """Those who promised, and those without a vote who told what they know."""
     strangers: Set[str] = field(default_factory=set)
     """Members under whose name a process answered that lacks their memory."""
+    all_told: bool = True
+    """Nobody had more local transitions than one answer holds."""
     torn: Torn = field(default_factory=dict)
     """It needs the word of everybody, and that of these robots counts; empty: of a quorum."""
     batch: Optional[Batch] = None
@@ -176,9 +250,9 @@ class ReplicaState:
 
     # -- what waits to get into the log ------------------------------------------------------------
 
-    own_proposals: List[Proposal] = _owned("proposals", make=list)
+    own_proposals: Waiting = _owned("proposals", make=Waiting)
     """What this robot wants in the log, in the order of their numbers."""
-    others_proposals: Dict[str, Dict[Origin, Item]] = _owned("proposals", make=dict)
+    others_proposals: Dict[str, Waiting] = _owned("proposals", make=dict)
     """What others said that they want in the log, by robot."""
     number: int = _owned("proposals", 0)
     """The number of our newest proposal in this incarnation."""

@@ -4,6 +4,7 @@ the agreed log."""
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import Counter, OrderedDict
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import ORDER_GIVEN, EventLog, Record
@@ -16,6 +17,9 @@ from gspn_framework_package.execution.verifier.stages import LoggedStages
 from gspn_framework_package.model.plan import Plan
 
 Origin = Tuple[str, int, int, str]
+
+Position = Tuple[str, int, int, int, Phase]
+"""A robot's place, incarnation, visit, attempt and phase."""
 
 
 class LoggedProposals:
@@ -30,7 +34,10 @@ class LoggedProposals:
     def __init__(self, merged: Merged, length: int) -> None:
         self.where: Dict[Origin, Tuple[int, Record]] = {}
         self.tasks: Set[Tuple[str, str]] = set()
-        newest: Dict[str, Tuple[int, int]] = {}
+        self._newest: Dict[str, Tuple[int, int]] = {}
+        self._newest_of: Dict[Tuple[str, int, str], int] = {}
+        self._fired: Dict[int, Set[Tuple[str, int, str]]] = {}
+        newest = self._newest
         moved: Set[Tuple[str, int]] = set()
         for slot in range(length):
             record = merged.slots[slot]
@@ -49,7 +56,11 @@ class LoggedProposals:
                 if entry["entry"] == "submit":
                     self.tasks.add((entry["transition"], entry["id"]))
                 newest[key[0]] = key[1:3]
+                self._newest_of[key[0], key[1], key[3]] = key[2]
                 self.where[key] = (slot, entry)
+            self._fired[slot] = {
+                (f["robot"], f["visit"], f["transition"]) for f in record["firings"]
+            }
             for firing in record["firings"]:
                 for robot, source, _, visit in firing["moves"]:
                     if source is not None and (robot, visit) in moved:
@@ -60,7 +71,15 @@ class LoggedProposals:
 
     def newest_before(self, key: Origin) -> bool:
         """Whether a newer proposal of the same robot, incarnation and log is in the agreed log."""
-        return any(k[:2] == key[:2] and k[3] == key[3] and k[2] > key[2] for k in self.where)
+        return self._newest_of.get((key[0], key[1], key[3]), -1) > key[2]
+
+    def overtaken(self, key: Origin) -> bool:
+        """Whether a proposal of the same robot that is at least as new is in the agreed log."""
+        return self._newest.get(key[0], (-1, -1)) >= key[1:3]
+
+    def fired(self, slot: int, firing: Record) -> bool:
+        """Whether the robot made that firing, as far as it goes for it, in a slot."""
+        return (firing["robot"], firing["visit"], firing["transition"]) in self._fired[slot]
 
 
 def check_real_time(
@@ -135,8 +154,16 @@ class RobotCheck:
         """Proposals that never got into the agreed log."""
         self._length = 0
         self._incarnation = 0
-        self._ahead: List[Tuple[Origin, Record, Record]] = []
-        """Local transitions that are not in the agreed log yet: origin, entry, firing."""
+        self._ahead: OrderedDict[Origin, Tuple[Record, Record]] = OrderedDict()
+        """Local transitions that are not in the agreed log yet: entry, firing."""
+        self._from: Optional[Position] = None
+        """Where the robot was before them."""
+        self._at: Optional[Position] = None
+        """Where it is with them."""
+        self._astray = True
+        """Whether this has to be worked out anew."""
+        self._entered: Counter[str] = Counter()
+        """How often they led it to each place."""
         self._goals: Set[Tuple[int, int, int]] = set()
         self._last_goal: Optional[Tuple[int, int, int]] = None
         self._void: Set[Origin] = set()
@@ -156,10 +183,11 @@ class RobotCheck:
             if kind == "slot" or kind == "snapshot":
                 self._length = record["slot"] + 1
                 self._jumped = kind == "snapshot"
-                self._ahead = [a for a in self._ahead if not self._in_log(a[0])]
+                self._follow()
             elif kind == "reset":
                 self._length = 0
-                self._ahead = []
+                self._ahead.clear()
+                self._astray = True
                 self._void |= set(known)
             elif kind == "life":
                 self._incarnation = record["incarnation"]
@@ -168,7 +196,7 @@ class RobotCheck:
                 origin = _origin(record)
                 self._ruled_out(origin, known)
                 self._void.add(origin)
-                self._ahead = [a for a in self._ahead if a[0] != origin]
+                self._astray = self._ahead.pop(origin, None) is not None or self._astray
             elif kind in ("invoked", "private"):
                 origin = _origin(record)
                 if origin in known:
@@ -209,7 +237,7 @@ class RobotCheck:
         if record is None or record["kind"] != "private" or self._jumped:
             return
         over = self._ended_at is not None and self._length > self._ended_at
-        at = self._position()
+        at = self._base()
         if not over and at is not None and not at[4].gone:
             raise BrokenRuleError(
                 10,
@@ -229,7 +257,7 @@ class RobotCheck:
                 raise BrokenRuleError(
                     4, "%s was acknowledged, but was passed over in the log" % _name(origin)
                 )
-            if origin not in self._void and not self._overtaken(origin):
+            if origin not in self._void and not self.proposals.overtaken(origin):
                 self.open.append(origin)
         elif where[1] != record["entry"]:
             raise BrokenRuleError(
@@ -238,27 +266,48 @@ class RobotCheck:
         elif record["kind"] == "private":
             self._merged_transition(origin, record, where[0])
 
-    def _overtaken(self, origin: Origin) -> bool:
-        """Whether a proposal of the same robot that is at least as new got into the log and made
-        this one void."""
-        return any(k[0] == origin[0] and k[1:3] >= origin[1:3] for k in self.proposals.where)
-
     # -- local transitions -------------------------------------------------------------------------
 
-    def _position(self) -> Optional[Tuple[str, int, int, int, Phase]]:
-        """The robot's (place, incarnation, visit, attempt, phase) as this log knew it, including
-        local transitions; None if the log did not know it."""
+    def _base(self) -> Optional[Position]:
+        """The robot's position as this log knew it, without local transitions that are not in the
+        agreed log; None if the log did not know it."""
         if not 0 < self._length <= len(self.situations):
             return None
         at = self.situations[self._length - 1].get(self.robot)
-        if at is None:
-            return None
-        place, incarnation, visit, attempt, phase, _ = at
-        for _, entry, firing in self._ahead:
-            if (entry["incarnation"], entry["visit"]) != (incarnation, visit):
-                continue
-            place, visit, attempt = firing["moves"][0][2], visit + 1, 1
-        return place, incarnation, visit, attempt, phase
+        return None if at is None else at[:5]
+
+    def _follow(self) -> None:
+        """The log has grown. Where it has the first of the local transitions as they were made, the
+        robot stays where it is."""
+        while self._ahead and self._in_log(next(iter(self._ahead))):
+            _, (entry, firing) = self._ahead.popitem(last=False)
+            target = firing["moves"][0][2]
+            self._entered[target] -= 1
+            if self._from is not None:
+                after = entry["visit"] + 1
+                self._from = target, entry["incarnation"], after, 1, self._from[4]
+        self._astray = self._astray or self._base() != self._from
+
+    def _position(self) -> Optional[Position]:
+        """The robot's position as this log knew it, including local transitions; None if the log
+        did not know it."""
+        if self._astray:
+            self._astray = False
+            self._from = self._at = self._base()
+            self._entered.clear()
+            for entry, firing in self._ahead.values():
+                self._step(entry, firing)
+        return self._at
+
+    def _step(self, entry: Record, firing: Record) -> None:
+        """The robot has made a local transition."""
+        target = firing["moves"][0][2]
+        self._entered[target] += 1
+        if self._at is None:
+            return
+        _, incarnation, visit, _, phase = self._at
+        if (entry["incarnation"], entry["visit"]) == (incarnation, visit):
+            self._at = target, incarnation, visit + 1, 1, phase
 
     def _local_transition(self, origin: Origin, record: Record) -> None:
         entry, firing = record["entry"], record["firing"]
@@ -279,7 +328,8 @@ class RobotCheck:
             raise BrokenRuleError(
                 10, "%s leads to a marking that differs from the recorded one" % what
             )
-        self._ahead.append((origin, entry, firing))
+        self._ahead[origin] = (entry, firing)
+        self._step(entry, firing)
 
     def _known_marking(self, target: str) -> Dict[str, int]:
         """The marking as this log knew it after a local transition to ``target``."""
@@ -318,10 +368,7 @@ class RobotCheck:
         if self._lost:
             return
         mine = record["firing"]
-        what = ("robot", "visit", "transition")
-        if any(
-            all(firing[k] == mine[k] for k in what) for firing in self.merged.slots[slot]["firings"]
-        ):
+        if self.proposals.fired(slot, mine):
             return
         raise BrokenRuleError(
             10, "the local transition %s did not happen in slot %d" % (_name(origin), slot)
@@ -356,11 +403,10 @@ class RobotCheck:
         data = memory.data()
         if record.get("reads", "") != (digest(data) if data else ""):
             raise BrokenRuleError(11, "%s reads other data than is in the log before it" % what)
-        entered = [firing["moves"][0][2] for _, _, firing in self._ahead]
-        if not entered:
+        if not self._ahead:
             expected = memory.resumed_from
         else:
-            expected = 0 if place in entered[:-1] else memory.interrupted.get(place, 0)
+            expected = 0 if self._entered[place] > 1 else memory.interrupted.get(place, 0)
         if record.get("resumed_from", 0) != expected:
             raise BrokenRuleError(11, "%s does not continue visit %d" % (what, expected))
 

@@ -244,7 +244,8 @@ def _leads_to(batch: str, record: Record) -> bool:
     """Whether the slot holds the batch, apart from repeated entries."""
     items = json.loads(batch)
     wanted = [[e, o] for e, o in zip(record["entries"], record["origins"])]
-    kept = [[entry, origin] for entry, origin, _ in items if origin in record["origins"]]
+    there = {tuple(origin) for origin in record["origins"]}
+    kept = [[entry, origin] for entry, origin, _ in items if tuple(origin) in there]
     return kept == wanted
 
 

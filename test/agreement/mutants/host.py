@@ -66,8 +66,9 @@ def _wrong_results() -> ContextManager[Any]:
             if isinstance(entry, log_entries.Done):
                 before = last.get(name, entry.result)
                 last[name] = entry.result
-                item = own[-1].item._replace(entry=entry._replace(result=before))
-                own[-1] = own[-1]._replace(item=item)
+                newest = list(own)[-1]
+                item = newest.item._replace(entry=entry._replace(result=before))
+                own.append(newest._replace(item=item))
 
         return propose
 

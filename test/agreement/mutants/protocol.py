@@ -16,7 +16,7 @@ from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.quorum import Ballot
-from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.agreement.state import ReplicaState, Waiting
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.token_game import TokenGame
 
@@ -167,7 +167,7 @@ def _drops_proposals() -> ContextManager[Any]:
         def on_nack(self: Consensus, body: Any) -> bool:
             beaten = bool(original(self, body))
             if beaten:
-                self.state.own_proposals = []
+                self.state.own_proposals = Waiting()
             return beaten
 
         return on_nack

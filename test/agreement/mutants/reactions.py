@@ -213,7 +213,12 @@ def _reads_late() -> ContextManager[Any]:
 
 
 def _continues_ahead_again() -> ContextManager[Any]:
-    return mock.patch.object(LocalRobot, "_places_ahead", lambda self, robot, visit: [])
+
+    def note_made(self: LocalRobot, origin: Any) -> None:
+        assert self.state.position is not None
+        self._led_to[origin] = self.state.position
+
+    return mock.patch.object(LocalRobot, "_note_made", note_made)
 
 
 def _writes_no_offer() -> ContextManager[Any]:

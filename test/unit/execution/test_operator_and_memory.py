@@ -394,9 +394,11 @@ def test_no_local_transition_waits_behind_a_pause_that_comes_with_an_eviction() 
         world.nodes[name].crash()
         world.nodes[name].start()
     world.run(world.now + 1)
+    waiting = world.replica("r1").state.own_proposals
+    assert world.run(world.now + 1, lambda: waiting.local > 0)
     world.nodes["r3"].crash()
     world.run(world.now + 0.1)
-    assert any(own.item.private for own in world.replica("r1").state.own_proposals)
+    assert waiting.local > 0
     world.nodes["r2"].give(interface.Order("pause", log_entries.Pause()))
     world.run(world.now + 1)
     world.nodes["r2"].give(interface.Order("evict", log_entries.Evict("r3", -1)))
@@ -619,8 +621,8 @@ def return_that_waits(name: str, away: str) -> Any:
         world.nodes[other].give(interface.Order("resume", log_entries.Resume()))
     world.run(world.now + 1)
     for other in ("r1", "r2"):
-        waiting = world.replica(other).state.others_proposals[name].values()
-        joins = [i.entry for i in waiting if isinstance(i.entry, log_entries.Join)]
+        waiting = [p.item.entry for p in world.replica(other).state.others_proposals[name]]
+        joins = [entry for entry in waiting if isinstance(entry, log_entries.Join)]
         assert [(j.incarnation, j.log) for j in joins] == [(1, node.log_id)]
     return world, node, node.log_id
 

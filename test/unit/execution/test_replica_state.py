@@ -15,7 +15,7 @@ import pytest
 from gspn_framework_package.execution import agreement
 from gspn_framework_package.execution.agreement.peers import Peer, Peers
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
-from gspn_framework_package.execution.agreement.state import OWNERS, ReplicaState
+from gspn_framework_package.execution.agreement.state import OWNERS, ReplicaState, Waiting
 from gspn_framework_package.execution.ledger import Ledger
 
 FOLDER = os.path.dirname(inspect.getsourcefile(agreement) or "")
@@ -140,7 +140,7 @@ def _written(
 
 
 CHANGING = OF_CONTAINERS.union(
-    *(_methods_that_change(c) for c in (Ledger, RecentSlots, Peers, Peer))
+    *(_methods_that_change(c) for c in (Ledger, RecentSlots, Peers, Peer, Waiting))
 )
 
 
