@@ -274,6 +274,7 @@ class ReplicaHost(Worker):
         now = time.monotonic()
         if now >= self._wake_at:
             self._wake_at = now + 1.0
+            self._log.writer.check()
             self._step(interface.Tick())
             self._narrator.note_change()
         if now >= self._look_at:

@@ -92,6 +92,7 @@ class SyncedLog(EventLogWriter):
     """
 
     def __init__(self, path: str, first: Record, length: int, *, fsync: bool) -> None:
+        self._lost = False
         super().__init__(path, first, fsync=fsync)
         try:  # the log of a robot that takes part must not vanish
             os.fsync(self._file.fileno())
@@ -110,7 +111,35 @@ class SyncedLog(EventLogWriter):
         while not self._over.wait(SYNC_PERIOD):
             # a disk that takes no more is reported by whoever appends
             with contextlib.suppress(OSError):
+                self._lost = not self._is_there()
+                if self._lost:
+                    break
                 self.sync()
+
+    def _is_there(self) -> bool:
+        """Whether the path still names the file that is written."""
+        try:
+            named = os.stat(self.path)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        return os.path.samestat(named, os.fstat(self._file.fileno()))
+
+    def append(self, *records: Record, durable: bool = True, synced: bool = False) -> None:
+        """See :class:`EventLogWriter`."""
+        self.check()
+        super().append(*records, durable=durable, synced=synced)
+
+    def check(self) -> None:
+        """Look whether the log can still be written.
+
+        :raises LogError: the file was removed or replaced while it was open.
+        """
+        if self._lost:
+            raise LogError(
+                "was removed or replaced while its robot was writing it",
+                file=self.path,
+                hint="start the robot again: it learns the log from the others, and joins again",
+            )
 
     def close(self) -> None:
         """See :class:`EventLogWriter`."""

@@ -102,6 +102,33 @@ def test_a_log_that_went_on_after_its_mark_is_not_whole(log):
     closed(again)
 
 
+@pytest.mark.parametrize("replaced", [True, False])
+def test_a_log_that_is_removed_or_replaced_while_it_is_open_is_no_longer_written(log, replaced):
+    held = log("one")
+    write(held, 1)
+    aside = log.path + ".aside"
+    os.rename(log.path, aside)
+    if replaced:
+        with open(log.path, "wb") as file:
+            file.writelines(lines(aside))
+    deadline = threading.Event()
+
+    def fails():
+        try:
+            held.writer.check()
+        except LogError as error:
+            assert error.file == log.path
+            return True
+        return False
+
+    assert any(fails() or deadline.wait(0.01) for _ in range(500))
+    before = lines(aside)
+    with pytest.raises(LogError, match="removed or replaced"):
+        write(held, 2)
+    closed(held)
+    assert lines(aside) == before  # not even marked as whole
+
+
 @pytest.mark.parametrize("end", [b"\0" * 300, b'{"kind":"peer"}\n{"half', b"\0\n\0\n"])
 def test_what_a_loss_of_power_left_behind_the_synced_part_is_cut_off(log, end):
     held = log("one")
