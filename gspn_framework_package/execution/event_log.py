@@ -16,7 +16,8 @@ seconds, comparable between the processes of one host). Kinds:
                 ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which
                 it was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
 ``reset``       earlier records no longer count (``why``); the robot learns the log from the others,
-                and its log has the id ``log`` from here on
+                and its log has the id ``log`` from here on; ``keep`` if the slots count,
+                ``damaged`` if the log was, and its whole file is kept elsewhere
 ``outage``      the machine lost power, so records may be missing here (``why``); earlier records
                 count, and the log has the id ``log`` from here on
 ``synced``      the first ``bytes`` bytes of the file, with ``length`` slots, are on the disk
@@ -56,11 +57,13 @@ version 2 with the policy in a file of its own.)
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import os
 import platform
 import re
+import shutil
 import threading
 import time
 from typing import (
@@ -383,28 +386,99 @@ def drop_torn_end(path: str) -> bool:
     """
     try:
         with open(path, "rb+") as file:
-            first = file.readline()
-            head = life = _header(first, path)
-            if head["version"] == UNSUMMED:
+            whole = _whole_part(file, path)
+            if not whole.damaged or whole.size < whole.safe or not whole.earlier_boot:
                 return False
-            chain, good, safe = _follow("", first, path, 1), len(first), 0
-            for number, line in enumerate(file, 2):
-                try:
-                    record = _record(line, path, number)
-                    chain = _follow(chain, line, path, number)
-                except LogError:
-                    break
-                good += len(line)
-                if record["kind"] == "life":
-                    life = record
-                elif record["kind"] in ("synced", "closed"):
-                    safe = int(record.get("bytes", good))
-            else:
-                return False
-            if good < safe or not _is_of_an_earlier_boot(life, head):
-                return False
-            file.truncate(good)
+            file.truncate(whole.size)
             return True
+    except OSError as error:
+        raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
+
+
+class _Whole(NamedTuple):
+    """What is whole of a log: its first ``size`` bytes."""
+
+    size: int
+    damaged: int
+    """The number of the line after it; 0 if there is none."""
+    safe: int = 0
+    """Bytes that are known to have reached the disk."""
+    earlier_boot: bool = False
+    """Whether the machine has restarted since."""
+
+
+def _whole_part(file: BinaryIO, path: str) -> _Whole:
+    """Read a log up to the first damaged line. :raises LogError: it is no log."""
+    first = file.readline(LONGEST_LINE)
+    summed = _SUM.search(first) is not None
+    try:
+        head = life = _header(first, path)
+        chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
+    except LogError:
+        if summed:
+            return _Whole(0, 1)
+        raise
+    good, safe = len(first), 0
+    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 2):
+        try:
+            if not line.endswith(b"\n") and not _ENDED.search(line):
+                break  # cut off while it was written
+            record = _record(line, path, number)
+            if chain:
+                chain = _follow(chain, line, path, number)
+        except LogError:
+            safe = max(safe, _safe_beyond(file, good + len(line), path))
+            return _Whole(good, number, safe, _is_of_an_earlier_boot(life, head))
+        good += len(line)
+        if record["kind"] == "life":
+            life = record
+        elif record["kind"] in ("synced", "closed"):
+            safe = int(record.get("bytes", good))
+    return _Whole(good, 0)
+
+
+def _safe_beyond(file: BinaryIO, offset: int, path: str) -> int:
+    """How many bytes reached the disk, as records after a damaged line say; 0 where none does. A
+    loss of power leaves none: it takes what was written last.
+
+    :param offset: where these records begin.
+    """
+    safe = 0
+    for line in iter(lambda: file.readline(LONGEST_LINE), b""):
+        try:
+            record = _record(line, path, 0)
+            if record["kind"] in ("synced", "closed"):
+                safe = max(safe, int(record.get("bytes", offset)))
+        except (LogError, TypeError, ValueError):
+            pass
+        offset += len(line)
+    return safe
+
+
+_ENDED = re.compile(rb',"sum":"[0-9a-f]{16}"}.$', re.DOTALL)
+"""A complete line, but for its end."""
+
+
+def set_damage_aside(path: str) -> Optional[Tuple[int, str]]:
+    """Keep a damaged log under another name, and leave what is whole before the damage.
+
+    :returns: the number of the first damaged line, and the name of the copy; None if no line is
+        damaged.
+    :raises LogError: the file is no log, or cannot be read or changed.
+    """
+    try:
+        with open(path, "rb+") as file:
+            whole = _whole_part(file, path)
+            if not whole.damaged:
+                return None
+            names = (path + ".damaged" + ("-%d" % n if n > 1 else "") for n in itertools.count(1))
+            copy = next(name for name in names if not os.path.exists(name))
+            shutil.copyfile(path, copy)
+            with open(copy, "rb") as kept:
+                os.fsync(kept.fileno())
+            sync_folder(os.path.dirname(os.path.abspath(path)))
+            file.truncate(whole.size)  # in place: the file is locked
+            return whole.damaged, copy
     except OSError as error:
         raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
 

@@ -137,6 +137,7 @@ class ReplicaHost(Worker):
             self._log.records,
             place=options.place,
             trusted=self._log.whole,
+            damage=self._log.damage,
         )
         self._carrier: Carrier
         self._actions: ActionSide

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 import uuid
-from typing import BinaryIO, List, NamedTuple
+from typing import BinaryIO, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.event_log import (
     EventLog,
@@ -18,6 +18,7 @@ from gspn_framework_package.execution.event_log import (
     end_is_there,
     header,
     read_log,
+    set_damage_aside,
     sync_folder,
 )
 from gspn_framework_package.model.errors import LogError, UsageError
@@ -143,9 +144,17 @@ class SyncedLog(EventLogWriter):
 
     def close(self) -> None:
         """See :class:`EventLogWriter`."""
+        self._stop()
+        super().close()
+
+    def close_whole(self) -> None:
+        """See :class:`EventLogWriter`."""
+        self._stop()  # nothing comes after the mark
+        super().close_whole()
+
+    def _stop(self) -> None:
         self._over.set()
         self._thread.join()
-        super().close()
 
 
 class OpenLog(NamedTuple):
@@ -158,6 +167,8 @@ class OpenLog(NamedTuple):
     """What it held already."""
     whole: bool
     """Whether its end is intact."""
+    damage: str
+    """What was damaged in it, and where that is kept; "" for nothing."""
     writer: SyncedLog
 
 
@@ -169,15 +180,13 @@ def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
         file cannot be used.
     """
     lock = lock_log(path)
-    log_id, records, whole = uuid.uuid4().hex, [], True
+    log_id, records, whole, damage = uuid.uuid4().hex, [], True, ""
     if os.path.exists(path) and os.path.getsize(path):
         try:
-            known = _read(path)
-            log_id, records, whole = (
-                str(known.header["log"]),
-                known.records,
-                end_is_there(known),
-            )
+            known, damage = _read(path)
+            if known is not None:
+                log_id, records = str(known.header["log"]), known.records
+                whole = end_is_there(known)
         except LogError:
             with open(path, "rb") as file:
                 if b"\n" in file.readline():  # else it was killed while writing the first line
@@ -185,14 +194,23 @@ def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
     first = header(plan, run, robot, log_id)
     slots = (r["slot"] + 1 for r in reversed(records) if r["kind"] in ("slot", "snapshot"))
     writer = SyncedLog(path, first, next(slots, 0), fsync=plan.fsync)
-    return OpenLog(lock, log_id, records, whole, writer)
+    return OpenLog(lock, log_id, records, whole, damage, writer)
 
 
-def _read(path: str) -> EventLog:
-    """The log, without the damaged end that a loss of power may have left."""
+def _read(path: str) -> Tuple[Optional[EventLog], str]:
+    """The log, without the damaged end that a loss of power may have left; or what is whole before
+    other damage, None for nothing, and what that is."""
     try:
-        return read_log(path)
+        known = read_log(path)
+        found = set_damage_aside(path) if known.cut else None
+        if found is None:
+            return known, ""
     except LogError:
-        if not drop_torn_end(path):
+        if drop_torn_end(path):
+            return read_log(path), ""
+        found = set_damage_aside(path)
+        if found is None:
             raise
-        return read_log(path)
+    line, copy = found
+    damage = "line %d of %s is damaged; the whole file is kept as %s" % (line, path, copy)
+    return (read_log(path) if os.path.getsize(path) else None), damage

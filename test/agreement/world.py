@@ -85,6 +85,8 @@ class SimulatedNode:
         self.superseded = False
         """By the operator's mistake, another process runs under its name; this one must halt."""
         self.trusted = True
+        self.damage = ""
+        """What is damaged in its log; what is whole before it is left."""
         self.plan = world.plan
         """The plan that its host binds actions by."""
         self.renamed: Dict[str, str] = {}
@@ -137,8 +139,9 @@ class SimulatedNode:
             pace=world.pace,
             limits=world.limits,
             trusted=self.trusted,
+            damage=self.damage,
         )
-        self.trusted = True
+        self.trusted, self.damage = True, ""
         self.plan = world.plan
         self.shows = {}
         resets = [r for r in records if r["kind"] in ("reset", "outage")]
@@ -182,6 +185,15 @@ class SimulatedNode:
         if self.disk is not None:
             del self.disk.lines[max(1, len(self.disk.lines) - lines) :]
             self.disk.synced = min(self.disk.synced, len(self.disk.lines))
+
+    def damage_log(self, line: int) -> None:
+        """A line of the log of a dead process is found damaged when it starts again, and everything
+        from it on set aside."""
+        if self.disk is not None:
+            kept = self.disk.lines[:line]
+            self.lose_log()
+            self.disk = Disk(self.old_disks.pop().header, kept, len(kept))
+            self.damage = "a line is damaged"
 
     def lose_log(self) -> None:
         """A dead process loses its log; it is kept in ``old_disks``."""

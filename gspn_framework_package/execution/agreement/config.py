@@ -88,6 +88,8 @@ class Config:
     """Where we start when we join for the first time; "": as the plan says."""
     trusted: bool
     """The end of our log is intact."""
+    damage: str
+    """What was damaged in it; "" for nothing."""
     partial: bool
     """Partial synchronisation."""
     witness: bool
@@ -113,6 +115,7 @@ class Config:
         pace: Optional[Pace],
         limits: Optional[ProtocolLimits],
         trusted: bool,
+        damage: str,
     ) -> Config:
         """Work out what follows from the parameters of
         :class:`~gspn_framework_package.execution.agreement.replica.Replica`."""
@@ -127,6 +130,7 @@ class Config:
             limits=limits or ProtocolLimits(),
             place=place,
             trusted=trusted,
+            damage=damage,
             partial=plan.synchronisation is Synchronisation.PARTIAL,
             witness=robot in plan.witness,
             newcomer=newcomer,

@@ -201,8 +201,16 @@ class Electorate:
             if m not in off and m not in whole and not (m in torn and m in here)
         ]
 
+    def is_alone_with_damage(self) -> bool:
+        """Whether our log was damaged, and nobody else is in the team to learn it from."""
+        return bool(self.state.damage) and self.members() == [self.config.name]
+
     def waits_to_join(self) -> str:
         """What we wait for that are not in the team, and what an operator can do."""
+        if self.is_alone_with_damage():
+            return "%s; nobody else is in the team: go on with what is left of it (gspn trust)" % (
+                self.state.damage
+            )
         if not self.torn():
             return "it waits to be let in"
         missing = self.missing_after_outage()

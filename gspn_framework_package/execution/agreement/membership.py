@@ -115,6 +115,7 @@ class Membership:
         self.state.active = True
         self.state.amnesic = False
         self.state.torn = ()
+        self.state.damage = ""
         self.outbox.persist({"kind": "active"}, durable=True)
 
     def forget(self, why: str, keep: bool = False) -> None:
@@ -131,8 +132,11 @@ class Membership:
         record: Record = {"kind": "reset", "log": state.log_id, "why": why}
         if keep:
             record["keep"] = True
+        state.damage = self.config.damage if why == self.config.damage else ""
+        if state.damage:
+            record["damaged"] = True
         self.outbox.persist(record, durable=True, synced=True)
-        if state.active:
+        if state.active or state.damage:
             self.outbox.fault("forgets its log, and learns it again: %s" % why)
         self.robot.stop_acting()
         state.active = False
@@ -157,7 +161,19 @@ class Membership:
         if state.amnesic and not state.torn:
             self.forget("the machine was restarted before the team let it in")
             return
-        why = "the machine was restarted, and the end of the log may not have reached the disk"
+        self._lose_end(
+            "the machine was restarted, and the end of the log may not have reached the disk"
+        )
+
+    def trust_own_log(self) -> None:
+        """We are the whole team, and our log was damaged: the operator has us go on with what is
+        whole."""
+        self._lose_end("its log was damaged, and the operator trusts what is left")
+
+    def _lose_end(self, why: str) -> None:
+        """What our log holds counts, but it may lack its end."""
+        state = self.state
+        state.damage = ""
         state.torn = (state.log_id, *state.torn)
         state.active, state.amnesic = False, True
         self._renew_log_id()
@@ -205,7 +221,9 @@ class Membership:
             state.active = True
             state.amnesic = False
             state.torn = ()
+            state.damage = ""
         elif kind == "outage":
+            state.damage = ""
             state.torn = (state.log_id, *state.torn)
             state.active, state.amnesic = False, True
             state.log_id = str(record["log"])
@@ -213,6 +231,7 @@ class Membership:
             state.active = False
             state.amnesic = True
             state.torn = ()
+            state.damage = str(record["why"]) if "damaged" in record else ""
             state.peers.unsure = set(state.peers.known)
             state.log_id = str(record.get("log", state.log_id))
             state.off.clear()
@@ -232,7 +251,9 @@ class Membership:
 
     def recall_is_over(self) -> None:
         """All records were read: begin the next life, without memory if necessary."""
-        if not self.config.trusted:
+        if self.config.damage:
+            self.forget(self.config.damage, keep=self.state.ledger.length > 0)
+        elif not self.config.trusted:
             self._outlive_outage()
         elif self.state.active and not self.electorate.is_our_name():
             self.forget("another log was let in as %s" % self.config.name, keep=True)

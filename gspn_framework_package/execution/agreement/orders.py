@@ -94,6 +94,10 @@ class Orders:
 
     def _trust(self, order: interface.ForceEvict) -> None:
         """Go on with what the members that are heard know."""
+        if self.electorate.is_alone_with_damage():
+            self.membership.trust_own_log()
+            self.outbox.order_result(order.order_id, True, "goes on with what is left of its log")
+            return
         why, off = self._why_not_trust(), self._silent()
         if why or not off:
             text = why or "all are here: the team goes on by itself"

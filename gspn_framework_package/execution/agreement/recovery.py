@@ -63,7 +63,7 @@ class Recovery:
         self.proposals.recall_is_over()
         self.replication.recall_is_over(records)
         self.membership.recall_is_over()
-        knows_all = bool(self.state.torn) or not self.state.amnesic
+        knows_all = bool(self.state.torn or self.state.damage) or not self.state.amnesic
         if self.state.ledger.length == 0 and knows_all and not self.state.joining:
             self.replication.begin()
 

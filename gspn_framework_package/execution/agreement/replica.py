@@ -55,6 +55,8 @@ class Replica:
     :param trusted: the end of our log is intact. If it may be lost (the machine was restarted, and
         the log was not synced to the disk), the rest is not trusted, and the robot joins like one
         that lost its log.
+    :param damage: what was damaged in our log, of which ``records`` is what is whole before it: our
+        votes do not count, and we join like a robot that lost its log; "" for nothing.
 
     :ivar config: its configuration.
     :ivar state: what it remembers.
@@ -73,6 +75,7 @@ class Replica:
         pace: Optional[Pace] = None,
         limits: Optional[ProtocolLimits] = None,
         trusted: bool = True,
+        damage: str = "",
     ) -> None:
         self.config = config = Config.make(
             plan,
@@ -83,6 +86,7 @@ class Replica:
             pace=pace,
             limits=limits,
             trusted=trusted,
+            damage=damage,
         )
         self.state = state = ReplicaState(
             ledger=Ledger(config.game),
@@ -129,7 +133,9 @@ class Replica:
         """
         self.state.now = now
         self.membership.listen_anew()
-        if self._records or not self.config.trusted:  # nothing is left of a log that was not empty
+        if (
+            self._records or self.config.damage or not self.config.trusted
+        ):  # nothing is left of a log that was not empty
             self.recovery.resume(self._records)
             self.robot.follow_plan()
         else:

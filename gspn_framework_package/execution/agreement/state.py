@@ -209,6 +209,8 @@ class ReplicaState:
     """We are not in the first team (or it has started long ago): learn the log, then join."""
     amnesic: bool = _owned("membership", False)
     """We may have voted in this run and do not remember it; no vote until the next Join."""
+    damage: str = _owned("membership", "")
+    """What was damaged in our log, until we were let in; "" for nothing."""
     torn: Tuple[str, ...] = _owned("membership", ())
     """The machine lost power: the ids of the logs, without their ends, that ours goes on from; ()
     once we were let in."""

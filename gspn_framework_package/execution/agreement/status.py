@@ -59,7 +59,8 @@ class Status:
             return "not in the team: another process runs as %s, and is" % self.config.name
         if state.ledger.length == 0:
             return "waits for somebody of the team"
-        if electorate.torn() and not is_quorum(electorate.whole(), electorate.members()):
+        lost_end = electorate.torn() and not is_quorum(electorate.whole(), electorate.members())
+        if lost_end or electorate.is_alone_with_damage():
             return electorate.waits_to_join()
         if not state.active and not state.joining and not state.amnesic:
             missing = electorate.missing_at_start()

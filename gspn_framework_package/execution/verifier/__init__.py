@@ -99,6 +99,11 @@ class _Check:
         for log in self.logs:
             if log.cut:
                 self.notes.append("the last line of %s was cut off" % log.path)
+            self.notes += [
+                "%s lost the end of its log: %s" % (log.robot, r["why"])
+                for r in log.records
+                if "damaged" in r
+            ]
         if self.length < len(merged.slots):
             self.notes.append(
                 "no log has slot %d: what is after it cannot be checked" % self.length

@@ -110,7 +110,7 @@ def _lost(log: EventLog) -> List[Lost]:
         kind = record["kind"]
         if kind == "slot" or kind == "snapshot":
             length = record["slot"] + 1
-        elif kind == "outage":
+        elif kind == "outage" or "damaged" in record:
             begin = length if begin < 0 else begin
         elif kind == "active" and begin >= 0:
             found.append((log.robot, begin, length))

@@ -264,3 +264,51 @@ def test_the_vote_of_a_torn_log_counts_only_among_all() -> None:
     world.run(world.now + 3)
     world.all_agree()
     world.verify()
+
+
+# -- damaged logs ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.99])
+def test_a_robot_whose_log_was_damaged_learns_it_again(partial: bool, share: float) -> None:
+    world = team(TOUR, 3, partial)
+    node = world.nodes["r2"]
+    node.crash()
+    assert node.disk is not None
+    whole = int(share * len(node.disk.lines))
+    node.damage_log(whole)
+    node.start()
+    assert not world.replica("r2").may_vote()
+    world.run(world.now + 2)
+    assert world.replica("r2").may_vote()
+    assert world.replica("r2").is_settled()
+    assert any("a line is damaged" in fault for fault in node.faults)
+    world.all_agree()
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+@pytest.mark.parametrize("restarts", [0, 1])
+def test_a_robot_alone_whose_log_was_damaged_waits_for_the_operator(
+    partial: bool, share: float, restarts: int
+) -> None:
+    world = team(TOUR, 1, partial)
+    node = world.nodes["r1"]
+    node.crash()
+    assert node.disk is not None
+    node.damage_log(int(share * len(node.disk.lines)))
+    world.forget_what_is_lost()
+    node.start()
+    for _ in range(restarts):
+        node.crash()
+        node.start()
+    world.run(world.now + 2)
+    assert world.replica("r1").is_stuck()
+    assert "a line is damaged" in world.replica("r1").waits_for()
+    assert "gspn trust" in world.replica("r1").waits_for()
+    assert world.trust("r1").ok
+    assert world.replica("r1").is_settled()
+    world.all_agree()
+    world.verify()

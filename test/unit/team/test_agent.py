@@ -279,6 +279,44 @@ def test_a_robot_that_is_started_again_goes_on(write, team):
     assert [host.exit_code for host in team.hosts.values()] == [0, 0]
 
 
+@pytest.mark.parametrize("line", [1, 3, 6])
+def test_a_robot_whose_log_was_damaged_says_so_and_goes_on(write, team, capfd, line):
+    plan = write()
+    team.start(plan, "robot_1", "robot_2")
+    team.wait_for(lambda: team.status("robot_1")["marking"].get("Wait") == 1, "robot_1")
+    team.hosts["robot_2"].stop()
+    assert team.over.get(timeout=30) == "robot_2"
+    log = Path(team.log("robot_2"))
+    damaged = log.read_bytes().splitlines(keepends=True)
+    damaged[line - 1] = damaged[line - 1].replace(b'"', b"'", 1)
+    log.write_bytes(b"".join(damaged))
+    open_gate(plan)
+    team.start(plan, "robot_2")
+    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert [host.exit_code for host in team.hosts.values()] == [0, 0]
+    said = "line %d of %s is damaged; the whole file is kept as %s.damaged" % (line, log, log)
+    assert said in capfd.readouterr().err
+    assert Path(str(log) + ".damaged").read_bytes() == b"".join(damaged)
+    verdict = verify([read_log(team.log(robot)) for robot in team.hosts])
+    assert verdict.violation is None, verdict.violation
+    assert any(str(log) + ".damaged" in note for note in verdict.notes)
+
+
+def test_a_robot_ends_when_its_log_is_removed(write, team, capfd):
+    plan = write()
+    team.start(plan, "robot_1", "robot_2")
+    team.wait_for_all()
+    Path(team.log("robot_2")).unlink()
+    assert team.over.get(timeout=30) == "robot_2"
+    assert team.hosts["robot_2"].exit_code == 1
+    text = capfd.readouterr().err
+    assert "%s: was removed or replaced while" % team.log("robot_2") in text
+    open_gate(plan)
+    team.start(plan, "robot_2")
+    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert [host.exit_code for host in team.hosts.values()] == [0, 0]
+
+
 @pytest.mark.parametrize(
     ("function", "more", "says"),
     [

@@ -1,6 +1,7 @@
 """A robot's log that is brought to the disk beside the work, marked as whole at the end, and read
 again after a loss of power."""
 
+import itertools
 import json
 import os
 import threading
@@ -8,7 +9,7 @@ import threading
 import pytest
 
 from agreement.plans import make_plan
-from gspn_framework_package.execution.event_log import BOOT_ID
+from gspn_framework_package.execution.event_log import BOOT_ID, read_log
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.team import log_file
 
@@ -144,25 +145,39 @@ def test_what_a_loss_of_power_left_behind_the_synced_part_is_cut_off(log, end):
     closed(again)
 
 
-def test_damage_before_the_synced_part_is_refused(log):
+@pytest.mark.parametrize("boot, line", [("one", 5), *itertools.product(["one", "two"], [1, 2, 3])])
+@pytest.mark.parametrize("at", [20, -1])
+def test_a_damaged_log_is_kept_and_what_is_whole_goes_on(log, boot, line, at):
     held = log("one")
+    held.writer.append({"kind": "life", "incarnation": 0})
     write(held, 1, 2)
-    held.writer.sync()
-    write(held, 3)
-    closed(held, whole=False)
-    with open(log.path, "rb") as file:
-        data = file.read()
-    with open(log.path, "wb") as file:
-        file.write(data.replace(b'"r1"', b'"r9"', 1))
-    with pytest.raises(LogError):
-        log("two")
+    closed(held)
+    kept = lines(log.path)
+    flipped = bytearray(kept[line - 1])
+    flipped[at] ^= 4
+    damaged = b"".join([*kept[: line - 1], flipped, *kept[line:]])
+    for number in range(2):
+        with open(log.path, "wb") as file:
+            file.write(damaged)
+        again = log(boot)
+        copy = log.path + ".damaged" + ("-2" if number else "")
+        assert again.damage == "line %d of %s is damaged; the whole file is kept as %s" % (
+            line,
+            log.path,
+            copy,
+        )
+        with open(copy, "rb") as file:
+            assert file.read() == damaged
+        assert len(again.records) == max(0, line - 2)
+        assert lines(log.path)[: line - 1] == kept[: line - 1]
+        closed(again)
+        assert read_log(log.path).records[-1]["kind"] == "closed"
 
 
-def test_damage_without_a_loss_of_power_is_refused(log):
-    held = log("one")
-    write(held, 1)
-    closed(held, whole=False)
-    with open(log.path, "ab") as file:
-        file.write(b'{"kind":"peer"}\n')
-    with pytest.raises(LogError):
+def test_what_is_no_log_is_left_alone(log, tmp_path):
+    os.makedirs(os.path.dirname(log.path))
+    with open(log.path, "w", encoding="utf-8") as file:
+        file.write("my notes\n")
+    with pytest.raises(LogError, match="is not an event log"):
         log("one")
+    assert lines(log.path) == [b"my notes\n"]
