@@ -3,16 +3,16 @@ output. They belong to the checkout and are not installed."""
 
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from gspn_framework_package.model.errors import missing_library
 
-try:
-    import lxml  # noqa: F401
-    import numpy  # noqa: F401
-    import psutil  # noqa: F401
-except ModuleNotFoundError as missing:  # reported here, since each benchmark is a separate program
-    sys.exit("error: " + missing_library(missing))
+# Reported here, since each benchmark is a separate program. They are not imported: robots import
+# the load from here, and none of these.
+for _library in ("lxml", "numpy", "psutil"):
+    if find_spec(_library) is None:
+        sys.exit("error: " + missing_library(ModuleNotFoundError(name=_library)))
 
 _ROOT = Path(__file__).resolve().parents[1]
 # the simulated teams of test/agreement

@@ -216,10 +216,11 @@ def _fork(options: NodeOptions) -> int:
     options = options.for_plan(plan)
     if options.check:
         check_plan(plan, lambda text: print("warning: " + text, file=sys.stderr))
-    # import what all members need once, before they are forked
+    # import and compute what all members need once, before they are forked
     from gspn_framework_package.ros import execution_node, operator_client  # noqa: F401
     from gspn_framework_package.ros.transport import master_watch  # noqa: F401
 
+    plan.hash()
     share_log_configuration()
     members = []
     for robot, namespace in namespaces.items():

@@ -53,7 +53,7 @@ that it is no longer needed. To remove a module, put rospy's own code back and r
 ``process_family``
     *Fault:* roslaunch starts every node as a new interpreter, which imports everything and reads
     the plan again. Here one process does that once and then forks; the robots share its memory
-    (``docs/benchmarks.md``).
+    (``docs/benchmarks.md``). From then on it only waits, as a program without any libraries.
     *Touches:* nothing in rospy, but relies on two facts: importing rospy starts no thread, and a
     process forked before ``init_node`` can become a separate node (``node_process.be_node``).
     *No longer needed when* the memory and start-up time of one Python process per robot do not

@@ -3,10 +3,14 @@ one line."""
 
 from __future__ import annotations
 
+# rospy imports some of these when a node starts: the nodes of a team share what is imported before
+import configparser  # noqa: F401
 import contextlib
+import encodings.ascii  # noqa: F401
 import logging
 import logging.handlers
 import os
+import pwd  # noqa: F401
 import queue
 import resource
 import signal
@@ -15,6 +19,7 @@ import threading
 import weakref
 from typing import Any, Callable, MutableMapping, Optional, Tuple
 
+import netifaces  # noqa: F401
 import rosgraph
 import rospkg
 import rospy

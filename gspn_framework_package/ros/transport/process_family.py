@@ -3,16 +3,19 @@ it."""
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import json
 import os
 import signal
 import sys
 import threading
 import time
 import traceback
-from typing import Callable, Dict, List, NamedTuple, Optional
+from typing import Callable, Dict, List, NamedTuple, NoReturn, Optional
 
-from gspn_framework_package.execution.parent_death import end_with_parent
+if __name__ != "__main__":  # the program that only waits has none of the package
+    from gspn_framework_package.execution.parent_death import end_with_parent
 
 PATIENCE = 10.0
 """Seconds that processes have to shut down when the parent has to end; ``roslaunch`` gives the
@@ -37,7 +40,9 @@ def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     killed, they also get SIGTERM.
 
     The parent must have no other thread: a fork does not copy other threads, only the locks that
-    they hold.
+    they hold. Unless it has to restart processes, it becomes another program with the same process
+    id that only waits for them: it would keep its own copy of all memory that they have changed.
+    It does not return then, but exits with the code.
 
     :param members: the processes to start.
     :param respawn: whether a process is restarted when it ends, for whatever reason.
@@ -50,21 +55,45 @@ def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     gc.freeze()  # objects that exist now are shared: no collection should write to their pages
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
     try:
-        return _Parent(members, respawn, mask).run()
+        return _Parent(members, PATIENCE, respawn, mask).run()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 class _Parent:
-    def __init__(self, members: List[FamilyMember], respawn: bool, mask: object) -> None:
-        self._respawn, self._mask = respawn, mask
+    def __init__(
+        self,
+        members: List[FamilyMember],
+        patience: float,
+        respawn: bool = False,
+        mask: object = None,
+        running: Optional[Dict[int, FamilyMember]] = None,
+    ) -> None:
+        self._respawn, self._mask, self._patience = respawn, mask, patience
         self._due: Dict[float, List[FamilyMember]] = {0.0: list(members)}
-        self._running: Dict[int, FamilyMember] = {}
+        self._running = running or {}
         self._ended_by: Optional[int] = None
         self._kill_at = 0.0
         self._code = 0
 
     def run(self) -> int:
+        self._start_due()
+        if not self._respawn:
+            self._become_small()
+        return self.wait()
+
+    def _become_small(self) -> None:
+        """Go on in a program without the modules of the processes: :func:`_wait_for`. The signals
+        are blocked there too, and what arrives meanwhile is pending."""
+        names = json.dumps({pid: member.name for pid, member in self._running.items()})
+        program = [sys.executable, "-I", "-S", os.path.abspath(__file__), names, str(PATIENCE)]
+        sys.stdout.flush()
+        sys.stderr.flush()
+        with contextlib.suppress(OSError):  # then this process waits itself
+            os.execv(sys.executable, program + sys.argv)  # the words are for those who read 'ps'
+
+    def wait(self) -> int:
+        """Wait until all processes have ended; returns the exit code of the family."""
         while self._running or self._due:
             self._start_due()
             received = signal.sigtimedwait(_WATCHED, self._wait())
@@ -138,11 +167,25 @@ class _Parent:
         if self._ended_by is not None:
             self._kill()
             return
-        self._ended_by, self._kill_at = number, time.monotonic() + PATIENCE
+        self._ended_by, self._kill_at = number, time.monotonic() + self._patience
         for pid in self._running:
             os.kill(pid, signal.SIGTERM)
 
     def _kill(self) -> None:
-        self._kill_at = time.monotonic() + PATIENCE
+        self._kill_at = time.monotonic() + self._patience
         for pid in self._running:
             os.kill(pid, signal.SIGKILL)
+
+
+def _wait_for(names: Dict[str, str], patience: float) -> NoReturn:
+    """Wait for processes that this process has forked; exit with the code of the family.
+
+    :param names: process id -> name.
+    :param patience: as :data:`PATIENCE`.
+    """
+    running = {int(pid): FamilyMember(name, lambda: 0) for pid, name in names.items()}
+    sys.exit(_Parent([], patience, running=running).wait())
+
+
+if __name__ == "__main__":
+    _wait_for(json.loads(sys.argv[1]), float(sys.argv[2]))

@@ -91,6 +91,20 @@ def test_the_largest_exit_code_counts(start, tmp_path):
     assert parent.wait(30) == 3
 
 
+def test_a_parent_that_only_waits_has_no_libraries(start, tmp_path):
+    """It would keep its own copy of all memory that its processes have changed."""
+    parent = start("import ctypes; run_family([FamilyMember('a', waits)])")
+    (child,) = notes(tmp_path, "waits", 1)
+
+    def libraries(pid):
+        with open("/proc/%d/maps" % pid) as file:
+            return "ctypes" in file.read()
+
+    assert libraries(child)
+    wait_for(lambda: not libraries(parent.pid), seconds=30, what="the parent that only waits")
+    assert is_alive(child)
+
+
 def test_a_signal_ends_all_and_nothing_is_left(start, tmp_path):
     parent = start(
         'sys.exit(run_family([FamilyMember("a", waits), FamilyMember("b", waits), FamilyMember("c", stubborn)]))'
