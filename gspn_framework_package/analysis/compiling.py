@@ -7,7 +7,7 @@ import os
 from typing import Any, Callable, Dict
 
 # otherwise numba's colorama writes an escape sequence behind the output when the process ends, if
-# that is a terminal, as it is for a rank of mpiexec
+# that is a terminal
 os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 from numba import config, njit

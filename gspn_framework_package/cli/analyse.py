@@ -42,6 +42,7 @@ from gspn_framework_package.cli.memory import (
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
 
 _PARTS = 1_000
@@ -117,13 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effort.add_argument(
         "--engine", choices=ENGINES, default="auto", help="the engine that explores (default: auto)"
     )
-    effort.add_argument(
-        "--on",
-        choices=("local", "mpi"),
-        default="local",
-        help="who computes: this process (local), or all those that mpiexec started, each with a "
-        "part of the states (mpi): docs/scaling.md",
-    )
+    effort.add_argument("--on", type=_on, help=argparse.SUPPRESS)
     effort.add_argument(
         "--lump",
         action="store_true",
@@ -135,14 +130,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _on(word: str) -> str:
+    if word != "local":
+        raise UsageError(
+            "an analysis runs in this process, not on %s" % shorten(word),
+            hint="--memory SIZE keeps on disk what is too large for memory; Storm reads what gspn "
+            "convert writes",
+        )
+    return word
+
+
 def run(args: argparse.Namespace) -> int:
     """Analyse the net or plan, and print the answers."""
     try:
         with rare_collections():
-            if args.on == "mpi":
-                from gspn_framework_package.cli.analyse_mpi import run_on_mpi
-
-                return run_on_mpi(args)
             return _run(args)
     except KeyboardInterrupt:
         leave()  # before Python destroys millions of objects, which takes seconds

@@ -18,9 +18,9 @@ TIMED = ("steady_state", "transient", "time_to_steady_state", "mean_time_to")
 """The keys of the measures that a simulation can estimate if they are not computed."""
 
 
-def subject_text(data: Mapping[str, Any]) -> str:
-    """A line on what is analysed."""
-    return "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
+def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of a report (see :mod:`~gspn_framework_package.analysis.report`)."""
+    yield "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
         data["kind"],
         data["name"] or "without a name",
         data["places"],
@@ -28,11 +28,6 @@ def subject_text(data: Mapping[str, Any]) -> str:
         data["arcs"],
         data["tokens"],
     )
-
-
-def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of a report (see :mod:`~gspn_framework_package.analysis.report`)."""
-    yield subject_text(data)
     if "conservative" in data:
         yield from _structure_text(data)
         yield from _titled_text(data, Part.STRUCTURE)
@@ -147,7 +142,9 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
     if data["kind"] == "plan":
         yield from _timing_text(data["timing"])
     yield from scratch_text(data)
-    yield from bounds_text(data)
+    if data["left_out"]:
+        yield "left out, because only written: %s" % ", ".join(data["left_out"])
+    yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
     dead = data["deadlocks"]
     if dead and dead["witness"] is not None:
         yield "deadlocks: %s, e.g. (%s), reached by %s" % (
@@ -170,13 +167,6 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield "liveness: %s" % _map(data["liveness"])
     if home:
         yield "home states%s: %d" % (" without %s" % left_out if left_out else "", home["count"])
-
-
-def bounds_text(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what was left out, and the bounds of the places."""
-    if data["left_out"]:
-        yield "left out, because only written: %s" % ", ".join(data["left_out"])
-    yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
 
 
 def _lumped_text(lumped: Mapping[str, Any], states: Optional[Mapping[str, int]]) -> Iterator[str]:
@@ -227,13 +217,6 @@ def _reach_text(entry: Any, word: str) -> Iterator[str]:
             else ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
         )
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
-
-
-def time_text(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what several ranks found out about time."""
-    if data["steady_state"]:
-        yield from _steady_text(data["steady_state"])
-    yield from _undecided_text(data)
 
 
 def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:

@@ -69,7 +69,6 @@ ROSDEP_KEYS = {
     "jsonschema": "python3-jsonschema",
     "lxml": "python3-lxml",
     "matplotlib": "python3-matplotlib",
-    "mpi4py": "",
     "distributed": "",
     "numba": "",
     "numpy": "python3-numpy",

@@ -9,13 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
-from gspn_framework_package.analysis.distributed.long_run import (
-    SEVERAL_CLASSES,
-    LongRun,
-    recurrent_states,
-)
-from gspn_framework_package.analysis.distributed.ranks import Alone
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
+from gspn_framework_package.analysis.on_disk.long_run import LongRun, recurrent_states
 from gspn_framework_package.analysis.on_disk.scratch import ScratchVector
 from gspn_framework_package.analysis.solution.anderson import DEPTH
 from gspn_framework_package.analysis.solution.linear import (
@@ -58,9 +53,12 @@ def long_run(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) -> Lon
     dead = np.zeros(len(chain), dtype=bool)
     for part, exits in _with_exits(chain):
         dead[part] = exits == 0
-    recurs = recurrent_states(Alone(), dead, chain.initial, chain.reaching, chain.reached)
+    recurs = recurrent_states(dead, chain.initial, chain.reaching, chain.reached)
     if recurs is None:
-        raise RefusedError(SEVERAL_CLASSES, hint="raise --memory until all of it fits")
+        raise RefusedError(
+            "the chain may end in one of several recurrent classes",
+            hint="raise --memory until all of it fits",
+        )
     recurrent = int(recurs.sum())
     if recurrent == 1:
         return LongRun(recurs.astype(np.float64), 1, bool(dead.any()), 0.0, "LU")

@@ -9,7 +9,7 @@ The vectors are read and written in parts, so that they need not be in memory.
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, Optional, Protocol
+from typing import Callable, Iterator, Protocol
 
 import numpy as np
 
@@ -53,18 +53,10 @@ class Anderson:
     """
 
     def __init__(
-        self,
-        size: int,
-        depth: int = DEPTH,
-        total: Optional[Callable[[Floats], Floats]] = None,
-        vector: Callable[[int], Vector] = np.empty,
+        self, size: int, depth: int = DEPTH, vector: Callable[[int], Vector] = np.empty
     ) -> None:
-        """:param total: adds up the scalar products (float array) of all processes, if each of them
-            has a part of the vectors.
-        :param vector: makes a vector of a given size; its entries do not matter.
-        """
+        """:param vector: makes a vector of a given size; its entries do not matter."""
         self._size, self._depth = size, depth
-        self._total = total or (lambda sums: sums)
         self._changes = [vector(size) for _ in range(depth)]  # of successive G(x) - x
         self._moves = [vector(size) for _ in range(depth)]  # of successive G(x)
         self._products = np.zeros((depth, depth))  # of the changes with each other
@@ -101,7 +93,6 @@ class Anderson:
                 other = newest if number == row else self._changes[number][part]
                 sums[0, number] += other @ newest
                 sums[1, number] += other @ change
-        sums = self._total(sums)
         self._products[row, :used] = self._products[:used, row] = sums[0]
         length = np.sqrt(np.maximum(np.diagonal(self._products)[:used], 1e-300))
         gram = self._products[:used, :used] / np.outer(length, length)

@@ -320,18 +320,6 @@ def _swept(
     )
 
 
-class Reduction(NamedTuple):
-    """How float arrays of a fixed shape, one of each process that solves a part of the system,
-    become one. By default there is one process.
-
-    :ivar total: their sum.
-    :ivar largest: the largest of each element.
-    """
-
-    total: Callable[[Floats], Floats] = lambda sums: sums
-    largest: Callable[[Floats], Floats] = lambda numbers: numbers
-
-
 def iterate(
     sweep: Callable[[Floats], Floats],
     residual_of: Callable[[Floats], float],
@@ -340,7 +328,6 @@ def iterate(
     watch: Watch,
     *,
     scale: Optional[float] = None,
-    reduction: Reduction = Reduction(),  # noqa: B008 (immutable)
     vector: Callable[[int], Vector] = np.empty,
 ) -> LinearSolution:
     """Repeat accelerated sweeps until the residual is small, or stays as it is.
@@ -351,11 +338,10 @@ def iterate(
     :param diagonal: all positive.
     :param scale: the largest entry of the right-hand side; None if that is 0: then the solution
         sums to 1.
-    :param reduction: of the processes that call this together.
     :param vector: makes the vectors that only this function uses. The sweeps get float arrays.
     """
     size = len(values)
-    accelerated = Anderson(size, total=reduction.total, vector=vector)
+    accelerated = Anderson(size, vector=vector)
     image = values
     point, best = vector(size), vector(size)
     for part in parts(size):
@@ -369,8 +355,7 @@ def iterate(
             image = sweep(image)
         unchecked += 1
         # The change made by the sweeps shows, at no cost, when to compute the residual.
-        extremes = np.array(_largest_terms(diagonal, point, image))
-        largest, changed = reduction.largest(extremes).tolist()
+        largest, changed = _largest_terms(diagonal, point, image)
         tolerance = TOLERANCE
         if scale is None:
             changed /= largest or 1.0
@@ -395,12 +380,12 @@ def iterate(
                 continue
             watch.step("sweeps (residual %.0e)" % now, stride * _STRIDE)
         accelerated.next(point, image)
-    total = np.zeros(1)
+    total = 0.0
     for part in parts(size):
         image[part] = best[part]
-        total += image[part].sum()
+        total += float(image[part].sum())
     if scale is None:
-        image /= reduction.total(total)
+        image /= total
     return LinearSolution(image, best_residual, "Gauss-Seidel", stride * _STRIDE)
 
 

@@ -1,23 +1,19 @@
-"""Where a chain is in the long run, if not all of it is in the memory of one process."""
+"""Where a chain is in the long run, if not all of it is in memory."""
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
-from gspn_framework_package.analysis.distributed.ranks import Ranks
 from gspn_framework_package.analysis.solution.measures import waiting_times
 from gspn_framework_package.model.net import Net
 
-SEVERAL_CLASSES = "the chain may end in one of several recurrent classes"
-"""Why there is no answer for a chain with several of them."""
-
 
 class LongRun(NamedTuple):
-    """The long-run share of time in each state of this rank (``values``), how many states of all
-    ranks recur, whether nothing happens there any more, and the residual and method behind it."""
+    """The long-run share of time in each state (``values``), how many states recur, whether nothing
+    happens there any more, and the residual and method behind it."""
 
     values: Floats
     recurrent: int
@@ -69,48 +65,37 @@ class LongRun(NamedTuple):
 
 
 def recurrent_states(
-    ranks: Ranks,
     dead: Booleans,
     initial: Booleans,
     reaching: Callable[[int], Booleans],
     reached: Callable[[int], Booleans],
 ) -> Optional[Booleans]:
-    """Boolean array: which states of this rank recur; None: there are several recurrent classes.
-    All ranks call it together.
+    """Boolean array: which states recur; None: there are several recurrent classes.
 
-    :param dead: boolean array: the states of this rank that nothing leaves.
-    :param initial: boolean array: where the chain begins, if it is a state of this rank.
-    :param reaching: returns the states of this rank from which a state can be reached, which is
-        given by its number; -1 if it belongs to another rank.
+    :param dead: boolean array: the states that nothing leaves.
+    :param initial: boolean array: where the chain begins, if that is one of its states.
+    :param reaching: returns the states from which a state can be reached, which is given by its
+        number.
     :param reached: returns those that can be reached from a state.
     """
-    state = _chosen(ranks, dead)
-    begins_there = state is None
+    state = _last(dead)
+    begins_there = False
     if state is None:
         # the initial one, if it is tangible: then all others are reached from it
-        begins_there = any(ranks.gather(bool(initial.any())))
-        here = initial.copy()
-        here[:1] |= not begins_there
-        state = _chosen(ranks, here)
-    assert state is not None  # a chain has a state
+        begins_there = bool(initial.any())
+        state = _last(initial) if begins_there else 0
     while True:
+        assert state is not None
         lead_there = reaching(state)
-        everywhere = all(ranks.gather(bool(lead_there.all())))
-        if everywhere and begins_there:
-            return lead_there
-        found = reached(state)
-        if everywhere:
-            return found
-        state = _chosen(ranks, found & ~lead_there)
+        if lead_there.all():
+            return lead_there if begins_there else reached(state)
+        state = _last(reached(state) & ~lead_there)
         begins_there = False
         if state is None:  # it recurs, and some states never lead there
             return None
 
 
-def _chosen(ranks: Ranks, candidates: Booleans) -> Optional[int]:
-    """The last of the candidates of the first rank that has one, by its number there (-1 on the
-    others); None if there is none."""
-    having: List[bool] = ranks.gather(bool(candidates.any()))
-    if not any(having):
-        return None
-    return int(np.flatnonzero(candidates)[-1]) if having.index(True) == ranks.rank else -1
+def _last(states: Booleans) -> Optional[int]:
+    """The number of the last of these states; None if there is none."""
+    numbers = np.flatnonzero(states)
+    return int(numbers[-1]) if len(numbers) else None
