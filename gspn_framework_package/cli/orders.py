@@ -9,8 +9,6 @@ import argparse
 import json
 from typing import Dict, NamedTuple, Tuple
 
-from gspn_framework_package.cli.team_client import add_team_options, team_client
-
 
 class OrderVerb(NamedTuple):
     """A verb that gives an order.
@@ -39,6 +37,8 @@ class OrderVerb(NamedTuple):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments of the verb."""
+        from gspn_framework_package.cli.team_client import add_team_options
+
         if self.robot:
             parser.add_argument(
                 "robot",
@@ -54,6 +54,8 @@ class OrderVerb(NamedTuple):
 
     def run(self, args: argparse.Namespace) -> int:
         """Give the order; return 0 if the team carried it out, else 1."""
+        from gspn_framework_package.cli.team_client import team_client
+
         robot, argument = getattr(args, "robot", ""), getattr(args, "argument", "")
         done, message = team_client(args).order(self.command, robot or "", argument, args.run_name)
         if args.json:

@@ -69,6 +69,7 @@ import json
 import re
 import threading
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     ClassVar,
@@ -86,13 +87,15 @@ from typing import (
     Union,
 )
 
-from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.plan_modules import load_module, refuse_foreign
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
+
+if TYPE_CHECKING:
+    from gspn_framework_package.execution.firing import StartAction
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import subprocess
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
-from gspn_framework_package.formats.format import Format
 from gspn_framework_package.formats.routes import Line, NodeBox, Point, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 from gspn_framework_package.model.net import Net, Place, Position, Transition
@@ -297,6 +296,3 @@ def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
         ]
         raise InputError("Graphviz cannot draw it: %s" % reason[0])
     return done.stdout
-
-
-FORMAT = Format("dot", "Graphviz DOT", (".dot", ".gv"), to_bytes)

@@ -8,13 +8,26 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import chain
-from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    NoReturn,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
-from gspn_framework_package.formats.repetition import FileSample
 from gspn_framework_package.formats.xml_tree import point
 from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError, NoValueError
 from gspn_framework_package.model.expression import evaluate, shorten, whole
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+
+if TYPE_CHECKING:
+    from gspn_framework_package.formats.repetition import FileSample
 
 _MAX_DIGITS = 300  # digits of a whole number that is read exactly; longer ones are not token counts
 

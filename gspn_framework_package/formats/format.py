@@ -1,7 +1,7 @@
-"""The record of a net file format in the registry; each format module ends with its own record.
+"""The record of a net file format.
 
-To add a format, write a module with a :class:`Format` called ``FORMAT`` and add the module to the
-table in :mod:`~gspn_framework_package.formats.registry`; from outside the package, call
+To add a format, write a module that reads and writes it, and add its record to the table in
+:mod:`~gspn_framework_package.formats.registry`; from outside the package, call
 :func:`~gspn_framework_package.formats.registry.register`."""
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ import json
 from functools import reduce
 from typing import Any, Dict, List, Mapping, Sequence
 
-from gspn_framework_package.formats.format import Format
 from gspn_framework_package.formats.symbolic import (
     concession,
     identifiers,
@@ -192,6 +191,3 @@ def _any(terms: Sequence[_Term]) -> _Term:
 
 def _none(terms: Sequence[_Term]) -> List[_Term]:
     return [{"op": "¬", "exp": _any(terms)}] if terms else []
-
-
-FORMAT = Format("jani", "JANI", (".jani",), to_bytes, takes_bounds=True)

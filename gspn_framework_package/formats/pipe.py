@@ -26,9 +26,6 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
-from gspn_framework_package.formats.format import Format, XmlReader
-from gspn_framework_package.formats.pipe_update import updater
-from gspn_framework_package.formats.pnml_family import PIPE, member
 from gspn_framework_package.formats.tool_data import note_other_timing
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
@@ -375,15 +372,3 @@ def _arc_id(source: str, target: str, used: Set[str]) -> str:
         identifier = "%s (%d)" % (wanted, number)
     used.add(identifier)
     return identifier
-
-
-FORMAT = Format(
-    "pipe",
-    "PIPE XML",
-    (".xml",),
-    to_bytes,
-    XmlReader(
-        from_xml, ("pnml", "net"), lambda root: tag(root) == "net" or member(root).kind == PIPE
-    ),
-    update=updater(to_bytes),
-)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, Optional
+from typing import Any, List, Optional
 
-from gspn_framework_package.formats.format import CannotHoldError, Updater
+from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node
+from gspn_framework_package.formats.pipe import to_bytes
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     label,
@@ -21,12 +22,7 @@ from gspn_framework_package.formats.xml_update import (
     set_text,
     xml_updater,
 )
-from gspn_framework_package.model.net import Arc, Net, Place, Transition
-
-
-def updater(write: Callable[[Net], bytes]) -> Updater:
-    """Return what changes nets in files of this format, for its record; ``write`` is its writer."""
-    return xml_updater(_PipeNet, write)
+from gspn_framework_package.model.net import Arc, Place, Transition
 
 
 class _PipeNet(XmlNet):
@@ -148,3 +144,6 @@ class _PipeNet(XmlNet):
                 plain = plain or parts[0].strip().isdigit()
         classes = self._classes()
         return "" if plain else classes[0] if classes else "Default"
+
+
+update = xml_updater(_PipeNet, to_bytes)

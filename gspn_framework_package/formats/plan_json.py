@@ -10,7 +10,6 @@ import jsonschema
 
 from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
-from gspn_framework_package.formats.schema_words import SchemaWords, unknown_key
 from gspn_framework_package.formats.subnets import SubnetPart, with_parts
 from gspn_framework_package.model.action import action_from_json, action_to_json
 from gspn_framework_package.model.condition import parse_condition
@@ -62,6 +61,8 @@ def check_schema(
         part = dict(whole["definitions"][definition], definitions=whole["definitions"])
     errors = list(jsonschema.Draft7Validator(part).iter_errors(_without_rows(data)))
     if errors:
+        from gspn_framework_package.formats.schema_words import SchemaWords, unknown_key
+
         words = SchemaWords(whole["definitions"])
         error = words.most_telling(errors)
         path = list(error.absolute_path)

@@ -24,9 +24,7 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
-from gspn_framework_package.formats.format import Format, XmlReader
 from gspn_framework_package.formats.pnml_family import OWN, PNML, STOCHASTIC, member
-from gspn_framework_package.formats.pnml_update import updater
 from gspn_framework_package.formats.repetition import FileSample
 from gspn_framework_package.formats.tool_data import note_other_timing
 from gspn_framework_package.formats.vocabulary import known
@@ -494,13 +492,3 @@ def _write_properties(
     node = etree.SubElement(parent, "toolspecific", tool=tool, version=version)
     for key, value in values.items():
         etree.SubElement(node, "property", key=key).text = value
-
-
-FORMAT = Format(
-    "pnml",
-    "ISO 15909-2 PNML",
-    (".pnml",),
-    to_bytes,
-    XmlReader(from_xml, ("pnml",), lambda root: member(root).kind == PNML),
-    update=updater(to_bytes),
-)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Dict, Optional
 
 from lxml import etree
 
-from gspn_framework_package.formats.format import CannotHoldError, Updater
+from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node, meaning
+from gspn_framework_package.formats.pnml import to_bytes
 from gspn_framework_package.formats.pnml_family import OWN, STOCHASTIC
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -27,12 +28,7 @@ from gspn_framework_package.formats.xml_update import (
     set_text,
     xml_updater,
 )
-from gspn_framework_package.model.net import Arc, Net, Place, Transition
-
-
-def updater(write: Callable[[Net], bytes]) -> Updater:
-    """Return what changes nets in files of this format, for its record; ``write`` is its writer."""
-    return xml_updater(_PnmlNet, write)
+from gspn_framework_package.model.net import Arc, Place, Transition
 
 
 class _PnmlNet(XmlNet):
@@ -197,3 +193,6 @@ def _set_property(element: Any, tool: str, version: str, key: str, value: Option
     made.set("key", key)
     made.text = value
     append_element(node, made)
+
+
+update = xml_updater(_PnmlNet, to_bytes)

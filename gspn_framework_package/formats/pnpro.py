@@ -19,9 +19,7 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
-from gspn_framework_package.formats.format import Format, XmlReader
 from gspn_framework_package.formats.pnpro_position import from_editor, write_position
-from gspn_framework_package.formats.pnpro_update import updater
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -394,14 +392,3 @@ def to_bytes(net: Net) -> bytes:
                 mult=str(arc.weight),
             )
     return serialise(root, depth=4)
-
-
-FORMAT = Format(
-    "pnpro",
-    "PNPRO (GreatSPN)",
-    (".pnpro",),
-    to_bytes,
-    XmlReader(from_xml, ("project", "gspn")),
-    losses,
-    update=updater(to_bytes),
-)

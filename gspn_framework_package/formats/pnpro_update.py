@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Optional
+from typing import Any, Optional
 
-from gspn_framework_package.formats.format import CannotHoldError, Updater
+from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node
+from gspn_framework_package.formats.pnpro import to_bytes
 from gspn_framework_package.formats.pnpro_position import write_position
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -14,12 +15,7 @@ from gspn_framework_package.formats.xml_tree import (
     tag,
 )
 from gspn_framework_package.formats.xml_update import XmlNet, inner_element, xml_updater
-from gspn_framework_package.model.net import Arc, Net, Place, Transition
-
-
-def updater(write: Callable[[Net], bytes]) -> Updater:
-    """Return what changes nets in files of this format, for its record; ``write`` is its writer."""
-    return xml_updater(_PnproNet, write)
+from gspn_framework_package.model.net import Arc, Place, Transition
 
 
 class _PnproNet(XmlNet):
@@ -89,3 +85,6 @@ def _set_corner(element: Any, new: Node, kind: str) -> None:
             element.attrib.pop(key, None)
         return
     write_position(element, new.position, kind)
+
+
+update = xml_updater(_PnproNet, to_bytes)

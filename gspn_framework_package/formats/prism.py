@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import Mapping, Sequence
 
-from gspn_framework_package.formats.format import Format
 from gspn_framework_package.formats.symbolic import concession, identifiers, upper_bounds
 from gspn_framework_package.model.errors import NetError
 from gspn_framework_package.model.net import Net
@@ -72,6 +71,3 @@ def _rate(net: Net, t: int, names: Sequence[str]) -> str:
     if transition.servers is not None:
         degrees.append(str(transition.servers))
     return "%s*%s" % (rate, degrees[0] if len(degrees) == 1 else "min(%s)" % ", ".join(degrees))
-
-
-FORMAT = Format("prism", "PRISM", (".prism", ".sm"), to_bytes, takes_bounds=True)

@@ -1,16 +1,26 @@
-"""The table of all net formats, and functions to recognise, read and write net files."""
+"""The table of all net formats, and functions to recognise, read and write net files.
+
+The module of a format is imported when a file of its kind is read or written.
+"""
 
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple, Union
 
-from gspn_framework_package.formats import dot, jani, pipe, pnml, pnpro, prism, tina
 from gspn_framework_package.formats.draft import ReadOptions
 from gspn_framework_package.formats.foreign import refuse_foreign
-from gspn_framework_package.formats.format import Bounds, Format, NetAndNotes, NetFile
-from gspn_framework_package.formats.repetition import MIN_BYTES, sample_of
+from gspn_framework_package.formats.format import (
+    Bounds,
+    Format,
+    NetAndNotes,
+    NetFile,
+    TextReader,
+    XmlReader,
+)
+from gspn_framework_package.formats.pnml_family import PIPE, PNML, member
 from gspn_framework_package.formats.source import read_bytes, write_bytes
 from gspn_framework_package.formats.xml_tree import line_of, tag
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
@@ -21,6 +31,9 @@ PathLike = Union[str, "Path"]
 
 NO_BOUNDS: Bounds = {}
 AS_THE_FILE_SAYS = ReadOptions()
+
+MIN_BYTES = 1_000_000
+"""Size (bytes) of a PNML file from which on it pays to look for what it repeats."""
 
 FORMATS: Dict[str, Format] = {}
 """Format name -> format, in the order in which the formats are tried on a file."""
@@ -41,8 +54,59 @@ def register(format: Format) -> None:
     FORMATS[format.name] = format
 
 
-for _module in (pipe, pnml, pnpro, tina, jani, prism, dot):
-    register(_module.FORMAT)
+def _of(module: str, function: str) -> Callable[..., Any]:
+    """A function of a module of this folder, which the first call imports."""
+
+    def call(*arguments: Any) -> Any:
+        return getattr(import_module("%s.%s" % (__package__, module)), function)(*arguments)
+
+    return call
+
+
+for _format in (
+    Format(
+        "pipe",
+        "PIPE XML",
+        (".xml",),
+        _of("pipe", "to_bytes"),
+        XmlReader(
+            _of("pipe", "from_xml"),
+            ("pnml", "net"),
+            lambda root: tag(root) == "net" or member(root).kind == PIPE,
+        ),
+        update=_of("pipe_update", "update"),
+    ),
+    Format(
+        "pnml",
+        "ISO 15909-2 PNML",
+        (".pnml",),
+        _of("pnml", "to_bytes"),
+        XmlReader(_of("pnml", "from_xml"), ("pnml",), lambda root: member(root).kind == PNML),
+        update=_of("pnml_update", "update"),
+    ),
+    Format(
+        "pnpro",
+        "PNPRO (GreatSPN)",
+        (".pnpro",),
+        _of("pnpro", "to_bytes"),
+        XmlReader(_of("pnpro", "from_xml"), ("project", "gspn")),
+        _of("pnpro", "losses"),
+        update=_of("pnpro_update", "update"),
+    ),
+    Format(
+        "tina",
+        "TINA .net",
+        (".net",),
+        _of("tina", "to_bytes"),
+        TextReader(_of("tina", "from_text"), _of("tina", "recognises")),
+        _of("tina", "losses"),
+        update=_of("tina", "update"),
+    ),
+    Format("jani", "JANI", (".jani",), _of("jani", "to_bytes"), takes_bounds=True),
+    Format("prism", "PRISM", (".prism", ".sm"), _of("prism", "to_bytes"), takes_bounds=True),
+    Format("dot", "Graphviz DOT", (".dot", ".gv"), _of("dot", "to_bytes")),
+):
+    register(_format)
 
 
 def read_net(path: PathLike, options: ReadOptions = AS_THE_FILE_SAYS, **fields: Any) -> Net:
@@ -76,11 +140,17 @@ def _read_sample(file: NetFile, options: ReadOptions) -> Optional[NetAndNotes]:
     """Read a large file that repeats itself; None if it is not one, or if something is wrong with
     it, which :func:`_read` then reports."""
     format = options.format
-    if len(file.data) < MIN_BYTES or format not in (None, pnml.FORMAT.name) or not file.is_xml:
+    if len(file.data) < MIN_BYTES or format not in (None, "pnml") or not file.is_xml:
         return None
+    from gspn_framework_package.formats.repetition import sample_of
+
     sample = sample_of(file.data)
+    if sample is None:
+        return None
+    from gspn_framework_package.formats.pnml import from_sample
+
     try:
-        return None if sample is None else pnml.from_sample(sample, options)
+        return from_sample(sample, options)
     except GspnError:
         return None
 

@@ -22,9 +22,6 @@ import re
 from itertools import chain
 from typing import Any, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-MIN_BYTES = 1_000_000
-"""Size of a file from which on it is worth the effort."""
-
 _MOST = 40
 """Number of tags in a content at most."""
 

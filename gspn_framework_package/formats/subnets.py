@@ -26,7 +26,6 @@ from typing import (
 )
 
 from gspn_framework_package.model.action import Action, FunctionAction, outcomes_of, server_name
-from gspn_framework_package.model.composition import expand_place
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import (
     ExpressionError,
@@ -166,6 +165,8 @@ def expand(
     }
     if not subnets:
         return data, net, []
+    from gspn_framework_package.model.composition import expand_place
+
     _refuse_counts(data, net, subnets)
     parts = []
     for place, spec in subnets.items():

@@ -18,7 +18,6 @@ import re
 from typing import Dict, List, NamedTuple, NoReturn, Optional, Tuple
 
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
-from gspn_framework_package.formats.format import Format, TextReader
 from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.errors import NetError
 from gspn_framework_package.model.expression import shorten
@@ -328,17 +327,7 @@ def _quote(name: str) -> str:
     return name if _PLAIN.match(name) else "{%s}" % re.sub(r"([{}\\])", r"\\\1", name)
 
 
-def _update(data: bytes, options: ReadOptions, old: Net, new: Net) -> bytes:
+def update(data: bytes, options: ReadOptions, old: Net, new: Net) -> bytes:
+    """Change the net in a file; see :data:`~gspn_framework_package.formats.format.Updater`."""
     mark = b"\xef\xbb\xbf" if data.startswith(b"\xef\xbb\xbf") else b""
     return mark + update_text(data.decode("utf-8-sig"), old, new).encode("utf-8")
-
-
-FORMAT = Format(
-    "tina",
-    "TINA .net",
-    (".net",),
-    to_bytes,
-    TextReader(from_text, recognises),
-    losses,
-    update=_update,
-)

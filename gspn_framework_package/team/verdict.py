@@ -13,7 +13,6 @@ from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import CheckItem, PreflightReport, Severity
 from gspn_framework_package.execution.actions import PythonAction
 from gspn_framework_package.execution.breakpoints import BreakpointFile
-from gspn_framework_package.execution.event_functions import EventFunction
 from gspn_framework_package.execution.function_source import why_not_callable
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import InputError, RefusedError
@@ -72,6 +71,8 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
     for transition, source in plan.events.items():
         if not source.function:
             continue
+        from gspn_framework_package.execution.event_functions import EventFunction
+
         why = why_not_callable(plan.folder, source.function, source.settings, EventFunction)
         if why:
             text = "%s for the event '%s': %s" % (source.function, transition, why)

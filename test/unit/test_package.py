@@ -139,10 +139,10 @@ def clean_environment():
     }
 
 
-def gspn(*words, interpreter_options=()):
+def gspn(*words, start=("-m", PACKAGE.name)):
     """Run the command line as a user does in a bare checkout."""
     return subprocess.run(
-        [sys.executable, *interpreter_options, "-m", PACKAGE.name, *words],
+        [sys.executable, *start, *words],
         cwd=str(ROOT),
         env=clean_environment(),
         stdin=subprocess.DEVNULL,
@@ -150,6 +150,16 @@ def gspn(*words, interpreter_options=()):
         text=True,
         timeout=60,
     )
+
+
+def gspn_importing(*words):
+    """Run the command line; return what it did, and the names of all modules that it imported."""
+    code = (
+        "import sys; from {}.cli.main import main; code = main(sys.argv[1:]); "
+        "print(*sys.modules, file=sys.stderr); sys.exit(code)"
+    )
+    ran = gspn(*words, start=("-c", code.format(PACKAGE.name)))
+    return ran, ran.stderr.split()
 
 
 # --- layers
@@ -393,14 +403,25 @@ def test_a_verb_is_what_the_table_says(name):
 
 
 def test_help_lists_every_verb_and_imports_none():
-    shown = gspn("--help", interpreter_options=["-X", "importtime"])
+    shown, imported = gspn_importing("--help")
     assert shown.returncode == 0
     for name in dispatcher.VERBS:
         assert re.search(r"^  {}\b".format(re.escape(name)), shown.stdout, re.MULTILINE)
     modules = [v.module for v in dispatcher.VERBS.values() if isinstance(v, dispatcher.Verb)]
     assert ".check" in modules
     for module in modules:
-        assert "gspn_framework_package.cli" + module not in shown.stderr
+        assert "gspn_framework_package.cli" + module not in imported
+
+
+def test_a_check_imports_only_what_it_needs():
+    checked, imported = gspn_importing("check", "plans/measure")
+    assert checked.returncode == 0
+    own = {name for name in imported if name.split(".")[0] == PACKAGE.name}
+    assert PACKAGE.name + ".formats.pipe" in own
+    # what explores is imported when the structure leaves a question open
+    assert "numpy" not in imported
+    assert not any(".state_space" in name or name.endswith(".siphons") for name in own)
+    assert len(own) <= 60, sorted(own)
 
 
 def test_version():

@@ -7,15 +7,16 @@ leaves open, up to a limit; questions still open after that are reported as not 
 from __future__ import annotations
 
 import time
-from typing import Optional
+from typing import TYPE_CHECKING, Optional
 
-from gspn_framework_package.analysis.preflight.markings import MarkingChecks
 from gspn_framework_package.analysis.preflight.names import NameChecks, ServerProbe
 from gspn_framework_package.analysis.preflight.reacting import ReactingChecks
 from gspn_framework_package.analysis.preflight.report import Checklist, PreflightReport, Severity
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
-from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.plan import Plan
+
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.watch import Cancel, Progress
 
 MARKING_LIMIT = 200_000
 """Default limit on the markings that the check visits."""
@@ -51,11 +52,15 @@ def check(
     ReactingChecks(plan, checklist, standalone).look_at_reactions()
     by_structure = StructureChecks(plan, checklist, standalone)
     by_structure.look_at_structure()
-    by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel)
-    by_marking.look_at_markings()
+    markings = None
+    if by_structure.open:
+        # most plans do without, and without what explores
+        from gspn_framework_package.analysis.preflight.markings import MarkingChecks
+
+        by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel)
+        markings = by_marking.look_at_markings()
     if server_probe is not None:
         by_name.look_at_servers(server_probe)
-    markings = by_marking.markings
     order = list(Severity)[::-1]
     items = sorted(checklist.items, key=lambda item: order.index(item.severity))
     return PreflightReport(

@@ -34,7 +34,6 @@ class MarkingChecks:
 
     :param structure: the structural checks, with the questions that they left open.
     :param limit: most markings to visit.
-    :ivar markings: the visited markings, if any.
     """
 
     def __init__(
@@ -49,36 +48,33 @@ class MarkingChecks:
         self.net = structure.net
         self.limit = limit
         self.progress, self.cancel = progress, cancel
-        self.markings: Optional[PlanMarkings] = None
         self._structure = structure
         self._list = checklist
 
-    def look_at_markings(self) -> None:
-        """Visit markings if a question is open, and answer it."""
-        if not self._structure.open:
-            return
+    def look_at_markings(self) -> PlanMarkings:
+        """Visit markings, answer the open questions, and return the markings."""
         losses = (
             self.plan.timing.evict_after > 0
             and len(self.plan.robots) > 1
             and not self._structure.standalone
         )
-        self.markings = self._visit(False)
-        if losses and self.markings.complete:
+        markings = self._visit(False)
+        if losses and markings.complete:
             with_losses = self._visit(True)
             if with_losses.complete:
-                self.markings = with_losses
+                markings = with_losses
             else:
                 self._list.add(
                     "smaller_teams",
                     Severity.WARNING,
                     "teams that lost a robot were not checked: more than %d markings" % self.limit,
                 )
-        if not self.markings.complete:
+        if not markings.complete:
             self._list.add(
                 "exploration",
                 Severity.WARNING,
                 "not decided within %d markings: %s; what was found so far is "
-                "listed" % (len(self.markings.space), names(self._structure.open)),
+                "listed" % (len(markings.space), names(self._structure.open)),
                 open=list(self._structure.open),
             )
         answers = {
@@ -90,9 +86,9 @@ class MarkingChecks:
             "policy": self._decide_policy,
         }
         for question in self._structure.open:
-            answers[question](self.markings)
-        if self.markings.complete:
-            never = self.markings.never_fire()
+            answers[question](markings)
+        if markings.complete:
+            never = markings.never_fire()
             if never:
                 self._list.add(
                     "never_fire",
@@ -100,10 +96,9 @@ class MarkingChecks:
                     "%s can never fire" % names(never),
                     transitions=never,
                 )
+        return markings
 
     def _visit(self, losses: bool) -> PlanMarkings:
-        from gspn_framework_package.analysis.plan.markings import PlanMarkings
-
         return PlanMarkings(
             self.plan, self.limit, losses=losses, progress=self.progress, cancel=self.cancel
         )

@@ -16,7 +16,6 @@ from gspn_framework_package.analysis.plan.structure import (
     timeless_transitions,
 )
 from gspn_framework_package.analysis.preflight.report import Checklist, Severity, names
-from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.model.plan import Plan
 
 
@@ -152,6 +151,8 @@ class StructureChecks:
             )
         if set(self.plan.resource_places) <= set(self.written):
             return
+        from gspn_framework_package.analysis.structure.invariants import invariant_bounds
+
         net = self.net.without_places(self.written)
         bounds = dict(zip((p.name for p in net.places), invariant_bounds(net, 200_000)))
         self.resource_bounds = {

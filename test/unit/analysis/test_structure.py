@@ -10,11 +10,15 @@ from hypothesis import strategies as st
 from benchmarks.large_nets import ring
 from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.structure import Structure, classify, conflict_sets
 from gspn_framework_package.analysis.structure.invariants import (
     invariant_bounds,
     place_invariants,
     transition_invariants,
+)
+from gspn_framework_package.analysis.structure.net_structure import (
+    Structure,
+    classify,
+    conflict_sets,
 )
 from gspn_framework_package.analysis.structure.siphons import (
     largest_siphon,
