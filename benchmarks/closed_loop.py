@@ -159,9 +159,9 @@ def in_room(
 ) -> Dict[str, Any]:
     """Fit the patrol of the critical room on runs with the seeds ``learn``, and predict those with
     ``predict``. Logs that the folder already has are used again."""
+    from benchmarks.room_run import RoomRun
     from gspn_framework_package.formats.plan_file import read_plan
     from gspn_framework_package.world.room_file import load_room
-    from gspn_framework_package.world.room_run import RoomRun
 
     home = os.path.join(plans_folder(), "patrol")
     plan = os.path.join(home, "room.json")

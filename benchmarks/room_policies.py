@@ -1,7 +1,7 @@
 """Two plans of the patrol in the critical room: ``python3 -m
 benchmarks.room_policies PLAN OTHER``.
 
-Both are run with the same seeds, in PyBullet, with robots that drive (``world.room_run``), without
+Both are run with the same seeds, in PyBullet, with robots that drive (``room_run``), without
 ROS. A referee that sees the true poses counts how many locations the robots enter, and whether
 there were ever two robots in one. The visits of each seed are compared in pairs.
 """
@@ -36,9 +36,9 @@ def run_in_room(plan: str, seed: int, minutes: float, log: Path) -> Dict[str, An
     :param log: the event log to write.
     :returns: the referee's counts, and what failed.
     """
+    from benchmarks.room_run import RoomRun
     from gspn_framework_package.formats.plan_file import read_plan
     from gspn_framework_package.world.room_file import load_room
-    from gspn_framework_package.world.room_run import RoomRun
 
     room = load_room(os.path.join(plans_folder(), "patrol", "critical_room.yaml"))
     log.unlink(missing_ok=True)

@@ -521,11 +521,6 @@ class _Log(NamedTuple):
         return str(self.file.header["robot"])
 
 
-def read_attempts(paths: Sequence[str]) -> List[Attempt]:
-    """The attempts in some logs, each once; see :func:`gather`."""
-    return gather(paths).attempts
-
-
 def gather(
     paths: Sequence[str], plan: Optional[Plan] = None, progress: Optional[Progress] = None
 ) -> Gathered:

@@ -8,7 +8,6 @@ commands, the package ``ros`` for the others.
 
 from __future__ import annotations
 
-import enum
 import re
 from typing import Any, Dict, Iterator, Mapping, NamedTuple, Optional, Union
 
@@ -18,15 +17,6 @@ from gspn_framework_package.model.message_condition import MessageCondition, par
 
 EXEC_GSPN = "gspn_framework_package/ExecGSPNAction"
 """The action type of the thesis's action servers, and of those of this package."""
-
-
-class Outcome(enum.Enum):
-    """The ways in which an action of any kind can end, named as in ``outcomes`` of a plan."""
-
-    SUCCEEDED = "succeeded"
-    ABORTED = "aborted"
-    REJECTED = "rejected"
-    PREEMPTED = "preempted"
 
 
 class FunctionAction(NamedTuple):

@@ -92,11 +92,6 @@ class KeyFolder(NamedTuple):
         """Path of the member's private key."""
         return os.path.join(self.folder, "key.pem")
 
-    @property
-    def team_file(self) -> str:
-        """Path of the allow-list."""
-        return os.path.join(self.folder, TEAM_FILE)
-
 
 # -- making ----------------------------------------------------------------------------------------
 

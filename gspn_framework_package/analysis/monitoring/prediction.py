@@ -17,7 +17,6 @@ from typing import Dict, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.simulation import machine, simulate
@@ -280,14 +279,6 @@ class Growth(NamedTuple):
     rate: float
     chance: float
     doubt: float
-
-    def band(self, seconds: float, level: float = 0.95) -> Tuple[float, float]:
-        """The interval that holds the count after ``seconds`` with probability ``level``."""
-        middle = self.rate * seconds
-        half = quantiles.normal(0.5 + level / 2) * math.sqrt(
-            self.chance * seconds + self.doubt * seconds**2
-        )
-        return max(middle - half, 0.0), middle + half
 
 
 def growth(sample: RunSample, counts: Floats) -> Growth:

@@ -36,10 +36,6 @@ class Completion(NamedTuple):
     document: Dict[str, Any]
     notes: Tuple[str, ...]
 
-    def plan_json(self) -> Dict[str, Any]:
-        """Return the object of a plan file with the net inside."""
-        return {**self.document["plan"], "net": self.document["net"]}
-
 
 def complete(net: Net) -> Completion:
     """Complete a net to a plan that can be read: action places without actions, resource places,

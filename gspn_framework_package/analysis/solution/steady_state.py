@@ -118,7 +118,7 @@ def _stationary_in_each(
             continue
         solution = next(together, None) if len(states) <= TOGETHER else None
         if solution is None or not solution.residual <= ACCEPTED:
-            yield _stationary(chain, states, watch)
+            yield stationary(chain, states, watch)
             continue
         # each imbalance may be that of any entry
         terms = chain.exit_rates[states] * solution.values
@@ -172,15 +172,10 @@ def _part(matrix: Matrix, states: Indices, size: int) -> Matrix:
     )
 
 
-def stationary(chain: Chain, states: Indices, watch: Optional[Watch] = None) -> LinearSolution:
-    """The stationary distribution over a recurrent class."""
-    return _stationary(chain, states, watch)[0]
-
-
-def _stationary(
-    chain: Chain, states: Indices, watch: Optional[Watch]
+def stationary(
+    chain: Chain, states: Indices, watch: Optional[Watch] = None
 ) -> Tuple[LinearSolution, Floats]:
-    """The same, with the relative error of each entry."""
+    """The stationary distribution over a recurrent class, with the relative error of each entry."""
     if len(states) == 1:
         return LinearSolution(np.ones(1), 0.0, "LU"), np.zeros(1)
     whole = len(states) == len(chain)

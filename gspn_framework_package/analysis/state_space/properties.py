@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import enum
 from functools import cached_property, lru_cache
-from typing import Dict, List, NamedTuple, Optional
+from typing import Dict, List, Optional
 
 import numpy as np
 
@@ -39,15 +39,6 @@ class Liveness(enum.IntEnum):
     """There is an infinite firing sequence with infinitely many firings of it."""
     L4 = 4
     """Live: from every reachable marking, it can still fire."""
-
-
-class Deadlocks(NamedTuple):
-    """The number of reachable markings that enable nothing; a shortest path to one, and that
-    marking (None: there is none)."""
-
-    number: int
-    witness: Optional[List[str]]
-    marking: Optional[Dict[str, int]]
 
 
 class Properties:
@@ -78,14 +69,6 @@ class Properties:
     def deadlocks(self) -> List[int]:
         """Numbers of the states in which nothing is enabled."""
         return [int(s) for s in self.space.deadlocks]
-
-    def deadlock_summary(self) -> Deadlocks:
-        """The number of deadlocks, and a shortest path to one."""
-        dead = self.space.deadlocks
-        if not len(dead):
-            return Deadlocks(0, None, None)
-        first = int(dead[0])  # numbered breadth-first, so none is nearer
-        return Deadlocks(len(dead), self.space.path_to(first), self.space.named(first))
 
     @property
     def components(self) -> Components:

@@ -26,7 +26,7 @@ SAMPLES = sorted((ROOT / "test" / "unit" / "formats" / "data").iterdir())
 
 def completed(net):
     found = complete(net)
-    plan = plan_from_json(found.plan_json())
+    plan = plan_from_json({**found.document["plan"], "net": found.document["net"]})
     assert plan.net == net and found.document["policy"] is None
     assert sum(net.place(p).tokens for p in plan.action_places) == len(plan.robots)
     return plan, " ".join(found.notes)

@@ -141,7 +141,7 @@ def test_nobody_meets_who_never_draws_it():
 
 def test_all_wait_for_ever_where_one_is_left_over():
     analysis = Analysis(meeting(1.0, robots=1))
-    assert analysis.properties.deadlock_summary().marking == {"d": 1}
+    assert [analysis.space.named(dead) for dead in analysis.properties.deadlocks] == [{"d": 1}]
 
 
 def test_two_draws_at_once():
@@ -200,7 +200,7 @@ def test_resources_go_first():
 def test_until_ends_the_run():
     plan = junction(1, until="up >= 1")
     analysis = Analysis(plan)
-    assert analysis.properties.deadlock_summary().marking == {"up": 1}
+    assert analysis.space.named(analysis.properties.deadlocks[0]) == {"up": 1}
     assert analysis.first_passage("up >= 1").probability == 1.0
     passage = Analysis(replace(plan, until="down >= 1")).first_passage("up >= 1")
     assert passage.probability == pytest.approx(0.75)

@@ -97,5 +97,5 @@ def test_kanban_is_live_reversible_and_bounded_by_its_cards():
     assert properties.live and properties.reversible
     assert properties.k_safe == 2 and set(properties.bounds.values()) == {2}
     assert len(properties.home_states) == 4600
-    assert properties.deadlock_summary() == (0, None, None)
+    assert properties.deadlocks == []
     assert np.array_equal(properties.home_states, np.arange(4600))

@@ -161,7 +161,7 @@ def test_a_draw_is_held_while_the_partner_is_doing():
     assert reached("together == 2").probability == pytest.approx(0.9)
     assert reached("alone == 2").probability == pytest.approx(0.01)
     assert reached("d == 1 and deadlock").probability == pytest.approx(0.09)
-    assert analysis.properties.deadlock_summary().number == 3
+    assert len(analysis.properties.deadlocks) == 3
     way = analysis.reach("d == 1 and deadlock").witness
     assert [step.transition for step in way] == ["go", "(waits)"]
     # the first of the two takes 1/2 s, the other one 1 s more
@@ -432,7 +432,8 @@ def test_an_action_that_never_says_what_to_do():
     )
     plan = plan_of(net)
     plan = replace(plan, actions={**plan.actions, "a": None}).validate()
-    assert Analysis(plan).properties.deadlock_summary().marking == {"a": 1}
+    analysis = Analysis(plan)
+    assert [analysis.space.named(dead) for dead in analysis.properties.deadlocks] == [{"a": 1}]
 
 
 def test_robots_that_differ_are_told():

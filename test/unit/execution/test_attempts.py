@@ -20,7 +20,6 @@ from gspn_framework_package.execution.attempts import (
     attempts_between,
     gather,
     net_difference,
-    read_attempts,
 )
 from gspn_framework_package.execution.event_log import LogFile, line_of
 from gspn_framework_package.execution.log_entries import Done, Failed
@@ -51,7 +50,7 @@ def test_attempts_end_with_their_results_and_go_on_at_the_end_of_the_log(tmp_pat
     story.slot(4.0, Done("a", 0, 2, "t3"))  # waits for the resource
     story.slot(9.0, log_entries.Fire("made"))
     story.slot(9.5, Done("a", 0, 1, "t1"))  # stale
-    assert told(read_attempts([story.save(tmp_path / "log.jsonl")])) == [
+    assert told(gather([story.save(tmp_path / "log.jsonl")]).attempts) == [
         ("a", "A", 1, 1, 1.0, 2.5, "t1"),
         ("a", "B", 2, 1, 2.5, 4.0, "t3"),
         ("a", "A", 3, 1, 9.0, 9.5, "censored"),
@@ -72,7 +71,7 @@ def test_failures_and_retries_are_attempts_of_their_own_and_delays_are_not_part_
     story.slot(6.5, Done("b", 0, 1, "t2"))  # does not leave A: tried again
     story.slot(7.0, Done("a", 0, 1, "None"))
     story.slot(8.0, Done("a", 0, 2))  # B has several exponential transitions
-    assert told(read_attempts([story.save(tmp_path / "log.jsonl")])) == [
+    assert told(gather([story.save(tmp_path / "log.jsonl")]).attempts) == [
         ("a", "A", 1, 1, 0.0, 1.0, "aborted"),
         ("a", "A", 1, 2, 3.0, 4.0, "lost"),
         ("a", "A", 1, 3, 6.0, 7.0, "done"),
@@ -91,7 +90,7 @@ def test_a_pause_hides_nothing_and_the_operator_cuts_attempts_off(tmp_path) -> N
     story.slot(7.0, log_entries.Leave("a"))
     story.slot(9.0, log_entries.Stop())
     story.write(20.0, kind="peer", robot="b", log="x")
-    assert told(read_attempts([story.save(tmp_path / "log.jsonl")])) == [
+    assert told(gather([story.save(tmp_path / "log.jsonl")]).attempts) == [
         ("a", "A", 1, 1, 0.0, 2.0, "done"),
         ("a", "B", 2, 1, 5.0, 7.0, "censored"),
         ("b", "A", 1, 1, 0.0, 6.0, "censored"),
@@ -106,7 +105,7 @@ def test_a_place_without_action_has_no_attempts(tmp_path) -> None:
     story = Story(make_plan(net.build(), ["A"], idle=["B"])).start()
     story.slot(1.0, Done("a", 0, 1))
     story.slot(3.0, Done("a", 0, 3))
-    assert [row[1] for row in told(read_attempts([story.save(tmp_path / "log.jsonl")]))] == [
+    assert [row[1] for row in told(gather([story.save(tmp_path / "log.jsonl")]).attempts)] == [
         "A",
         "C",
         "A",
@@ -184,7 +183,7 @@ def test_a_result_that_leaves_the_choice_to_one_transition_is_none_of_several_wi
 ) -> None:
     story = Story(interrupted()).start()
     story.slot(1.0, Done("a", 0, 1, ""))
-    rows = told(read_attempts([story.save(tmp_path / "log.jsonl")]))
+    rows = told(gather([story.save(tmp_path / "log.jsonl")]).attempts)
     assert rows[0] == ("a", "A", 1, 1, 0.0, 1.0, "done")
 
 
@@ -244,7 +243,9 @@ def test_a_robots_own_log_tells_when_its_goals_were_sent(tmp_path) -> None:
     story.slot(31.0, log_entries.Join("a", 1))
     goal(story, 31.5, "A", 3, 2, 1)
     story.slot(33.0, Done("a", 1, 3))
-    own = [row for row in told(read_attempts([story.save(tmp_path / "a.jsonl")])) if row[0] == "a"]
+    own = [
+        row for row in told(gather([story.save(tmp_path / "a.jsonl")]).attempts) if row[0] == "a"
+    ]
     assert own == [
         ("a", "A", 1, 1, 0.6, 1.0, "aborted"),
         ("a", "A", 1, 2, 3.0, 5.0, "t1"),
@@ -266,7 +267,9 @@ def test_the_monotonic_clock_of_another_boot_is_not_compared(tmp_path) -> None:
     ):
         line, story.sum = line_of({**record, "wall": 1e9 + t, "mono": mono}, story.sum)
         story.lines.append(line)
-    own = [row for row in told(read_attempts([story.save(tmp_path / "a.jsonl")])) if row[0] == "a"]
+    own = [
+        row for row in told(gather([story.save(tmp_path / "a.jsonl")]).attempts) if row[0] == "a"
+    ]
     assert own == [
         ("a", "A", 1, 1, 1.0, 2.0, "done"),
         ("a", "B", 2, 1, 52.0, 54.0, "censored"),
@@ -280,7 +283,7 @@ def test_an_evicted_robot_was_last_known_to_act_before_it_fell_silent(tmp_path) 
     story.slot(20.0, log_entries.Join("b", 1))
     story.slot(22.0, log_entries.Evict("b", 1))  # silent for longer than it was back
     others = [
-        row for row in told(read_attempts([story.save(tmp_path / "a.jsonl")])) if row[0] == "b"
+        row for row in told(gather([story.save(tmp_path / "a.jsonl")]).attempts) if row[0] == "b"
     ]
     assert others == [("b", "B", 2, 1, 1.0, 6.0, "censored")]
 
@@ -432,7 +435,7 @@ def test_a_log_in_which_a_line_was_changed_is_refused(tmp_path) -> None:
     path = tmp_path / "log.jsonl"
     path.write_text("".join(simple(ring(), "one").lines).replace('"visit":1,', '"visit":2,', 1))
     with pytest.raises(LogError, match=r"log.jsonl:3: does not follow from the lines before it"):
-        read_attempts([str(path)])
+        gather([str(path)])
 
 
 @pytest.mark.parametrize(
@@ -455,7 +458,7 @@ def test_a_record_that_makes_no_sense_is_an_error_with_its_line(tmp_path, record
     story.write(2.0, **record)
     path = story.save(tmp_path / "a.jsonl")
     with pytest.raises(LogError) as caught:
-        read_attempts([path])
+        gather([path])
     assert "a.jsonl:6" in str(caught.value)
 
 

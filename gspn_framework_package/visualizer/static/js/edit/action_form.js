@@ -47,14 +47,6 @@ export function kindOfAction(value) {
   );
 }
 
-/** An action in words. */
-export function actionText(value) {
-  if (value === undefined) return "not mapped";
-  const kind = kindOfAction(value);
-  if (kind === "none") return "nothing";
-  return typeof value === "string" ? value : [value[kind]].flat().join(" ");
-}
-
 /** The form of an action. A subnet is offered where the schema here allows one. */
 export function actionField(form, lens, title, schema) {
   const root = form.schema;

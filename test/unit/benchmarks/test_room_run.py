@@ -2,13 +2,13 @@
 
 import pytest
 
+from benchmarks.room_run import RoomRun
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.world.room_file import load_room
-from gspn_framework_package.world.room_run import RoomRun
 
 pytest.importorskip("pybullet")
 
