@@ -17,7 +17,8 @@ _EXIT_CODE = re.compile(r"exit code (\d+)")
 
 
 class File(NamedTuple):
-    """A file that a document writes down: a code block with a caption."""
+    """A file that a document writes down: a code block with a caption or, where GitHub shows the
+    document, with a file name after the language."""
 
     path: str
     text: str
@@ -87,6 +88,8 @@ def _block(name: str, info: str, begin: int, body: List[str]) -> Iterator[object
         if caption:
             text = [line for line in body if not line.startswith(":")]
             yield File(caption[0], "\n".join(text).strip() + "\n")
+    elif len(info.split()) == 2:
+        yield File(info.split()[1], "\n".join(body) + "\n")
     elif info in SHELL or (not info and _looks_like_shell(body)):
         yield from _commands(name, begin, body)
 

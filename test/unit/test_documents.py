@@ -9,6 +9,7 @@ with the reason. A command that is none of these fails.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import shlex
@@ -77,6 +78,9 @@ ANYWHERE = "docs/teams_anywhere.md"
 
 FIRST_PLAN, INSTALLING = "docs/first_plan.md", "docs/installing.md"
 
+README_RUN = "gspn run charge --allow-commands --firings 7"
+"""Run below, where its output is compared too."""
+
 
 def _name(document: Path) -> str:
     return str(document.relative_to(ROOT))
@@ -113,7 +117,7 @@ def _try(command: Command, sandbox: Path) -> None:
         return
     if command.document == FIRST_PLAN and not command.line.startswith("ros"):
         return  # typed below
-    if command.line in {step.line for step in workspace_on_debian()}:
+    if command.line == README_RUN or command.line in {step.line for step in workspace_on_debian()}:
         return  # typed below
     words = Command(*command[:2], re.sub(r"\$\([^)]*\)", "FOUND", command.line), "").words
     if command.document == ANYWHERE and words[0] in ("gspn", "python3"):
@@ -476,8 +480,6 @@ def test_every_verb_is_documented():
 
 
 def test_every_key_of_a_plan_is_documented():
-    import json
-
     schema = json.loads((ROOT / PACKAGE / "formats/plan.schema.json").read_text(encoding="utf-8"))
     text = _text("plan_file.md")
     for key in schema["properties"]:
@@ -553,14 +555,55 @@ def test_the_site_and_its_first_page_list_every_document():
     assert pages - parts <= set(re.findall(r"\]\((\w+)\.md", text))
 
 
-def test_the_readme_is_one_screen_with_a_film():
+def test_the_readme_shows_a_plan_then_a_film():
+    """Two screens of text: what it is and how it starts, a plan and its run; then why."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert len(readme.splitlines()) <= 45
-    assert "](docs/index.md)" in readme
-    (film,) = re.findall(r"!\[[^]]*\]\((docs/images/\S+)\)", readme)
+    lines = readme.splitlines()
+    assert len(lines) <= 95
+    assert [line.split()[0] for line in lines[7:9]] == ["./run_demo", "./run_tests"]
+    plan, output = readme.index("```json charge/plan.json"), readme.index("```text")
+    assert readme[:plan].count("\n") < 25 and plan < output < readme.index("| **this package** |")
+    prose = re.sub(r"```.*?```|^\|.*$", "", readme, flags=re.DOTALL | re.MULTILINE)
+    assert max(len(part.splitlines()) for part in prose.split("\n\n")) <= 4
+    assert "](docs/index.md)" in readme and "](docs/recipes.md)" in readme
+    (film,) = re.findall(r"!\[[^]]*\]\((docs/images/\S+\.webp)\)", readme)
     assert os.path.getsize(ROOT / film) < 3_000_000
     with Image.open(ROOT / film) as pictures:
         assert pictures.n_frames > 50
+
+
+def test_the_plan_of_the_readme_prints_what_the_readme_says(tmp_path):
+    found = list(steps(ROOT / "README.md"))
+    (plan,) = [step for step in found if isinstance(step, File)]
+    assert README_RUN in [step.line for step in found if isinstance(step, Command)]
+    path = tmp_path / plan.path
+    path.parent.mkdir()
+    path.write_text(plan.text, encoding="utf-8")
+    ran = subprocess.run(
+        [sys.executable, "-m", PACKAGE, *README_RUN.split()[1:]],
+        cwd=str(tmp_path),
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert ran.returncode == 0, ran.stderr
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```text\n(.*?)```", readme, re.DOTALL)
+    seconds = re.compile(r"in [0-9.]+ s;")
+    assert seconds.sub("", ran.stdout) == seconds.sub("", shown)
+    picture = (ROOT / "docs/images/charge.svg").read_text(encoding="utf-8")
+    nodes = json.loads(plan.text)["net"]
+    assert all(">%s<" % node["name"] in picture for node in nodes["places"] + nodes["transitions"])
+
+
+def test_each_of_the_thirty_recipes_is_one_command():
+    recipes = _text("recipes.md").split("\n### ... ")[1:]
+    assert len(recipes) == 30
+    for recipe in recipes:
+        assert recipe.split("\n")[0].endswith("?"), recipe
+        assert len(re.findall(r"```sh\n[^\n]+\n```", recipe)) == recipe.count("```sh") == 1, recipe
 
 
 def test_the_program_that_films_the_readme_starts():
