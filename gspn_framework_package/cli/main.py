@@ -104,7 +104,7 @@ GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
         "sweep": Verb(
             ".sweep",
             "measure a net or plan for many teams, rates, durations or policies at once",
-            "sweep my_patrol --vary robots=1:5",
+            "sweep my_patrol --vary robots=1..5 --time 600",
         ),
         "plot": Verb(
             ".plot",
