@@ -17,7 +17,7 @@ from gspn_framework_package.model.errors import ExecutionError
 ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
 
 LAST_WORDS = 5.0
-"""Seconds that a program has to end when it is told to."""
+"""Seconds that a program has to end when it is asked to."""
 
 _START = 20.0
 

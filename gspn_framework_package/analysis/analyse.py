@@ -130,8 +130,8 @@ class Analysis:
         self.plan = subject if isinstance(subject, Plan) else None
         if lump is not None and self.plan is not None:
             raise UsageError(
-                "equal parts of a plan cannot be exchanged, since its policy may tell them apart",
-                hint="its robots are not told apart anyway; or analyse its net alone (--only-net)",
+                "equal parts of a plan cannot be exchanged, since its policy may distinguish them",
+                hint="its robots count as equal anyway; or analyse its net alone (--only-net)",
             )
         self.net: Net = subject.net if isinstance(subject, Plan) else subject
         self._reading = checked_reading(timing or (RUN if self.plan is not None else NET))
@@ -280,7 +280,7 @@ class Analysis:
 
     def _symmetry(self, net: Net) -> Symmetry:
         """What can be exchanged in the net, or in the part of it without some counters. What puts
-        different numbers of tokens into these is told apart."""
+        different numbers of tokens into these is distinguished."""
         assert self._lump is not None
         kept = list(net.place_index)
         gone = {p for p, place in enumerate(self.net.places) if place.name not in net.place_index}

@@ -19,7 +19,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 LAST_WORDS = 5.0
-"""Seconds that an agent has to end when it is told to."""
+"""Seconds that an agent has to end when it is asked to."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -199,7 +199,7 @@ def _timing_text(timing: Mapping[str, Any]) -> Iterator[str]:
     yield "time: %s" % ("as the plan runs" if as_it_runs else "as in its net alone (--timing net)")
     if as_it_runs:
         splits = timing["splits"]
-        yield "    doing and done are told apart in%s" % (
+        yield "    doing and done are distinguished in%s" % (
             ":" if splits else " no place: the net is the same chain"
         )
         for place, why in list(splits.items())[:SHOWN]:

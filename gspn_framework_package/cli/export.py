@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="event logs, or folders of them; several logs of a run each tell of their own robot",
+        help="event logs, or folders of them; several logs of a run each speak for their own robot",
     )
     parser.add_argument("--bag", metavar="FILE", help="write a rosbag, for rosbag and PlotJuggler")
     parser.add_argument("--mcap", metavar="FILE", help="write an MCAP file, for Foxglove")

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="LOG",
         help="event logs of runs of the plan, or folders of them; of a team, give the logs of all "
-        "its robots; also rosbags of fired_transitions, which tell less",
+        "its robots; also rosbags of fired_transitions, which hold less",
     )
     parser.add_argument(
         "-o",

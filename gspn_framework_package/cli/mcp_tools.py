@@ -253,7 +253,7 @@ class PlanTools:
         folder = self._folder.resolve(head or ".")
         whole = os.path.join(folder, tail)
         if os.path.lexists(whole):
-            raise RefusedError("it is there already", file=path, hint="choose another name")
+            raise RefusedError("it already exists", file=path, hint="choose another name")
         return os.path.join(".", os.path.relpath(whole, self._folder.root))
 
     def _draft(self, fields: Json, output: str, run: _Runs) -> str:

@@ -1,4 +1,4 @@
-"""The attempts at actions that event logs tell of: when each began and ended, and what came of it.
+"""The attempts at actions in event logs: when each began and ended, and what came of it.
 
 An attempt begins when its action starts: with the ``goal`` record in the log of the robot itself,
 otherwise with the slot that moved the robot, plus the delay of a retry. It ends with the slot that
@@ -63,7 +63,7 @@ class Attempt(NamedTuple):
 
     ``start`` and ``end`` are seconds on the clock of the log; for a censored attempt ``end`` is
     when it was last known to go on. ``completed``: the end is known. ``result`` is the transition
-    that the action named, "" if it named none, and only tells something if the attempt is
+    that the action named, "" if it named none, and only means something if the attempt is
     completed and did not fail. ``failed`` is the reason of a failure, otherwise "". ``log`` is the
     index of the log among those given.
     """
@@ -490,7 +490,7 @@ class AttemptFollower:
 
 
 class Gathered(NamedTuple):
-    """What several logs tell together.
+    """What several logs say together.
 
     :ivar plan: the plan of the first log.
     :ivar attempts: every attempt once, run by run and robot by robot in the order of time.
@@ -630,7 +630,7 @@ def _is_of_run(log: _Log, other: _Log) -> bool:
 def _read_run(
     run: Sequence[_Log], count: _Counter, notes: List[str]
 ) -> Tuple[List[Attempt], Dict[str, EventCount]]:
-    """The attempts of one run, and what its longest log tells of the environment."""
+    """The attempts of one run, and what its longest log says of the environment."""
     plan = run[0].file.plan
     own: Set[str] = {log.robot for log in run}
     others = any(robot.name not in own for robot in plan.robots) or len(own - {""}) < 1
@@ -668,7 +668,7 @@ def _read_run(
             "the own logs of %s are not here: %s"
             % (
                 ", ".join(sorted(late)),
-                "in partial synchronisation, the logs of others do not tell when its actions end, "
+                "in partial synchronisation, the logs of others do not show when its actions end, "
                 "so it is left out"
                 if partial
                 else "its times are those at which %s heard of them" % longest.robot,
@@ -707,9 +707,9 @@ class _Counter:
 
 
 class SeenFiring(NamedTuple):
-    """A firing as ``fired_transitions`` tells it, for example in a rosbag: when it was heard (s),
+    """A firing as ``fired_transitions`` reports it, for example in a rosbag: when it was heard (s),
     the name of the run, the transition, the robot that asked for it ("" if none did), and the new
-    place of each robot that it moved. ``key`` tells it from the other firings of the run."""
+    place of each robot that it moved. ``key`` identifies it in the run."""
 
     time: float
     run: str
@@ -774,7 +774,7 @@ def attempts_between(
         if place in open_places:
             found.append(Attempt(robot, place, visit, 1, start, last[run], False, log=log))
     notes = [
-        "firings tell when robots leave, not when their actions end; retries, failures and pauses "
+        "firings show when robots leave, not when their actions end; retries, failures and pauses "
         "are not seen"
     ]
     left_out = [

@@ -134,7 +134,7 @@ class Halts:
         """Whether the robot's action may start: "yes", "no" (it halts), or "pause" (it halts, and
         the pause has to be ordered).
 
-        :param visit: anything that tells this visit from others.
+        :param visit: anything that distinguishes this visit from others.
         :param attempt: the number of the attempt. A later one halts only if the robot is paused:
             its node was restarted while it halted.
         :param paused: whether the robot is paused, according to the log.

@@ -220,5 +220,5 @@ _UNFORESEEN = {
     log_entries.Evict: "was lost",
     log_entries.SetPlace: "was put into another place",
     log_entries.Pause: "was paused",
-    log_entries.Retry: "was told to try again",
+    log_entries.Retry: "was ordered to try again",
 }

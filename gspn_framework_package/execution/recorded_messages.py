@@ -1,6 +1,6 @@
 """The messages that a run would have published, made of its event logs.
 
-One log tells everything that the team agreed on. The log of a robot itself also tells when exactly
+One log holds everything that the team agreed on. The robot's own log also shows when exactly
 its own phases began, so with several logs of a run each robot's activity comes from its own.
 """
 
@@ -37,8 +37,8 @@ class RecordedMessage(NamedTuple):
 def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
     """Yield the messages of one or more runs, in the order of their times.
 
-    :param logs: event logs; those of one run each tell of their own robot. The largest log of a run
-        also tells of the team, and of the robots whose logs are not there.
+    :param logs: event logs; those of one run each speak for their own robot. The largest log of a
+        run also speaks for the team, and for the robots whose logs are not there.
     :raises LogError: a log cannot be followed.
     """
     runs: Dict[str, List[LogFile]] = {}
@@ -53,9 +53,9 @@ def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
 
 
 def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[RecordedMessage]:
-    """The messages that one log tells of.
+    """The messages that one log yields.
 
-    :param whole: tell of the team and of all robots, but for ``others``, whose logs do; otherwise
+    :param whole: report the team and all robots, but for ``others``, whose logs do; otherwise
         of the robot that keeps the log.
     """
     reader = _LogReader(log)

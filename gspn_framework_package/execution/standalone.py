@@ -89,7 +89,7 @@ class Listener:
         """The entries of log slot ``slot`` were reduced and led to these firings and this state."""
 
     def on_plan(self, plan: Plan) -> None:
-        """The run goes on under another plan; told before the step that adopts it."""
+        """The run goes on under another plan; called before the step that adopts it."""
 
     def on_phase(self, agent: str, phase: Phase) -> None:
         """An agent entered a phase: FREE, DOING (Occupied), DONE, WAITING, FAILED, INACTIVE, or at

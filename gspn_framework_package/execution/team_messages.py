@@ -90,7 +90,7 @@ def marking_lists(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
 def robot_fields(
     game: TokenGame, state: TeamState, robot: RobotState, run: str, plan: str
 ) -> Fields:
-    """The fields of the ``RobotActivity`` of a robot, as a log tells it.
+    """The fields of the ``RobotActivity`` of a robot, according to a log.
 
     :param game: the rules that the team follows now.
     :param state: its state.

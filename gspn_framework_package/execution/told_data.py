@@ -1,4 +1,4 @@
-"""What is told of the data, tasks and held events of a team: whole to programs, shortened to
+"""What is shown of the data, tasks and held events of a team: whole to programs, shortened to
 people."""
 
 from __future__ import annotations

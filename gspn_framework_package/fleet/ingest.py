@@ -1,8 +1,8 @@
 """Reads event logs into a store of a fleet's history.
 
-A run is read once, although each robot of a team has its log: a log tells of the slots that no
-other one has told of yet, and its other slots are compared with theirs. How far a log was read is
-kept, so that the next ingest goes on there. Times are those at which the log that told of a slot
+A run is read once, although each robot of a team has its log: a log yields the slots that no
+other one has yielded yet, and its other slots are compared with theirs. How far a log was read is
+kept, so that the next ingest goes on there. Times are those at which the log that yielded a slot
 first heard of it.
 """
 
@@ -127,7 +127,7 @@ class Ingest:
                 files.append(LogFile(path))
             except GspnError as error:
                 yield IngestedLog(path, error=str(error))
-        # the logs that have most to tell come first; the others then only add what those lack
+        # the logs that hold most come first; the others then only add what those lack
         for file in sorted(files, key=lambda file: -file.size):
             yield self._read_one(file)
 
@@ -254,7 +254,7 @@ class Ingest:
 
     @staticmethod
     def _is_new(record: Record, follower: StayFollower, run: Manifest) -> bool:
-        """Whether a slot or snapshot tells of what no log has told of yet.
+        """Whether a slot or snapshot holds what no log has yielded yet.
 
         :raises LogError: it contradicts another log.
         """

@@ -1,4 +1,4 @@
-"""What a run tells of a fleet: how long each robot was where, doing what, and what happened.
+"""What a run shows of a fleet: how long each robot was where, doing what, and what happened.
 
 The follower replays the slots of a run with the token game and makes rows of two kinds. A *stay* is
 a visit of a robot to a place, or a part of one: stays are cut at midnight (UTC), where time was not

@@ -1,6 +1,6 @@
 """The difference of two plans, as edited documents (see ``formats.edited_document``).
 
-Nodes are told apart by their names, arcs by their ends, robots by their names, rows of the policy
+Nodes are identified by their names, arcs by their ends, robots by their names, rows of the policy
 by what they match. So a renamed node counts as one that is removed and one that is added. A value
 that is left out is the same as its default.
 """
@@ -157,7 +157,7 @@ def _order(plural: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator
 
 
 def _named(kind: str, elements: Any) -> Dict[Tuple[Any, ...], Mapping[str, Any]]:
-    """The elements of a list of the net by what tells them apart; of doubles, by their number
+    """The elements of a list of the net by what identifies them; of doubles, by their number
     too."""
     found: Dict[Tuple[Any, ...], Mapping[str, Any]] = {}
     for element in elements if isinstance(elements, list) else ():

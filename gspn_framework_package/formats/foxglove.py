@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any, Dict, Sequence, Union
 
 PLOTTED = 12
-"""Most places whose tokens are plotted: more curves cannot be told apart."""
+"""Most places whose tokens are plotted: more curves cannot be distinguished."""
 
 Tree = Union[str, Dict[str, Any]]
 

@@ -1,4 +1,4 @@
-"""Plan files: the package's own form and the two input forms of the thesis, told apart by keys."""
+"""Plan files: the package's own form and the two of the thesis, distinguished by their keys."""
 
 from __future__ import annotations
 

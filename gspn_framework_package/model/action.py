@@ -1,7 +1,7 @@
 """What a robot does in an action place: the kinds of action that a plan can name.
 
 Each kind is one class here: its fields, and how it is read from a plan file and written to it. The
-key that only this kind has (``function``, ``server``, ...) tells them apart; ``plan.schema.json``
+key that only this kind has (``function``, ``server``, ...) identifies it; ``plan.schema.json``
 describes each. What carries an action out is at the edge: ``execution.actions`` for functions and
 commands, the package ``ros`` for the others.
 """

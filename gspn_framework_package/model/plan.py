@@ -136,7 +136,7 @@ class Plan:
     :ivar robots: the robots of the team.
     :ivar spawn: the places where the robots of a larger team start, cyclically.
     :ivar synchronisation: how much the robots share with each other.
-    :ivar transport: what carries the messages between robots that are not told otherwise at their
+    :ivar transport: what carries the messages between robots that have no other setting at their
         start. Not part of :meth:`hash`.
     :ivar seed: seed of the policy's random draws.
     :ivar strict: whether a marking without a policy row is a fault.

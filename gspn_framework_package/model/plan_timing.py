@@ -87,7 +87,7 @@ class PlanTiming:
     @property
     def splits(self) -> Dict[str, str]:
         """Place -> why the run differs there from the classical reading of the net: the places
-        where *doing* and *done* must be told apart."""
+        where *doing* and *done* must be distinguished."""
         found = {}
         for p, timing in self.places.items():
             why = self._why_split(p, self._idle[p] if self._is_idle(p) else timing)

@@ -402,7 +402,7 @@ class _Branch:
 
     :ivar ends: precedence (negative number of cells) and number of the best row that ends here.
     :ivar cells: what that row has yet to match, if it is the only one from here on.
-    :ivar column: the place that tells the other rows apart.
+    :ivar column: the place that distinguishes the other rows.
     :ivar by_count: tokens there -> node.
     :ivar any: the node of the rows that have a wildcard there.
     """
@@ -420,7 +420,7 @@ class _Branch:
 class _RowTree:
     """Rows with many different sets of wildcards, in a tree: each node compares one place, and rows
     with a wildcard there are in a branch of their own. A look-up visits the nodes whose rows still
-    match; rows that a few places tell apart are found in a few steps."""
+    match; rows that a few places distinguish are found in a few steps."""
 
     def __init__(self, columns: Sequence[int], groups: Mapping[Tuple[int, ...], KeyedRows]) -> None:
         self._root = _Branch()

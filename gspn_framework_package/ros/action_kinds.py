@@ -54,7 +54,7 @@ LOOK_EVERY = 0.1
 
 
 class ServiceJob(Job):
-    """Calls a service. A call that is cancelled is broken off; the service is not told."""
+    """Calls a service. A call that is cancelled is abandoned; the service does not learn of it."""
 
     def __init__(self, plan: Plan, place: str, action: ServiceAction, namespace: str) -> None:
         super().__init__(place, action)
@@ -243,7 +243,7 @@ class WaitJob(Job):
             return False
 
     def _is_there(self, message: genpy.Message) -> bool:
-        """Whether the node that latched the message would still tell it."""
+        """Whether the node that latched the message would still deliver it."""
         assert self._subscriber is not None
         caller = message._connection_header.get("callerid", "")
         return any(c.callerid_pub == caller for c in self._subscriber.impl.connections)

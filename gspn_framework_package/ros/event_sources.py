@@ -48,8 +48,8 @@ class ConditionSource:
         self._complaints = Complaints(host, "event '%s' (%s)" % (transition, source.label))
         self._lock = threading.Lock()
         self._holds = False
-        self._given = False  # what the replica was told
-        self._rise: Optional[Mapping[str, Any]] = None  # the cause of one that it was not told
+        self._given = False  # what the replica knows
+        self._rise: Optional[Mapping[str, Any]] = None  # the cause of one that it does not know
         self._on_its_way = False
 
     def take(self, message: Any) -> None:

@@ -226,7 +226,7 @@ class TeamView:
                 self._spots = {**found, **spots_of_goals(plan)}
 
     def _tokens(self) -> Dict[str, int]:
-        """Place -> tokens, as far as the team has told; before, as the plan begins."""
+        """Place -> tokens, as far as the team has reported; before, as the plan begins."""
         with self._lock:
             told = self._marking
         if told is None:

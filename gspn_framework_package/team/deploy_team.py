@@ -35,7 +35,7 @@ class DeployTeam:
     :param order: gives the team an order (command, argument); returns whether it was carried out,
         and what the robot says.
     :param statuses: asks the robots of the run for their statuses.
-    :param tell: is told of the votes whenever they change.
+    :param tell: receives the votes whenever they change.
     :param wait: seconds that the members have to look at the plan.
     """
 

@@ -51,7 +51,7 @@ class Brought(NamedTuple):
 
 
 class FloodWatch:
-    """Tells which connections are to be braked. It knows no sockets."""
+    """Says which connections to brake. It knows no sockets."""
 
     def __init__(self) -> None:
         self._before: Dict[str, Brought] = {}
@@ -129,12 +129,14 @@ class FloodBrake:
         for number in flooding - set(self._braked):
             self._braked[number] = ends[number]
             self._news.append(
-                "%s sends more than a robot: it is heard in pieces" % self._braked[number]
+                "%s sends more than a robot does: it is read more slowly" % self._braked[number]
             )
         freed = set(self._braked) - flooding
         self._set(set(self._braked), 1)  # who waits for the rest of a piece waits no longer
         for number in freed:
-            self._news.append("%s is heard as before, or is gone" % self._braked.pop(number))
+            self._news.append(
+                "%s is read at full speed again, or has disconnected" % self._braked.pop(number)
+            )
         if self._braked:
             self._over.wait(_LETS_IN)
             self._set(set(self._braked), PIECE)

@@ -61,7 +61,7 @@ BREAKPOINTS_PERIOD = 0.5
 
 
 class HostOptions(NamedTuple):
-    """What a host is told besides its plan and robot."""
+    """The options of a host besides its plan and robot."""
 
     run: str
     """Name of the run."""
@@ -448,7 +448,7 @@ class ReplicaHost(Worker):
     def _examine(self, effect: interface.Examine) -> None:
         """Find out whether the robot can follow a staged plan. This may take a while, in which the
         host has to be heard."""
-        self._narrator.tell("looks at the staged plan '%s'" % effect.plan.name)
+        self._narrator.tell("examines the staged plan '%s'" % effect.plan.name)
 
         def staged() -> Plan:
             return with_folder(effect.plan, effect.folder, self._began_with)

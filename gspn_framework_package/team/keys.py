@@ -9,7 +9,7 @@ The folder that :func:`make_team` writes::
         authority.pem  certificate.pem  key.pem  team.json
 
 A certificate has the name of its member as common name. A name that is used again after a
-revocation gets another common name (``robot_2#2``), so that the allow-list tells the new
+revocation gets another common name (``robot_2#2``), so that the allow-list distinguishes the new
 certificate from the stolen one. Zenoh reads no revocation lists; routers enforce the allow-list
 instead (see docs/security.md).
 """
@@ -106,7 +106,7 @@ def make_team(folder: str, members: Sequence[NewMember], days: int) -> List[KeyH
     _check_new(members, days, [])
     if os.path.lexists(folder) and (not os.path.isdir(folder) or os.listdir(folder)):
         raise KeysError(
-            "is there already; nothing was written",
+            "already exists; nothing was written",
             file=folder,
             hint="give a new folder, or add members with 'gspn keys add'",
         )
@@ -168,7 +168,7 @@ def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolde
     if not 1 <= days <= 36500:
         raise KeysError("certificates cannot be valid for %d days" % days, hint="1 to 36500")
     if not members:
-        raise KeysError("nobody is named", hint="--robots NAME ...")
+        raise KeysError("no member is named", hint="--robots NAME ...")
     names = _valid_names(there)
     for new in members:
         wrong = (
@@ -186,7 +186,7 @@ def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolde
         if new.name in names:
             raise KeysError(
                 "'%s' is named twice" % new.name if not there else "'%s' has keys" % new.name,
-                hint="each member has a name of its own" if not there else "revoke them first",
+                hint="each member needs its own name" if not there else "revoke them first",
             )
         names.add(new.name)
 
@@ -410,7 +410,9 @@ def _member(row: Any, number: int, path: str) -> KeyHolder:
     if not isinstance(row, dict) or sorted(row) != sorted(fields):
         raise KeysError("has not: %s" % ", ".join(fields), file=path, element="member %d" % number)
     if not all(isinstance(value, str) for value in row.values()) or row["role"] not in ROLES:
-        raise KeysError("is not of the form of a member", file=path, element="member %d" % number)
+        raise KeysError(
+            "has a value that no member can have", file=path, element="member %d" % number
+        )
     return KeyHolder(**row)
 
 

@@ -14,7 +14,7 @@ for a receiver that has restarted, is refused. Recordings younger than that are 
 messages to a receiver that has just started, and the agreement copes with these. Orders are not
 delayed: each has to be fresh, counts once, and is younger than the receiver's process.
 
-Whoever has the key can speak for every robot: the key keeps others out, and tells nobody apart.
+Whoever has the key can speak for every robot: the key keeps others out, and identifies nobody.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def make_team_key(path: str) -> None:
     try:
         write_private(path, os.urandom(_KEY_BYTES).hex().encode() + b"\n")
     except FileExistsError:
-        raise KeysError("is there already; nothing was written", file=path) from None
+        raise KeysError("already exists; nothing was written", file=path) from None
     except OSError as error:
         raise KeysError("cannot be written (%s)" % error.strerror, file=path) from None
 
@@ -145,7 +145,7 @@ class _Numbers:
         if -ahead >= WINDOW:
             return "too late"
         if self._seen >> -ahead & 1:
-            return "a message that came before"
+            return "a message that was received before"
         self._seen |= 1 << -ahead
         return ""
 
@@ -233,7 +233,7 @@ class Seal:
             while self._orders and next(iter(self._orders.values())) < now - 4 * FRESH:
                 self._orders.popitem(last=False)
             if (line.session, line.number) in self._orders:
-                raise NotSealedError("an order that came before", line.sender)
+                raise NotSealedError("an order that was received before", line.sender)
             self._orders[line.session, line.number] = now
         return Unsealed(line.sender, body)
 

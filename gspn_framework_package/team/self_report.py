@@ -23,11 +23,11 @@ from gspn_framework_package.team.sides import ActionSide
 from gspn_framework_package.team.worker import View
 
 MOST_REFUSALS = 20
-"""Kinds of refused messages that are told apart, the most frequent ones."""
+"""Kinds of refused messages that are reported by name, the most frequent ones."""
 
 
 MOST_ORDERS = 5
-"""Orders that are told, the last ones."""
+"""Orders that are reported, the last ones."""
 
 
 class SelfReport:

@@ -58,7 +58,7 @@ class Activity:
         lists ``deploy`` among the commands that it offers.
 
         :param mapping: names of the present net -> their names in ``plan``.
-        :param tell: is told of the votes whenever they change.
+        :param tell: receives the votes whenever they change.
         :raises GspnError: the plan is refused.
         """
         raise RefusedError("no plan can be deployed here", hint="start a run first")

@@ -104,7 +104,7 @@ def fire_event(
 def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
     """The event of what changed of a team's data and tasks; none if nothing did.
 
-    :param known: what was told before; updated.
+    :param known: what was reported before; updated.
     :param told: what is true now: ``team``, ``queues``, ``waiting``.
     """
     event: Event = {}
@@ -112,7 +112,7 @@ def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
         if told[key] != known.get(key, type(told[key])()):
             event[key] = known[key] = told[key]
     queues = known.setdefault("queues", {})
-    # a queue that is not told of is empty
+    # a queue that is not reported is empty
     now = {**dict.fromkeys(queues, []), **told["queues"]}
     changed = {place: tasks for place, tasks in now.items() if tasks != queues.get(place, [])}
     if changed:

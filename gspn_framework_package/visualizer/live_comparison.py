@@ -20,7 +20,7 @@ hub with a monitor, and publishes the latest value ``model`` for the page:
 ``false_alarm_every``
     Mean time between two false alarms of all streams together, in seconds.
 
-Firings tell when an action ended if its transition fired at once; otherwise the event that the
+Firings show when an action ended if its transition fired at once; otherwise the event that the
 robot waits does. Where a run is met in mid-course, robots are watched from their next visit on.
 """
 
@@ -82,7 +82,7 @@ class _Attempt(NamedTuple):
 
 
 class RunFollower:
-    """Tells a monitor what the events of a hub say.
+    """Passes the events of a hub to a monitor.
 
     :param plan: the plan of the run.
     :param monitor: the monitor.
@@ -222,7 +222,7 @@ class LiveComparison:
     :param plan: the plan that runs.
     :param hub: its epoch is that of the run.
     :param complete: whether the run begins with the epoch.
-    :param listener: is told of the alarms, on a thread of its own.
+    :param listener: receives the alarms, on a thread of its own.
     :param number: of the plan, as the board counts them.
     """
 

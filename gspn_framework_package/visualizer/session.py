@@ -227,7 +227,7 @@ class Sessions:
             return list(self._sessions.values())
 
     def drop(self, session: Session, why: str) -> None:
-        """Close a session, and tell its viewers why."""
+        """Close a session, and send its viewers the reason."""
         with self._lock:
             if self._sessions.get(session.key) is not session:
                 return

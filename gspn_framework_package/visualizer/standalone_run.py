@@ -213,7 +213,7 @@ class StandaloneRun(Activity, Listener):
         return {"message": "agents halt at: %s" % found.told}
 
     def _show_breakpoints(self) -> None:
-        """Tell the page where agents halt."""
+        """Show on the page where agents halt."""
         names = [*self._breakpoints.breakpoints.places, *self._breakpoints.breakpoints.transitions]
         if self._hub.info.get("breakpoints", []) != names:
             self._hub.change_info(breakpoints=names)

@@ -56,7 +56,7 @@ class TeamEvents:
         self._status: Dict[str, Any] = {}
         self._data: Dict[str, Any] = {}
         self._looked_at: Dict[str, Any] = {}
-        """Robot, or "" for the team -> its data and tasks when they were last told."""
+        """Robot, or "" for the team -> its data and tasks when they were last reported."""
 
     def board(self, running: bool, run: str = "") -> Board:
         """The board before the run named ``run`` begins."""
@@ -195,7 +195,7 @@ class TeamEvents:
             raw = (robot.data, robot.task, dict(robot.held), robot.resumed_from)
             if self._is_new(robot.name, raw):
                 told = told_of_robot(robot, self.net, brief=True)
-                # what a robot never had is not told of
+                # what a robot never had is not reported
                 seen.update({k: v for k, v in told.items() if v or (shown and shown.get(k))})
             if shown is None:
                 changed.append(seen)
@@ -218,7 +218,7 @@ class TeamEvents:
         return data_event(self._data, told_of_team(state, self.net, brief=True))
 
     def _is_new(self, whose: str, raw: Any) -> bool:
-        """Whether data and tasks may have changed since they were last told."""
+        """Whether data and tasks may have changed since they were last reported."""
         if self._looked_at.get(whose) == raw:
             return False
         self._looked_at[whose] = raw

@@ -9,7 +9,7 @@ go round in them for ever: putting the goal off is as good as going there only i
 the decision that leads nearer to the goal is taken (de Alfaro, *Computing Minimum and Maximum
 Reachability Times*, CONCUR 1999).
 
-As the plan runs, several states may have one marking, and a policy does not tell them apart. Where
+As the plan runs, several states may have one marking, and a policy does not distinguish them. Where
 they would decide differently, the marking's decision is improved for all of them together, each
 with the weight of how often it is visited; the value of the result is then computed by itself.
 """
@@ -85,7 +85,7 @@ def group(
     """The decisions by marking that come closest to a solution: those of the present policy if none
     that were found are worth more.
 
-    :raises RefusedError: they have no value, or not one that the states can tell.
+    :raises RefusedError: they have no value, or not one that the states show.
     """
     grouping = _Grouping(team, rewards, objective, goal, allowed, watch)
     found: Optional[Grouped] = None
@@ -167,7 +167,7 @@ written."""
 
 
 def reaches(evaluated: Evaluated, best: Any, objective: Objective) -> bool:
-    """Whether the value of a policy is the best one, as far as the certified bounds of both tell.
+    """Whether the value of a policy is the best one, as far as the certified bounds of both show.
 
     :param best: what has the bounds of the best value, ``lower`` and ``upper``.
     """
@@ -366,7 +366,7 @@ class _Grouping:
                 break
         if len(torn):
             notes.append(
-                "in %d markings, states that a policy does not tell apart would decide "
+                "in %d markings, states that a policy does not distinguish would decide "
                 "differently; they decide alike" % len(torn)
             )
             found, chosen = self._improved(found, chosen, torn, worth)

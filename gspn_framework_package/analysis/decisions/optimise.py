@@ -209,7 +209,7 @@ class _Exactly:
         return results
 
     def _wide(self, answer: TeamSolution) -> List[str]:
-        """What to say if the policy may not be the best, as far as the interval tells."""
+        """What to say if the policy may not be the best, as far as the interval shows."""
         missed = [constraint for constraint in answer.constraints if not constraint.kept]
         told = [
             "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "

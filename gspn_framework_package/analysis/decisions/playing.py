@@ -25,7 +25,7 @@ class Play(NamedTuple):
     :ivar shares: float array, one value per arc: the probability that it is the first to fire.
     :ivar waits: float array, one value per state: the probability that none fires.
     :ivar unsettled: boolean array, one value per state: the run would have to know more than the
-      state tells: which robot finished first, or what a robot has drawn before.
+      state shows: which robot finished first, or what a robot has drawn before.
     """
 
     shares: Floats
@@ -38,7 +38,7 @@ Choices = Tuple[Tuple[int, float], ...]
 
 
 class Answers:
-    """What a robot is told that asks for a decision; made from a policy.
+    """The answer to a robot that asks for a decision; made from a policy.
 
     :param plan: the plan, with weights for markings of which the policy says nothing.
     """
@@ -86,7 +86,7 @@ class Answers:
 
 
 class DecidedAnswers:
-    """What a robot is told by decisions, state by state.
+    """The answers of decisions, state by state.
 
     :param kind: int array: for each state the number of its decision; -1: none, so it waits.
     :param kinds: the decisions: transition (of the plan's net) -> probability.

@@ -268,7 +268,7 @@ class DecisionProblem:
 
     @cached_property
     def _doing_places(self) -> Set[int]:
-        """The places (numbers of the plan's net) in which robots are told apart by doing and
+        """The places (numbers of the plan's net) in which robots are distinguished by doing and
         done."""
         if self._rules is None:
             return set()
@@ -522,7 +522,7 @@ class DecisionProblem:
     def weights_of(self, team: Team, policy: Policy) -> Floats:
         """The probability of each row under a policy, by the plan's own rules.
 
-        :raises RefusedError: these rows do not tell what the policy does.
+        :raises RefusedError: these rows do not say what the policy does.
         """
         self._check_chosen(policy, self.found)
         return self._weights(team, self._play(policy))
@@ -535,7 +535,7 @@ class DecisionProblem:
         :param kind: int array: for each of the team's distinct markings the number of its decision;
           -1: none.
         :param kinds: the decisions: transition -> probability.
-        :raises RefusedError: these rows do not tell what the decisions do.
+        :raises RefusedError: these rows do not say what the decisions do.
         """
         of_state = np.full(len(self.space), -1, dtype=np.int64)
         mine = np.flatnonzero(~team.twin)
@@ -566,7 +566,7 @@ class DecisionProblem:
         return mine
 
     def _check_heard(self, team: Team, weights: Floats, unheard: Booleans, played: Play) -> None:
-        """:raises RefusedError: the policy leads to a state in which its rows do not tell what it
+        """:raises RefusedError: the policy leads to a state in which its rows do not say what it
         does."""
         wrong = unheard.copy()
         wrong[: len(played.unsettled)] |= played.unsettled

@@ -2,11 +2,11 @@
 visits all states of the problem.
 
 In the classical reading it is the plan's net itself. As the plan runs, an action place whose robots
-must be told apart keeps its place, with all robots in it, as inhibitor arcs, capacities, conditions
-and policies see them. It gets a further place for each thing that such a robot can be up to: doing
-its action, done and naming a transition, done and asking the policy. Every duration is taken as
-exponential with its mean. A transition of the plan may then occur several times, with robots from
-different ones of these places. An event that interrupts takes robots from each of them.
+must be distinguished keeps its place, with all robots in it, as inhibitor arcs, capacities,
+conditions and policies see them. It gets a further place for each thing that such a robot can be up
+to: doing its action, done and naming a transition, done and asking the policy. Every duration is
+taken as exponential with its mean. A transition of the plan may then occur several times, with
+robots from different ones of these places. An event that interrupts takes robots from each of them.
 """
 
 from __future__ import annotations

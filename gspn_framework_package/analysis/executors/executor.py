@@ -67,7 +67,7 @@ class Executor:
         """Yield the number of each task with its result, as they end.
 
         :param what: what the sizes of the tasks count, for the progress: ``runs``.
-        :param watch: told of the progress, and asked whether to stop.
+        :param watch: receives the progress, and is asked whether to stop.
         :raises CancelledError: the watch cancelled the work; no worker goes on with it.
         :raises WorkersError: the workers cannot be had, or died again and again.
         :raises GspnError: what a task raised.

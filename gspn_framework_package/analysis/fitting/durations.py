@@ -68,7 +68,7 @@ class Sample:
     def __init__(self, observed: Sequence[float], censored: Sequence[float] = ()) -> None:
         self.observed = _times(observed)
         self.censored = _times(censored)
-        # what was cut off at once tells nothing
+        # what was cut off at once carries no information
         self.censored = self.censored[self.censored > SHORTEST]
         self.grouped = _grouped(self.censored)
 
@@ -92,7 +92,7 @@ def _times(values: Sequence[float]) -> Any:
 
 def _grouped(times: Any) -> Tuple[Any, Any]:
     """Times, and how many each stands for: neighbours are put together where there are many, which
-    changes a likelihood by less than it can be told."""
+    changes a likelihood by less than can be observed."""
     if len(times) <= 2 * _GROUPS:
         return times, np.ones(len(times))
     parts = np.array_split(np.sort(times), _GROUPS)

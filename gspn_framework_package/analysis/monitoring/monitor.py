@@ -1,8 +1,8 @@
 """Watches a run for the moment from which it departs from its plan.
 
-A :class:`Monitor` is told when the attempts at actions begin and end, and what the policy chose. It
-keeps *streams*: the pace of each place, of each robot and of the whole team; the outcomes and the
-failures of each place; the policy's choices in each place. A stream consists of one or several
+A :class:`Monitor` is called when an attempt at an action begins or ends, and when the policy chose.
+It keeps *streams*: the pace of each place, of each robot and of the whole team; the outcomes and
+the failures of each place; the policy's choices in each place. A stream consists of one or several
 cumulative sums (``cusum``). All thresholds together are chosen so that a run that follows the plan
 raises one alarm in the stated time, all streams taken together.
 
@@ -439,7 +439,7 @@ class Monitor:
 
         :param completed: whether its action ended by itself; if not, its duration is unknown.
         :param result: the transition that it named, "" if none; None if that is not known yet, and
-            :meth:`result` will tell.
+            :meth:`result` will say.
         :param failed: why it failed ("" if it succeeded).
         """
         raised = self.advance(now)

@@ -17,7 +17,7 @@ def play(
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
 ) -> None:
-    """Tell a monitor of all attempts and choices of one run.
+    """Pass all attempts and choices of one run to a monitor.
 
     :param attempts: of class ``execution.attempts.Attempt``, in any order.
     :param choices: of class ``execution.observation.PolicyChoice``, in any order.

@@ -83,7 +83,8 @@ class _Roles:
             invariants = place_invariants(net, EFFORT)
         except LimitError:
             self.notes.append(
-                "the net is too large to find its invariants, which would tell robots from counters"
+                "the net is too large to find its invariants, which would distinguish robots "
+                "from counters"
             )
             self.robots = self._within_the_limit([self._reached()])
             return

@@ -22,7 +22,7 @@ class TimingNotes(NamedTuple):
     """What a report says about time.
 
     :ivar reading: RUN or NET.
-    :ivar splits: place -> why doing and done are told apart there.
+    :ivar splits: place -> why doing and done are distinguished there.
     :ivar assumptions: sentences for people.
     """
 

@@ -137,11 +137,11 @@ class RunRules:
     :param plan: a validated plan.
     :param timing: its durations and outcomes.
     :param phases: whether durations get their phases. If not, each is exponential with its mean:
-        far fewer states, from which :meth:`expected_states` tells how many there would be.
+        far fewer states, from which :meth:`expected_states` computes how many there would be.
     :ivar net: the plan's net without the counters that nothing reads (``counters``).
     :ivar timing: number of each action place -> its timing, the same for every robot.
     :ivar begin: the states that a run begins in: pairs (state, probability).
-    :ivar splits: place -> why doing and done are told apart there.
+    :ivar splits: place -> why doing and done are distinguished there.
     :ivar assumptions: what these rules had to assume: sentences for people.
     :ivar first_columns: the first column of each place.
     :ivar waits, ends: labels of steps in which nothing fires: robots have drawn and wait; a phase
@@ -199,7 +199,7 @@ class RunRules:
     # -- layout ------------------------------------------------------------------------------------
 
     def _of_team(self, timing: PlanTiming, place: str) -> PlaceTiming:
-        """The timing of a place for every robot, since states do not tell robots apart."""
+        """The timing of a place for every robot, since states do not distinguish robots."""
         p = self.plan.net.place_number(place)
         team = timing.of("", p)
         own = [timing.of(robot.name, p) for robot in self.plan.robots]
@@ -207,8 +207,8 @@ class RunRules:
             team = max(own, key=own.count)
             if any(one != team for one in own):
                 self.assumptions.append(
-                    "every robot in %s does what most of them do there, since states do not tell "
-                    "robots apart (the simulation does)" % place
+                    "every robot in %s does what most of them do there, since states do not "
+                    "distinguish robots (the simulation does)" % place
                 )
         leaving = self.plan.of_action(p)
         if len(leaving) == 1 and self.plan.net.transitions[leaving[0]].timed:
@@ -256,7 +256,7 @@ class RunRules:
         return p is None or any(asked == t for asked, _ in self._outcomes(p))
 
     def _takes_time(self, p: int) -> bool:
-        """Whether robots in place ``p`` are told apart by doing and done."""
+        """Whether robots in place ``p`` are distinguished by doing and done."""
         return (
             bool(self.net.consumers[p])
             and not self.only_events(p)

@@ -79,7 +79,7 @@ class _NetSteps:
         ]
 
     def parts(self, states: Sequence[Any]) -> Tuple[Tuple[str, ...], Optional[Indices]]:
-        """The parts of places that states tell apart: none."""
+        """The parts of places that states distinguish: none."""
         return (), None
 
     def markings(self, states: Sequence[Any]) -> Indices:
@@ -124,7 +124,7 @@ class _RunSteps:
         return at_once is not None, [_Step(self._settle(a.target), a.label, a.value) for a in arcs]
 
     def parts(self, states: Sequence[Any]) -> Tuple[Tuple[str, ...], Optional[Indices]]:
-        """The parts of places that states tell apart, and how many robots are in each."""
+        """The parts of places that states distinguish, and how many robots are in each."""
         named = self._rules.parts
         if not named:
             return (), None

@@ -105,7 +105,7 @@ class ReactingChecks:
             )
 
     def _possible(self) -> Set[int]:
-        """The transitions that may fire, as far as single places tell: all their input places can
+        """The transitions that may fire, as far as single places show: all their input places can
         get a token."""
         net = self.net
         marked = {p for p, place in enumerate(net.places) if place.tokens}

@@ -36,13 +36,13 @@ class AimedRun:
 
     :param plan: a validated plan.
     :param objective: what a run earns, and the condition that it is to reach.
-    :param watch: is told of the progress.
+    :param watch: receives the progress.
     :param losses: rate (1/s) at which each robot is lost.
     :ivar tables: the plan as arrays.
     :ivar run: the run by the kernel.
     :ivar assumptions: what is assumed about the times of the plan.
     :ivar ended: why the current run ended, a status of the kernel; None while it goes on.
-    :ivar watch: is told of the progress.
+    :ivar watch: receives the progress.
     :ivar deadline: the time of the machine (s, monotonic) at which a run is given up.
     """
 

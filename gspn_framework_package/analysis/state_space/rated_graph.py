@@ -31,7 +31,7 @@ class RatedGraph(NamedTuple):
     :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the
         probability of one that leaves a vanishing state.
     :ivar store: the markings of the states.
-    :ivar parts: the parts of places that states tell apart, by name; of a plan as it runs.
+    :ivar parts: the parts of places that states distinguish, by name; of a plan as it runs.
     :ivar part_counts: int array, one row per state: how many robots are in each of these parts.
     :ivar exchanged: what its states were taken together by; None: each is itself alone.
     """

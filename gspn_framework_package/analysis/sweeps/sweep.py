@@ -121,7 +121,7 @@ class Sweep:
 
         :param known: points that were measured before, by their keys; they come first.
         :param on: who computes; this process, by default.
-        :param watch: told of the progress, and asked whether to stop.
+        :param watch: receives the progress, and is asked whether to stop.
         :raises GspnError: a point cannot be measured; the message names it.
         """
         missing = []

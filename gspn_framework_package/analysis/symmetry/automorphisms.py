@@ -64,7 +64,7 @@ def _add_conditions(
     """Add conditions to the graph of a net: a vertex for each of their terms (a place has one
     already), and one for each part that a term takes.
 
-    A term is told apart by its height, so no automorphism takes a term for a part of it.
+    A term is identified by its height, so no automorphism takes a term for a part of it.
     """
     terms = Terms()
     roots = [terms.of(condition) for condition in asked]

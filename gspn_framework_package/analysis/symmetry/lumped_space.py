@@ -77,7 +77,7 @@ class LumpedSpace(StateSpace):
             condition = self.condition(condition)
         if not self.symmetry.keeps(condition):
             raise RefusedError(
-                "equal parts were exchanged, which this condition tells apart: %s" % condition.text,
+                "equal parts were exchanged, but this condition names them: %s" % condition.text,
                 hint="say in advance what will be asked, or analyse the whole (without --lump)",
             )
         return super().holds(condition)

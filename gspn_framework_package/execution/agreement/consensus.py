@@ -263,7 +263,7 @@ class Consensus:
         return True
 
     def _unasked(self, attempt: BallotAttempt) -> Dict[str, bool]:
-        """The members of which nobody has told the local transitions yet -> whether another process
+        """The members whose local transitions nobody has reported yet -> whether another process
         of that name answered, which knows nothing of them."""
         return {
             m: m in attempt.strangers

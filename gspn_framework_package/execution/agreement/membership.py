@@ -137,7 +137,7 @@ class Membership:
             record["damaged"] = True
         self.outbox.persist(record, durable=True, synced=True)
         if state.active or state.damage:
-            self.outbox.fault("forgets its log, and learns it again: %s" % why)
+            self.outbox.fault("discards its log and fetches it again: %s" % why)
         self.robot.stop_acting()
         state.active = False
         state.amnesic = True
@@ -269,7 +269,7 @@ class Membership:
         )
         self._forget_guests()
         self.outbox.broadcast(self._hello())
-        if not self.config.is_small:  # until then, a busy namesake must not keep it from being told
+        if not self.config.is_small:  # a busy namesake must not keep us from saying it
             for peer in state.peers.all.values():
                 peer.surprise = None
 
@@ -415,7 +415,7 @@ class Membership:
         peer.silent = frozenset(hello.silent)
         peer.cast_out = hello.cast_out
         if hello.first and state.first_hash and hello.first != state.first_hash:
-            self._refuse_stranger(sender, "%s has another first team" % sender)
+            self._refuse_stranger(sender, "%s started with a different team" % sender)
             return
         if not state.active:
             for robot, incarnation in hello.off.items():
@@ -478,7 +478,7 @@ class Membership:
         )
 
     def _forget_given_up(self, sender: str) -> None:
-        self.forget("it was given up in an eviction by force, as %s knows" % sender)
+        self.forget("%s knows that it was discarded by a forced eviction" % sender)
 
     def _hear_of_ourselves(self, message: Envelope, seen: Seen) -> None:
         """What another remembers of us. One that lost its log may have forgotten whom it knew, and
@@ -563,8 +563,8 @@ class Membership:
         if other not in state.astray:
             state.astray[other] = slot
             self.outbox.fault(
-                "the log of %s differs from ours before slot %d: one of them is broken, and what "
-                "it says does not count" % (other, slot)
+                "the log of %s differs from ours before slot %d: one of them is damaged; its "
+                "messages are ignored" % (other, slot)
             )
         members = self.electorate.members()
         if is_quorum([m for m in members if m in state.astray], members):
@@ -717,7 +717,7 @@ class Membership:
         if fenced:
             self.robot.stop_acting()
             limit = self.config.plan.timing.fence_after
-            self.outbox.fault("has no contact to a quorum for %g s: stops" % limit)
+            self.outbox.fault("had no contact with a quorum for %g s: stops" % limit)
         elif self.electorate.is_settled():
             self.new_life()  # its action is restarted
 
@@ -740,9 +740,8 @@ class Membership:
         if not left or is_quorum(left, members):
             return ""
         return (
-            "%s could have decided without the others: what only they know is given up; they must "
-            "stay off until "
-            "they are evicted, for which the word of all others is needed (%s)"
+            "%s could have decided without the others: what only they know is lost. Keep them "
+            "switched off until they are evicted, which needs the consent of all others (%s)"
             % (", ".join(m for m in members if m in off), ", ".join(left))
         )
 
@@ -773,13 +772,17 @@ class Membership:
         """A robot that was asserted to be off is heard: the assertion was wrong, or has ended."""
         was = robot in self.electorate.asserted_off()
         if was:  # in the log, too: who is started again between the two hears the robot once more
-            self.proposals.withdraw_forced_evictions(robot, "%s is not off: it was heard" % robot)
+            self.proposals.withdraw_forced_evictions(
+                robot, "%s is not off: a message from it has just arrived" % robot
+            )
         del self.state.off[robot]
         self._persist_off()
         if not was:
             return
         self.proposer.abandon()
-        self.outbox.fault("%s was said to be off, and is heard: it is not evicted" % robot)
+        self.outbox.fault(
+            "%s was declared off, but still sends messages: it is not evicted" % robot
+        )
 
     # -- who does not belong here ------------------------------------------------------------------
 
@@ -793,16 +796,18 @@ class Membership:
             self._meet_namesake(body)
         both = not same and body.active and state.active
         if message.incarnation > state.incarnation and (same or both):
-            self._halt("another process runs as %s, and started later" % self.config.name)
+            self._halt("another process runs as %s and started later" % self.config.name)
         elif state.superseded_at is not None and not same:
             if self._rival_stays():
-                self._halt("another process runs as %s, and was let in after it" % self.config.name)
+                self._halt(
+                    "another process runs as %s and was let in after this one" % self.config.name
+                )
         elif both and message.incarnation == state.incarnation:
             # the only robot of a team, twice: both may decide alone, so one has to go; its log only
             # grows, so that never both do
             ours = (state.ledger.length, state.log_id)
             if (message.length, message.log) > ours and self._rival_stays():
-                self._halt("another process runs as %s, and has a longer log" % self.config.name)
+                self._halt("another process runs as %s and has a longer log" % self.config.name)
 
     def _meet_namesake(self, hello: Hello) -> None:
         """Another process of our name is there: if one of us is in the team, the other waits, and
@@ -849,5 +854,5 @@ class Membership:
             if len(complaints) >= MOST_COMPLAINTS:
                 sender, why = OTHERS
             else:
-                self.outbox.fault("a message of %s is not understood: %s" % (sender, why))
+                self.outbox.fault("a message from %s cannot be read: %s" % (sender, why))
         complaints[sender, why] = complaints.get((sender, why), 0) + 1

@@ -60,7 +60,7 @@ class Peer:
     before: Life = Life(-1, 0)
     """Its newest incarnation, and the one before, in that log."""
     surprise: Optional[Life] = None
-    """What our next hello should tell it: that we know its log as longer than it said, or (an empty
+    """What our next hello should say: that we know its log as longer than it said, or (an empty
     life) that we know it under another log."""
 
     def note_life(self, message: Envelope) -> None:

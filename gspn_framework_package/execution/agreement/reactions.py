@@ -203,7 +203,7 @@ class Reactions:
         return t is not None and ledger.state.is_full(t)
 
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
-        """Tell operators that the team has their task."""
+        """Answer operators that the team has their task."""
         team = self.state.ledger.state
         waits = any(task.id == key[1] for _, task in team.submitted)
         text = "the team has it; it waits until '%s' is enabled" % key[0] if waits else "done"

@@ -307,7 +307,7 @@ class Replica:
 
     @property
     def fenced(self) -> bool:
-        """Whether our action was stopped because we have no contact to a quorum."""
+        """Whether our action was stopped because we have no contact with a quorum."""
         return self.state.fenced
 
     @property

@@ -130,7 +130,7 @@ class BallotAttempt:
     promises: Dict[str, Optional[Tuple[Ballot, Batch]]] = field(default_factory=dict)
     """Who promised, and what was accepted there."""
     answered: Set[str] = field(default_factory=set)
-    """Those who promised, and those without a vote who told what they know."""
+    """Those who promised, and those without a vote who reported what they know."""
     strangers: Set[str] = field(default_factory=set)
     """Members under whose name a process answered that lacks their memory."""
     all_told: bool = True
@@ -343,7 +343,7 @@ class ReplicaState:
     held_orders: List[interface.Order] = _owned("orders", make=list)
     """Orders that came while we only listened."""
     told_status: str = _owned("status", "")
-    """What people were told last that we wait for."""
+    """What we last reported to people that we wait for."""
     now: float = _owned("replica", 0.0)
     """The time of the input that is being taken (s)."""
 

@@ -56,32 +56,32 @@ class Status:
         if state.halted is not None:
             return "halted: " + state.halted
         if electorate.has_namesake():
-            return "not in the team: another process runs as %s, and is" % self.config.name
+            return "not in the team: another process runs as %s and is a member" % self.config.name
         if state.ledger.length == 0:
-            return "waits for somebody of the team"
+            return "waits for a member of the team"
         lost_end = electorate.torn() and not is_quorum(electorate.whole(), electorate.members())
         if lost_end or electorate.is_alone_with_damage():
             return electorate.waits_to_join()
         if not state.active and not state.joining and not state.amnesic:
             missing = electorate.missing_at_start()
             if not missing:
-                return "learns where the team is, before it starts"
+                return "fetches the state of the team before it starts"
             return "waits for %s to start" % ", ".join(missing)
         if state.ledger.state.ended is not None:
             return ""
         if not self.config.witness and not electorate.is_settled():
             return "waits to be let into the team" + self._nobody_left()
         if state.fenced:
-            return "stopped: no contact to a quorum"
+            return "stopped: no contact with a quorum"
         if state.astray:
-            return "the log differs from that of %s; what differs does not count" % ", ".join(
+            return "the log differs from that of %s; its messages are ignored" % ", ".join(
                 sorted(state.astray)
             )
         if state.attempt is not None and state.attempt.tries > 1:
             voteless = self._voteless()
             missing = [m for m in self.consensus.missing() if m not in voteless]
             if missing or not voteless:
-                return "waits for an answer of %s" % ", ".join(missing)
+                return "waits for an answer from %s" % ", ".join(missing)
             return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
         if self.is_stuck():
             return (
@@ -93,7 +93,7 @@ class Status:
             return "has no quorum; silent: %s" % ", ".join(unheard)
         # the owner of the attempt changes all the time
         if self.config.partial and unheard and self.proposer.wants():
-            return "waits for an answer of %s" % ", ".join(unheard)
+            return "waits for an answer from %s" % ", ".join(unheard)
         return ""
 
     def _voteless(self) -> List[str]:
@@ -127,8 +127,8 @@ class Status:
         if not self.is_stuck():
             return ""
         return (
-            ": too many lost their logs, and those who remember are no quorum; "
-            "force_evict those who do not"
+            ": too many lost their logs, and the others are no quorum; "
+            "force_evict those that lost them"
         )
 
     def as_json(self) -> Dict[str, Any]:

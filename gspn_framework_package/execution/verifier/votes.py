@@ -226,7 +226,7 @@ def _quorum(
             % (slot, ", ".join(members), ", ".join(sorted(by_robot)) or "none"),
         )
     first = min(chosen)
-    # whoever was told that a quorum is off did not have to ask it
+    # whoever knew that a quorum is off did not have to ask it
     misled = {r for r, those in assertions if not _is_quorum(set(members) - those, members)}
     for robot, votes in by_robot.items():
         if robot in evicted:

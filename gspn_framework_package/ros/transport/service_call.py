@@ -89,7 +89,7 @@ class ServiceCall:
             raise ServiceFailed("aborted", text) from None
 
     def close(self) -> None:
-        """Break the call off, from any thread. The service may go on, and is not told."""
+        """Abandon the call, from any thread. The service may go on: it does not learn of it."""
         with self._lock:
             self._closed = True
             if self._socket is not None:

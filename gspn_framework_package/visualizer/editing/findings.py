@@ -1,6 +1,6 @@
 """What is wrong with an edited document, and where: the check of a plan for people who draw it.
 
-A document may be half-drawn. Then every fault is told that one can see, each at its element.
+A document may be half-drawn. Then every fault that can be found is reported, each at its element.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from gspn_framework_package.model.subnet import SEPARATOR
 from gspn_framework_package.ros.check_all import check_all
 
 FAULTS = 12
-"""Most faults of a document that is not a plan yet that are told at once."""
+"""Most faults of a document that is not a plan yet that are reported at once."""
 
 STATES_AT_LAST = 50
 """Markings that are visited when the time is over, for the report of what is left open."""

@@ -110,7 +110,7 @@ def add_routes(app: flask.Flask, project: Project, body: Body) -> None:
 
 
 def offer(project: Project, role: str) -> Dict[str, Any]:
-    """What the page is told of the editor: whether it may be used, and the templates of plans."""
+    """What the page knows of the editor: whether it may be used, and the templates of plans."""
     edits = project.edits and role == OPERATOR
     return {"edits": edits, "templates": template_names() if edits else []}
 

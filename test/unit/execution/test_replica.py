@@ -276,7 +276,7 @@ def test_a_fenced_robot_stops_its_action_and_starts_it_again() -> None:
     world.blocked = {(a, b) for a in world.nodes for b in world.nodes if "r3" in (a, b)}
     world.run(1.5)
     assert world.status("r3")["fenced"]
-    assert "no contact to a quorum" in world.status("r3")["waits_for"]
+    assert "no contact with a quorum" in world.status("r3")["waits_for"]
     assert world.nodes["r3"].replica.state.running is None
     world.blocked.clear()
     world.run(3.0)
@@ -433,7 +433,7 @@ def test_a_robot_that_waits_for_hours_still_waits() -> None:
     world.nodes["r1"].crash()
     world.nodes["r2"].give(interface.Order("o", log_entries.Pause()))
     world.run(4000.0)
-    assert world.status("r2")["waits_for"] == "waits for an answer of r1"
+    assert world.status("r2")["waits_for"] == "waits for an answer from r1"
     world.nodes["r1"].start()
     settle(world)
     assert world.nodes["r2"].results["o"].ok

@@ -69,7 +69,7 @@ def test_a_certificate_is_signed_by_the_authority_and_holds_name_and_addresses(t
 
 def test_nothing_is_overwritten(team):
     before = read(own(team, "team.json"))
-    with pytest.raises(KeysError, match="is there already; nothing was written"):
+    with pytest.raises(KeysError, match="already exists; nothing was written"):
         keys.make_team(team, MEMBERS, 30)
     with pytest.raises(KeysError, match="'ann' has keys"):
         keys.add_members(team, [NewMember("ann", "robot")], 30)
@@ -200,7 +200,7 @@ def test_no_command_prints_a_key(tmp_path, capfd):
 @pytest.mark.parametrize(
     "words, message",
     [
-        (["keys", "team", "DIR"], "nobody is named"),
+        (["keys", "team", "DIR"], "no member is named"),
         (["keys", "team", "DIR", "--routers", "hub"], "router 'hub' has no address"),
         (["keys", "team", "DIR", "--robots", "a", "a"], "'a' is named twice"),
         (["keys", "team", "DIR", "--robots", "a", "--days", "0"], "cannot be valid for 0 days"),

@@ -212,7 +212,9 @@ def test_who_goes_on_flooding_is_braked_by_the_router_and_the_others_are_not(hub
         return told
 
     wait_for(braked, 30.0)
-    assert len(told) == 1 and told[0].endswith("sends more than a robot: it is heard in pieces")
+    assert len(told) == 1 and told[0].endswith(
+        "sends more than a robot does: it is read more slowly"
+    )
     one.send(EVERYBODY, "meanwhile")
     wait_for(lambda: "meanwhile" in two.numbers())
 

@@ -25,7 +25,7 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
 Accept = Callable[[Floats, float, float], bool]
-"""Told the values and the least and largest drift; whether that is good enough."""
+"""Takes the values and the least and largest drift; returns whether that is good enough."""
 
 _SMALL = 2_000
 """Up to this many states, policy iteration begins after a few sweeps."""

@@ -197,7 +197,7 @@ class Model:
             settled = self._settle_by_level(values, chosen, tolerance)
         if not settled:
             raise LimitError(
-                "a cycle of immediate transitions is left too seldom to tell what it is worth"
+                "a cycle of immediate transitions is left too seldom to compute what it is worth"
             )
 
     def _settle_by_level(self, values: Floats, chosen: Optional[Indices], tolerance: float) -> bool:
@@ -350,7 +350,7 @@ def made(
     :param size: how many states there will be.
     :param rows: boolean array: the rows to keep; their states must be kept too.
     :param known: float array: the values of states that are left out; None: 0.
-    :param goal: boolean array: the states whose entering ``into`` tells of; None: all left out.
+    :param goal: boolean array: the states whose entering ``into`` counts; None: all left out.
     """
     owners = number[arrows.row_states]
     kept = np.flatnonzero(rows)

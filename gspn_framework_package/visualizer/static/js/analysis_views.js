@@ -330,7 +330,7 @@ export class AnswerViews {
     const split = Object.keys(timing.splits);
     return [
       ["Time", timing.reading === "run" ? "as the plan runs" : "as in its net alone"],
-      split.length > 0 && ["Doing and done told apart in", this.names(split)],
+      split.length > 0 && ["Doing and done distinguished in", this.names(split)],
       timing.assumptions.length > 0 && [
         "Assumed",
         h(

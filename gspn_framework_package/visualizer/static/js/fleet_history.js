@@ -1,4 +1,4 @@
-// A fleet's history: what months of logs tell of robots, places and days, and the way to each moment's replay.
+// A fleet's history: what months of logs say of robots, places and days, and the way to each moment's replay.
 
 import { $, h, s, attempt, number, plural } from "./dom.js";
 import { get } from "./api.js";

@@ -44,7 +44,7 @@ export function robotExtras(robot) {
 /** The end of a task's way, for people. */
 const end = (name) => name.replace(/^(place|robot) /, "") || "outside";
 
-/** What a firing tells beside its moves: its cause and the tasks. */
+/** What a firing shows beside its moves: its cause and the tasks. */
 export function firingExtras(event) {
   const tasks = (event.tk || []).map(([id, from, to]) => `task ${id}: ${end(from)} → ${end(to)}`);
   return { cause: event.why ? ` (${event.why})` : "", tasks };

@@ -61,7 +61,7 @@ export class Files {
     mode.button("file", {
       id: "ed-deploy",
       label: "Deploy…",
-      title: "Have a running team go on under this plan, as it is saved",
+      title: "Deploy this plan, as it is saved, to a running team",
       onclick: () => attempt(() => this.deploy()),
     });
     this.note = h("span", { id: "ed-draft-state", class: "muted" });
@@ -153,7 +153,7 @@ export class Files {
     this.draft = null;
     this.hideBanner();
     mode.document.markSaved(state);
-    mode.say(mode.document.dirty ? "Saved what there was before the last edit." : "Saved.");
+    mode.say(mode.document.dirty ? "Saved, without the last edit." : "Saved.");
     toast("Saved", true);
   }
 
@@ -171,7 +171,7 @@ export class Files {
         "div",
         { id: "ed-conflict" },
         h("p", {
-          text: "Its files are not as they were when you opened or saved them. From theirs to yours:",
+          text: "The files have changed since you opened or saved them. From theirs to yours:",
         }),
         list,
       ),
@@ -201,9 +201,9 @@ export class Files {
   take({ etag, document: theirs }) {
     const { mode } = this;
     mode.opened.etag = etag;
-    mode.document.edit("Take the state of the files", () => theirs);
+    mode.document.edit("Use the changed files", () => theirs);
     mode.document.markSaved();
-    mode.say("This is the state of the files. Undo brings back yours.");
+    mode.say("These are the changed files. Undo brings back your version.");
   }
 
   /** Save the document as a new plan, and go on with that one. Resolves to whether that was done. */

@@ -52,7 +52,7 @@ export class Lens {
     return lens;
   }
 
-  /** The same place with other words for its value. `part`: what of it is told, for the key. */
+  /** The same place with other words for its value. `part`: what of it is shown, for the key. */
   as(read, write, part = "") {
     const lens = new Lens(
       part ? `${this.key}.${part}` : this.key,

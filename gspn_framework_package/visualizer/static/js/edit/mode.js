@@ -485,7 +485,7 @@ export class EditMode extends EventTarget {
     else field.value = typed;
   }
 
-  /** End it; `keep`: with what is in the field. A name that cannot be is told; it is then asked for again if
+  /** End it; `keep`: with what is in the field. A name that cannot be is reported; it is then asked for again if
    * `insist`. `returns`: the drawing gets the focus. */
   endRename(keep, insist = false, returns = true) {
     const { renaming } = this;

@@ -91,7 +91,7 @@ const WHAT = {
 };
 
 /** The state with every name of a place or a transition changed. `place(name)` and `transition(name)` return the new
- * name, or null for a node that is gone: what refers to it goes with it, and `said` is told. */
+ * name, or null for a node that is gone: what refers to it goes with it, and `said` is called. */
 function changedNames(state, place, transition, said) {
   const { net, plan, policy } = state;
   const node = (name) => {

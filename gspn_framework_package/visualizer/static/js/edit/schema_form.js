@@ -319,7 +319,7 @@ function listForm(form, schema, lens, title, hint) {
             (!name
               ? "it is empty"
               : value.includes(name) && schema.uniqueItems
-                ? "it is there already"
+                ? "it already exists"
                 : ""),
           add,
         ),
@@ -358,7 +358,7 @@ function valueList(form, lens, title) {
   return valueField(form, lens, title, { kinds: ["array"] });
 }
 
-/** The smallest value that a schema allows, as far as it can be told. */
+/** The smallest value that a schema allows, as far as it is known. */
 function blankOf(part, root) {
   const schema = resolved(part, root);
   switch ([schema.type].flat()[0]) {
