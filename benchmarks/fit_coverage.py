@@ -90,7 +90,7 @@ def one_run(plan: Plan, seed: int, seconds: float, folder: str) -> FitReport:
     log.close()
     found = gather([path])
     os.unlink(path)
-    # the fit is not told the truth; the tests of fit change nothing with so little data
+    # the fit does not know the truth; the tests of fit change nothing with so little data
     blank = replace(plan, durations={}, outcomes={}, failures={"grip": 0.5})
     return fit_plan(blank, found.attempts, found.events, samples=0)
 

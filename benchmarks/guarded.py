@@ -36,7 +36,7 @@ _PART = 0.01
 
 
 def flood(run: str) -> int:
-    """Publish messages of a run as fast as wanted until we are told to stop; print how many there
+    """Publish messages of a run as fast as wanted until we are asked to stop; print how many there
     were a second."""
     import rospy
 

@@ -4,7 +4,7 @@ once although robots are killed or stopped, or the network is cut.
 ``python3 -m benchmarks.reacting`` (needs ROS)
 
 - *interrupts*: robots are at work; a message on the topic of one robot's event interrupts it. The
-  time from the call of ``publish`` to the callback of the action server that is told to cancel,
+  time from the call of ``publish`` to the callback of the action server that has to cancel,
   both in this process: so it contains two topics and the agreement of the team.
 - *flood*: the processor time of a robot's node whose event has a topic with 1,000 messages a
   second, none of which changes the condition; without them; and that of a process that only
@@ -81,7 +81,7 @@ class WorkServer:
     """The action server of a robot's work, in this process.
 
     :ivar goals: gets an item for each goal.
-    :ivar cancelled: gets the monotonic time at which each goal was told to end.
+    :ivar cancelled: gets the monotonic time at which each goal was cancelled.
     """
 
     def __init__(self, namespace: str) -> None:

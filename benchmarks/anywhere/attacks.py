@@ -226,7 +226,7 @@ ATTACKS: Dict[str, Attack] = {
     ),
     "expired": Attack("has keys that ended yesterday", "expired/robot_1", enter, _kept_out),
     "unknown joiner": Attack(
-        "has keys that the router was not told of", "later/robot_8", enter, _not_heard
+        "has keys that the router does not know", "later/robot_8", enter, _not_heard
     ),
     "forged and replayed votes": Attack(
         "sends recorded and changed votes of another robot", "keys/" + STOLEN, forge, _tried

@@ -46,7 +46,7 @@ PATIENCE = 60.0
 """Seconds within which an expected event must happen."""
 
 _LATE = "robot_8"
-"""A robot whose keys the router was not told of."""
+"""A robot whose keys the router does not know."""
 
 
 class AnywhereTeam:

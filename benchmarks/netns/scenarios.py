@@ -132,7 +132,7 @@ def _one_way(mode: str, hold: float, transport: str, hears: bool) -> Numbers:
                     for e in lab.read()[name].entries("done", begin, end)
                     if e["robot"] == "robot_3"
                 }
-                lab.require(not own & got, "%s knows what robot_3 could not tell" % name)
+                lab.require(not own & got, "%s knows what robot_3 could not send" % name)
         numbers = _progress_of_others(lab, ["robot_1", "robot_2"])
         numbers["moves_of_robot_3"] = lab.moves("robot_3", begin, end)
         numbers["caught_up_after"] = lab.catch_up(lab.robots, lab.robots)

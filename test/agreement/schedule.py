@@ -387,7 +387,7 @@ class _Run:
     def _is_remembered_without(self, node: SimulatedNode) -> bool:
         """Whether, of two processes of one robot, another robot than this one knows the one that
         takes part, or this one hears it. If all forget it while it is out of reach, they and the
-        second process are a fresh team in every respect, and nobody can tell that it has begun
+        second process are a fresh team in every respect, and nobody can know that it has begun
         before."""
         nodes = self.world.nodes.values()
         for one in nodes:
@@ -569,7 +569,7 @@ class _Run:
             self._later(0.25, 0.5, self._leave)
 
     def _stand_in(self) -> None:
-        """A robot goes out of reach, and a spare hears all but the greetings, which tell it that
+        """A robot goes out of reach, and a spare hears all but the greetings, from which it would learn that
         it has to join. Meanwhile the operator pauses the team. Then the spare is switched off, and
         the robot comes back."""
         world = self.world

@@ -23,7 +23,7 @@ again. The commands:
 ==========================  ======================================================================
 
 What is shown: every message but the greetings (``hello``), every decided slot with its firings, the
-start of every action, and what a robot tells its operator. To write the answers of the transcripts
+start of every action, and what a robot answers its operator. To write the answers of the transcripts
 anew, look at the difference, and commit it with the change that explains it::
 
     PYTHONPATH=.:test python3 -m agreement.transcript
@@ -91,7 +91,7 @@ def story_plan(robots: int, partial: bool = False, second: str = "B") -> Plan:
 
 
 class _Story(World):
-    """A team whose actions end when the transcript says so, and which tells what it does."""
+    """A team whose actions end when the transcript says so, and which reports what it does."""
 
     def __init__(self, plan: Plan, tell: Callable[[str], None]) -> None:
         super().__init__(plan, 0, Weather(0.005, 0.005))
@@ -137,7 +137,7 @@ class _Story(World):
         self.tell("%s ends: %s" % (node.key, node.halted))
 
     def answers(self) -> None:
-        """Tell what operators were answered since the last time."""
+        """Report what operators were answered since the last time."""
         for node in self.nodes.values():
             for result in node.results.values():
                 done = "done" if result.ok else "not done"

@@ -1,6 +1,6 @@
 """The page goes on by events as the server does: both have a board that events change, written in
 two languages, and one table of cases and events made at random hold them together. The same for
-what is told of a robot."""
+what is shown of a robot."""
 
 import itertools
 import json

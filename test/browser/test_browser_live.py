@@ -161,7 +161,7 @@ def test_a_lost_robot_and_a_stalled_plan_are_seen_at_a_glance(told, open_page, p
     page.wait_for_selector(".robot.waiting[data-robot='robot_1']")
     assert page.locator("#net .robot[data-robot='robot_2']").count() == 0
     picture(page, "lost_and_stalled")
-    # what is the matter now is told to one who looks back, too
+    # who looks back also sees what is the matter now
     page.keyboard.press(" ")
     page.wait_for_function("() => !window.gspn.model.following")
     told.told.hub.publish({"k": "robots", "r": [{"name": "robot_3", "phase": "lost"}], "gone": []})

@@ -124,7 +124,7 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
         {"command": "fire", "transition": "rain", "run": "run_7"},
         {"command": "stop", "reason": "smoke", "run": "run_7"},
     ]
-    # what broke is told apart from what was stopped; after the end nobody acts
+    # what broke is distinguished from what was stopped; after the end nobody acts
     team.hub.publish(
         {"k": "status", "status": {"running": False, "ended": "the disk is full", "fault": True}}
     )

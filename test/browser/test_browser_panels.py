@@ -330,7 +330,7 @@ def test_a_broken_upload_says_what_is_wrong_and_is_chosen_again_when_mended(
     page.wait_for_selector("#chooser", state="attached")
     page.set_input_files("#chooser", str(file))
     page.wait_for_selector("#opening-wrong:has-text('mine.xml')")
-    # or the browser would tell of no change
+    # or the browser would report no change
     page.wait_for_function("() => document.querySelector('#chooser').value === ''")
     write_net(flawed(), file)
     page.set_input_files("#chooser", str(file))

@@ -20,7 +20,7 @@ FAILED = os.path.join(os.path.dirname(__file__), "failed_seeds.txt")
 
 FAILED_AS_LARGE = [
     "489723877200:3:full:react-double",
-    # a busy process kept a second one of its name from being told
+    # a busy process kept a second one of its name from hearing that
     "221036329:4:full:react-double",
     # no fault: the log of a process that had ended was taken for that of its robot
 ]

@@ -22,7 +22,7 @@ settings.load_profile("unit")
 
 
 class _Slots(Listener):
-    """Tells when a run has filled so many slots of its log."""
+    """Says when a run has filled so many slots of its log."""
 
     def __init__(self, slots):
         self._slots = slots

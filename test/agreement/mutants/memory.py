@@ -595,7 +595,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "hushed",
         "membership",
-        "in a large team, a process that counts keeps a second one of its name from being told",
+        "in a large team, a process that counts keeps a second one of its name from hearing that",
         _lets_a_namesake_hush_it,
         robots=3,
         kinds=("double",),
@@ -658,7 +658,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "unsynced votes",
         "memory",
-        "votes are told before they are on the disk",
+        "votes are sent before they are on the disk",
         _waits_for_votes_only_sometimes,
         kinds=("power",),
     ),

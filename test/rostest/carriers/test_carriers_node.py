@@ -89,7 +89,7 @@ class CarriersTest(unittest.TestCase):
 
     def check(self, *robots):
         self.assertIsNone(verify([read_log(self.log(robot)) for robot in robots]).violation)
-        # what a robot with ROS does is told on its master; what the robots agree on is not
+        # what a robot with ROS does is published on its master; what the robots agree on is not
         wait_for(lambda: any(seen(m)["finished"] for m in self.told), 10, "the end on ROS")
         self.assertIn("Look", [seen(message)["place"] for message in self.told])
         self.assertEqual(self.talk, [])

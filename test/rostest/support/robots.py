@@ -178,7 +178,7 @@ class Team:
         wait_for(lambda: len(self.fired) >= wanted, seconds, "%d more firings" % number)
 
     def wait_for_agreement(self, seconds=30, quiet=1.0):
-        """Wait until every live replica has told the same marking at the same position for
+        """Wait until every live replica has reported the same marking at the same position for
         ``quiet`` seconds, and wants nothing more in the log."""
         last, since = None, time.monotonic()
 

@@ -1,4 +1,4 @@
-"""A live run of which a test tells the page."""
+"""A live run that a test reports to the page."""
 
 from __future__ import annotations
 

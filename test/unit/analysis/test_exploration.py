@@ -80,7 +80,7 @@ def test_sparse_markings_answer_as_packed_ones(whole, many, net, data):
     packed = explore(net, engine="numpy")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sparse_engine, "_MANY", many)  # transitions that fire together, or one by one
-        # told as they are, or as what differs from the initial one
+        # shown as they are, or as what differs from the initial one
         patch.setattr(sparse_engine, "_WHOLE", whole)
         sparse = explore(net, engine="sparse")
     assert np.array_equal(packed.markings(), sparse.markings())

@@ -317,7 +317,7 @@ def test_intervals_of_shares_and_rates() -> None:
 
 
 class Seen(NamedTuple):
-    """An attempt, as a log would tell it."""
+    """An attempt, as a log would have it."""
 
     robot: str
     place: str
@@ -330,7 +330,7 @@ class Seen(NamedTuple):
 
 
 class Events(NamedTuple):
-    """What a log tells of a transition of the environment."""
+    """What a log says of a transition of the environment."""
 
     firings: int
     exposure: float

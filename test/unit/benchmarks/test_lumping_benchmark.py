@@ -1,4 +1,4 @@
-"""The benchmark of exchanged parts compares them with the whole, and would tell if they
+"""The benchmark of exchanged parts compares them with the whole, and would fail if they
 differed."""
 
 import json

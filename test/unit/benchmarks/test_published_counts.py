@@ -1,4 +1,4 @@
-"""The command that finds the published state counts anew: it agrees, and would tell if it did
+"""The command that finds the published state counts anew: it agrees, and would fail if it did
 not."""
 
 import json

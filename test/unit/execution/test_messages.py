@@ -52,7 +52,7 @@ def running(partial: bool, robots: int = 3) -> Listener:
 
 
 def alive_and_valid(world: World) -> None:
-    """Everybody goes on, and the logs tell one story."""
+    """Everybody goes on, and the logs agree."""
     before = world.length()
     world.run(world.now + 1.6)
     assert not any(n.halted for n in world.nodes.values())

@@ -181,7 +181,7 @@ def test_an_eviction_by_force_is_in_the_log_once_with_whoever_ordered_it() -> No
 
 @pytest.mark.parametrize("of_two", [0, 1])
 def test_a_wrong_assertion_is_taken_back_also_across_a_crash(of_two: int) -> None:
-    """r1 is said to be off, but only the link was cut. The robot that was told so is killed while
+    """r1 is said to be off, but only the link was cut. The robot that knows that is killed while
     it takes that back, before the first or the second of the two records of that."""
     world = team(TOKENS, 3)
     world.cut_off("r2")
@@ -221,7 +221,7 @@ def test_a_wrong_assertion_is_taken_back_also_across_a_crash(of_two: int) -> Non
 
 def test_an_attempt_that_cannot_succeed_does_not_keep_others_from_trying() -> None:
     """r3 asks for a quorum that will not come, again and again. Carriers may send that to
-    everybody. Only r2 was told that r1 and r4 are off."""
+    everybody. Only r2 knows that r1 and r4 are off."""
     world = team(TOKENS, 4)
     world.given_up = True
     world.nodes["r1"].crash()
@@ -675,7 +675,7 @@ def test_a_second_process_of_the_only_robot_takes_no_part(partial: bool) -> None
 
 def test_of_two_processes_of_the_only_robot_that_begin_apart_one_halts() -> None:
     world = team(TOUR, 1)
-    world.given_up = True  # each is the whole team: nobody can tell them apart
+    world.given_up = True  # each is the whole team: nobody can distinguish them
     spare = world.add_spare(world.nodes["r1"])
     world.blocked |= {("r1", spare.key), (spare.key, "r1")}
     spare.start()
@@ -721,10 +721,10 @@ def test_the_slot_that_lets_another_log_in_is_not_forgotten() -> None:
 
 
 def test_a_robot_begins_only_if_no_robot_that_is_gone_knew_another_log_of_it() -> None:
-    """The log has no entry of r1 that would tell, since no action has ended."""
+    """The log has no entry of r1 that would show it, since no action has ended."""
     world, spare = two_of_the_first(False, acting=False)
     world.blocked = {("r1", spare.key), (spare.key, "r1")}
-    world.deaf = {"r1"}  # it learns the slots before anybody can tell it of the spare
+    world.deaf = {"r1"}  # it learns the slots before anybody can report the spare to it
     world.nodes["r2"].give(interface.Order("evict", log_entries.Evict("r2", -1)))
     while world.replica("r2").members() != ["r1"]:
         world.run(world.now + 0.0005)
@@ -739,7 +739,7 @@ def test_a_robot_begins_only_if_no_robot_that_is_gone_knew_another_log_of_it() -
 def test_a_robot_that_lost_its_log_is_no_witness_of_a_start() -> None:
     world, spare = two_of_the_first(False)
     world.blocked = {("r1", spare.key), (spare.key, "r1")}
-    world.deaf = {"r1"}  # it learns slots before anybody can tell it of the spare
+    world.deaf = {"r1"}  # it learns slots before anybody can report the spare to it
     while world.replica("r1").ledger.length < 2:
         world.run(world.now + 0.0005)
         assert world.now < 3.0

@@ -256,7 +256,7 @@ def test_a_robot_given_up_by_force_that_knew_more_learns_the_log_anew() -> None:
     world.run(1.0)  # r1 alone is a quorum, and goes on
     ahead = world.nodes["r1"].replica.ledger.length
     assert ahead > world.nodes["r2"].replica.ledger.length
-    world._chain.clear()  # from here on the two tell different stories, as the operator decided
+    world._chain.clear()  # from here on the two logs differ, as the operator decided
     world.on_record = lambda node, record: None  # type: ignore[method-assign]
     world.nodes["r2"].give(interface.ForceEvict("f", "r1"))
     world.run(2.0)

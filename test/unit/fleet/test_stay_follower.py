@@ -1,4 +1,4 @@
-"""What a run tells of a fleet, reduced to stays and moments."""
+"""What a run shows of a fleet, reduced to stays and moments."""
 
 from __future__ import annotations
 

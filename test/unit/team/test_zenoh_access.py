@@ -96,7 +96,7 @@ def test_strangers_get_no_session(hub, tmp_path):
 
 
 def test_an_unknown_joiner_of_the_same_authority_is_not_heard(hub):
-    """Keys that were made later, which the router has not been told of."""
+    """Keys that were made later, which the router does not know."""
     listener = Listener(hub)
     keys.add_members(hub.folder, [NewMember("robot_9", "robot")], 30)
     late = hub.session("robot_9")

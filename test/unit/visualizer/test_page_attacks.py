@@ -143,7 +143,7 @@ def test_slow_sockets_streams_and_foreign_requests_leave_the_page_usable(attacke
         attacked.send((stream + "X-Gspn-Token: %s\r\n\r\n" % TOKEN).encode())
     alive(attacked, key)
     assert len(attacked.server._server.active_channels) <= ROOM + VIEWERS
-    for i in range(30):  # a page that is open elsewhere, in a browser that does not tell so
+    for i in range(30):  # a page that is open elsewhere, in a browser that does not say so
         status, _ = attacked.ask("GET", "/api/session?id=file-net%d.xml" % i)
         assert status in (200, 409)
     alive(attacked, key)

@@ -1,4 +1,4 @@
-"""A live run beside its prediction: what the page's events tell a monitor, and what it publishes."""
+"""A live run beside its prediction: what the page's events report to a monitor, and what it publishes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class _Told:
 
 
 def _told(plan, seconds):
-    """What the page's events of a virtual run tell, and the attempts in its log."""
+    """What the page's events of a virtual run show, and the attempts in its log."""
     run = VirtualRun(plan, seed=4)
     events = TeamEvents(run.game)
     told, logged = _Told(), AttemptFollower(run.plan, agents=True)

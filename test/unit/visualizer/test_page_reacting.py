@@ -1,4 +1,4 @@
-"""Data, tasks and the causes of events on the page: in a run, in its replay, and as a robot tells
+"""Data, tasks and the causes of events on the page: in a run, in its replay, and as a robot reports
 them."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Why a transition cannot fire, as the page is told: by the token game's own rules."""
+"""Why a transition cannot fire, as the page shows it: by the token game's own rules."""
 
 from page_client import PageClient
 from told_run import ToldRun

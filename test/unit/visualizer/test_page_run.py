@@ -1,4 +1,4 @@
-"""A plan that the page executes without ROS: its orders, and its end, which is told whatever
+"""A plan that the page executes without ROS: its orders, and its end, which is shown whatever
 breaks."""
 
 import fcntl
@@ -136,7 +136,7 @@ def test_a_run_that_an_action_stops_ends_as_a_fault_here_and_in_its_recording(se
     now = ended(client, key)
     assert now["fault"] and not now["finished"] and "no" in now["ended"]
     notes = [note["text"] for note in client.board(key)["notes"]]
-    assert len(notes) == len(set(notes))  # told once
+    assert len(notes) == len(set(notes))  # shown once
     log = client.post("/api/open", {"path": "runs/%s.jsonl" % now["run"]}).get_json()["id"]
     again = ended(client, log)
     assert [again[k] for k in ("run", "ended", "fault", "finished")] == [

@@ -1,4 +1,4 @@
-"""Room files that are no good: each is refused with one clear message that tells the line."""
+"""Room files that are no good: each is refused with one clear message that names the line."""
 
 import pytest
 from hypothesis import given, settings
