@@ -218,7 +218,7 @@ class PythonFunction:
     known: ClassVar[Tuple[str, ...]] = ()
     """The parameter names by which it may ask for values."""
     role: ClassVar[str] = "function"
-    """What it is, for messages."""
+    """What messages call it."""
 
     def __init__(
         self, function: Callable[..., Any], name: str, settings: Mapping[str, Any] = NO_SETTINGS

@@ -210,7 +210,7 @@ class _Watcher:
             self._asked_again.set()
 
     def end(self) -> None:
-        """Call the function no more."""
+        """Stop calling the function."""
         self.cancellation.cancel()
         self._asked_again.set()
 

@@ -57,7 +57,7 @@ class EventWatch:
         """Events of this visit that were made into entries, and still hold."""
 
     def go_on_from(self, before: EventWatch, mapping: Mapping[str, str]) -> None:
-        """Take over what the watch of an earlier plan knows of events that are the same in both.
+        """Copy the state of all events that an earlier plan shares with this one.
 
         :param mapping: names of the earlier plan -> names of this one, where they differ.
         """

@@ -220,8 +220,8 @@ class TeamState:
         return {"team." + name: value for name, value in self.data.items()}
 
     def present_name(self, name: str) -> str:
-        """The name that a place or transition of an earlier plan has in the present one. What was
-        under way when the team adopted it still uses the old one."""
+        """The present name of a place or transition of an earlier plan. Actions that were running
+        when the team adopted the present plan still use the old one."""
         return self.renamed.get(name, name)
 
     def is_known(self, t: int, task: str) -> bool:

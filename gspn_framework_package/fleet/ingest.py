@@ -38,9 +38,9 @@ _BETWEEN = 2_000
 class IngestedLog(NamedTuple):
     """What became of a log.
 
-    ``slots`` are those that it brought, ``rows`` the rows that were made of them. ``left_out`` says
-    why it was not read, though nothing is wrong with it; ``error`` what is wrong with it. In both
-    cases the store has nothing of it that it did not have before.
+    ``slots`` is the number of slots read from it, ``rows`` the number of rows made of them.
+    ``left_out`` says why a sound log was not read, ``error`` what is wrong with a bad one. In both
+    cases the store is unchanged.
     """
 
     log: str

@@ -20,7 +20,7 @@ ASKED, ANSWERED = "asked", "answered"
 """What a message in a service call is."""
 
 Connection = Optional[Mapping[str, str]]
-"""The header of the connection that something came on."""
+"""The header of the connection on which a message arrived."""
 
 
 def said(namespace: str, service_uri: str) -> str:

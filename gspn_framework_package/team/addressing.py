@@ -60,8 +60,8 @@ def robots_of_run(
 
 
 def whom_to_order(there: Mapping[Address, Dict[str, Any]], command: str, robot: str) -> Address:
-    """Who gets an order: the robot's own node (last if it is to be evicted), then one with a
-    vote."""
+    """The address to send an order to: if possible the robot's own node (unless it is to be
+    evicted), then one with a vote."""
     own_last = command in ("evict", "force_evict")
     return min(
         there,

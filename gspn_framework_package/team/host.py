@@ -333,11 +333,11 @@ class ReplicaHost(Worker):
         self._log.lock.close()
 
     def _step(self, given: interface.Input) -> None:
-        """Have the replica take an input, together with those that come at the same time."""
+        """Queue an input for the replica, which takes all that wait in one step."""
         self._inputs.append(given)
 
     def _take_inputs(self) -> None:
-        """Have the replica take the inputs that wait."""
+        """Pass the queued inputs to the replica."""
         if not self._inputs:
             return
         inputs, self._inputs = self._inputs, []

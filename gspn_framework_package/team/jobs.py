@@ -82,7 +82,7 @@ class Job:
         self.outcomes: Mapping[str, str] = outcomes_of(action)
 
     def open(self) -> None:
-        """Prepare what should be there before the action begins."""
+        """Set up what has to exist before the action starts."""
 
     def clash(self, types: Mapping[str, str]) -> Optional[str]:
         """What contradicts the plan in the world outside; None if nothing does. Asked before

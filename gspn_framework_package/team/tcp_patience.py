@@ -1,9 +1,9 @@
-"""Has the operating system give a silent TCP connection up after some seconds.
+"""Makes the operating system close a silent TCP connection after some seconds.
 
-Zenoh closes a connection only when what it has sent last is out. Over a link that is cut, or a NAT
-that has forgotten the connection, that takes TCP up to a quarter of an hour, and meanwhile a router
-does not let the robot in again. Zenoh has no setting for it, so the sockets get the option
-``TCP_USER_TIMEOUT`` from here. Does nothing where there is no ``/proc``.
+Zenoh closes a connection only once its last data is sent. Over a cut link, or a NAT that dropped
+the connection, TCP gives up after as much as a quarter of an hour; until then a router does not let
+the robot in again. Zenoh has no setting for this, so this module sets ``TCP_USER_TIMEOUT`` on the
+sockets. It does nothing where there is no ``/proc``.
 """
 
 from __future__ import annotations

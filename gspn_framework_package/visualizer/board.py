@@ -102,10 +102,10 @@ def fire_event(
 
 
 def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
-    """The event of what changed of a team's data and tasks; none if nothing did.
+    """The events for changes in a team's data and tasks; none if nothing changed.
 
     :param known: what was reported before; updated.
-    :param told: what is true now: ``team``, ``queues``, ``waiting``.
+    :param told: the present values: ``team``, ``queues``, ``waiting``.
     """
     event: Event = {}
     for key in ("team", "waiting"):

@@ -29,8 +29,8 @@ from gspn_framework_package.visualizer.session import Session
 
 
 class PageDeploy(NamedTuple):
-    """How far the latest deployment into the run of a session is: ``looking`` while the members
-    look at the plan, then ``done`` or ``refused``; ``says`` why."""
+    """The state of the latest deployment into the run of a session: ``looking`` while the members
+    examine the plan, then ``done`` or ``refused``; ``says`` gives the reason."""
 
     state: str
     plan: str

@@ -164,8 +164,8 @@ class _Parts:
         )
 
     def _node(self, name: str, part: str) -> Optional[str]:
-        """The node of a drawing that a node of the net is, or that stands for it: the name of a
-        subnet; None if it is elsewhere."""
+        """The name under which a drawing shows a node of the net: its own, or that of the folded
+        subnet around it; None if the drawing does not show it."""
         owner = self._owner.get(name, "")
         while owner != part:
             if not owner:

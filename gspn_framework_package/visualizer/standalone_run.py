@@ -50,10 +50,10 @@ SERVER = "this server"
 """Who votes on a plan for a standalone run."""
 
 STOP_SECONDS = 5.0
-"""Seconds that a run has to react to an order to stop; after that it is abandoned."""
+"""Seconds that a run has to obey an order to stop; then it is abandoned."""
 
 LAST_SECONDS = 2.0
-"""The same when the page's server ends."""
+"""The same while the page's server shuts down."""
 
 
 class StandaloneRun(Activity, Listener):

@@ -20,8 +20,8 @@ RESOLUTION = 0.05
 """Side length of a cell, in metres."""
 
 SPARE = 0.02
-"""Least distance, in metres, of a robot in the centre of a cell to walls and obstacles if a path is
-to lead through the cell."""
+"""A path leads through a cell only if a robot in its centre is this far, in metres, from walls and
+obstacles."""
 
 COMFORT = 0.12
 """Distance to a wall or obstacle (beyond the robot's radius), in metres, from which on a path has

@@ -1,7 +1,7 @@
 """The referee: watches a team and counts laps, distance, contacts, time stuck, two robots in one
 location, and overtaking.
 
-It judges by the true poses in the world, not by the belief of any robot or plan.
+It uses the true poses in the world, not those that a robot or plan believes in.
 """
 
 from __future__ import annotations

@@ -480,7 +480,7 @@ class DecisionProblem:
         """The states of a team in which a condition holds.
 
         :raises ExpressionError: it cannot be parsed.
-        :raises UsageError: it reads a counter that was left out.
+        :raises UsageError: it uses a counter that the model leaves out.
         """
         parsed = parse_condition(condition, [p.name for p in self.plan.net.places])
         unknown = [p for p in self.left_out if p in parsed.places]

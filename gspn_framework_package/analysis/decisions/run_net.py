@@ -224,8 +224,8 @@ class DecisionNet:
         return _Parts(entry, doing, asking, named, arriving)
 
     def _races(self, p: int, timing: PlaceTiming) -> bool:
-        """Whether place ``p`` is not split although its action takes time: what leaves it needs
-        only the own token."""
+        """Whether place ``p`` stays whole although its action takes time, because the transitions
+        that leave it need no other token."""
         net = self._source
         return (
             timing.duration.mean > 0

@@ -94,8 +94,8 @@ def _part(sample: Sample, generator: Any) -> Sample:
 
 
 def _censoring(sample: Sample) -> Optional[Tuple[Any, Any]]:
-    """When times are cut off: the Kaplan-Meier estimate with the roles exchanged. None if none
-    is."""
+    """The Kaplan-Meier estimate of the censoring times, in which observed times count as
+    censored; None if no time is censored."""
     if not len(sample.censored):
         return None
     times, after = kaplan_meier(Sample(sample.censored, sample.observed))
@@ -147,7 +147,7 @@ def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
     everything = np.concatenate([np.asarray(times, dtype=np.float64) for times in durations])
     if len(durations) < 2 or (everything == everything[0]).all():
         return 1.0
-    from scipy import stats  # takes long to import
+    from scipy import stats  # slow to import
 
     return float(stats.kruskal(*durations).pvalue)
 

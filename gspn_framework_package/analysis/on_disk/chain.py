@@ -250,8 +250,8 @@ class OnDiskChain:
             yield part, self.tangible.read(part.start, part.stop)
 
     def windows(self) -> Iterator[Tuple[slice, Chain]]:
-        """The states, some at a time: which they are, and a chain of its own in which they are the
-        first states, with the rates out of them."""
+        """Yield the states in parts: the slice of their numbers, and a chain that begins with these
+        states and has the rates out of them."""
         packed = self.space.packed
         for part, keys in self.parts(min(rows_of_round(len(packed.order)), self._rows)):
             yield part, Chain(rate(window(packed, self.space.code.decode(keys))))

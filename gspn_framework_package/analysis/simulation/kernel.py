@@ -877,7 +877,7 @@ def busy(t: int, servers: int, level: Indices, test_from: Indices, tests: Indice
             if degree == 0 or times < degree:
                 degree = times
     if degree == 0:
-        return 1  # without inputs
+        return 1  # no input arcs
     return servers if 0 < servers < degree else degree
 
 

@@ -59,7 +59,7 @@ class Anderson:
         self._size, self._depth = size, depth
         self._changes = [vector(size) for _ in range(depth)]  # of successive G(x) - x
         self._moves = [vector(size) for _ in range(depth)]  # of successive G(x)
-        self._products = np.zeros((depth, depth))  # of the changes with each other
+        self._products = np.zeros((depth, depth))  # scalar products of the changes
         self._count = 0
         self._last_change, self._last_image = vector(size), vector(size)
         self._begun = False

@@ -114,7 +114,7 @@ class Growing:
         """Make room for ``count`` rows in total."""
         capacity = len(self.array)
         if count > capacity:
-            # a larger reserve would be filled with zeros, and so take memory
+            # zeroing a larger reserve would make it occupy memory
             self._resize(max(count, capacity + (capacity >> 2)))
 
     def extend(self, rows: np.ndarray) -> None:

@@ -279,7 +279,7 @@ class StateTable:
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))
             step = 0
-            while len(open_keys):  # all keys differ, so a key that lost its slot goes on
+            while len(open_keys):  # keys are distinct: on a collision, probe the next slot
                 step += 1
                 here = at[open_keys]
                 free = self._slots[here] == _EMPTY

@@ -481,7 +481,7 @@ class Consensus:
                 attempt.began = now
 
     def took(self, seconds: float) -> None:
-        """Something of ours, which others proposed, was decided within that time."""
+        """A proposal of ours that another robot put forward was decided within ``seconds``."""
         self.state.slow = min(self.state.slow, seconds)
 
     def _answers(self, message: Envelope, body: Promise, attempt: BallotAttempt) -> bool:

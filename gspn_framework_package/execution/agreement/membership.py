@@ -91,7 +91,7 @@ class Membership:
     # -- incarnations and memory -------------------------------------------------------------------
 
     def begin_first_life(self) -> None:
-        """Our log is new: listen before we take part, since somebody may know our name."""
+        """Our log is new: listen before taking part, since another robot may know our name."""
         state, pace = self.state, self.config.pace
         self._note_life()
         state.listen_until = state.now + min(pace.greeting, pace.heartbeat)
@@ -119,13 +119,12 @@ class Membership:
         self.outbox.persist({"kind": "active"}, durable=True)
 
     def forget(self, why: str, keep: bool = False) -> None:
-        """What we know does not count (any more): learn the log from the others, then join. Until
-        then we have no vote. From here on our log counts as another one, because its earlier votes
-        are forgotten.
+        """Discard what we know: learn the log from the others, then join; until then we have no
+        vote. Our log gets a new id, because its earlier votes are forgotten.
 
         :param why: the reason, for people.
-        :param keep: whether to keep the slots: only our votes do not count any more. Maybe nobody
-            else knows a slot yet that we decided.
+        :param keep: whether to keep the slots and discard only our votes, because perhaps no other
+            robot knows yet a slot that we decided.
         """
         state = self.state
         self._renew_log_id()
@@ -594,7 +593,7 @@ class Membership:
                 self.proposals.drop_others(entry.robot)
 
     def note_snapshot(self) -> None:
-        """A snapshot was taken over: it may hold evictions by force, and our own ``Join``."""
+        """We adopted a snapshot, which may hold forced evictions and our own ``Join``."""
         state = self.state
         for name in state.ledger.cast_out:
             if state.ledger.is_cast_out(name):
@@ -771,7 +770,7 @@ class Membership:
     def _heard_though_off(self, robot: str) -> None:
         """A robot that was asserted to be off is heard: the assertion was wrong, or has ended."""
         was = robot in self.electorate.asserted_off()
-        if was:  # in the log, too: who is started again between the two hears the robot once more
+        if was:  # withdraw first: if we crash in between, we hear the robot again
             self.proposals.withdraw_forced_evictions(
                 robot, "%s is not off: a message from it has just arrived" % robot
             )

@@ -317,7 +317,7 @@ class Proposer:
         return self.config.pace.spread * self._draw()
 
     def _draw(self) -> float:
-        """A number in [0, 1) that differs from robot to robot and from time to time."""
+        """A number in [0, 1) that differs between robots and between calls."""
         state, seed = self.state, self.config.plan.seed
         return uniform(
             seed, state.ledger.length, state.highest.counter, "wait of " + self.config.name

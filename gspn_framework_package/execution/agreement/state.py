@@ -336,7 +336,7 @@ class ReplicaState:
     examining: Tuple[int, int] = _owned("deployment", (0, 0))
     """The stage that our host looks at, and the incarnation of ours that asked it."""
     examined: Optional[str] = _owned("deployment")
-    """Why we cannot follow it, "" if we can; None: the host has not said yet."""
+    """Why we cannot follow it, "" if we can; None until the host has answered."""
 
     # -- people ------------------------------------------------------------------------------------
 

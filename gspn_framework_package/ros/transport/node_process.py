@@ -148,8 +148,8 @@ def connect_once() -> None:
 
 
 def share_log_configuration() -> None:
-    """Find the configuration of rospy's logging once, for all nodes that this process will fork;
-    otherwise each of them would search all packages for it."""
+    """Find rospy's logging configuration once for all nodes that this process forks, so that
+    they need not each search all packages for it."""
     if "ROS_PYTHON_LOG_CONFIG_FILE" not in os.environ:
         for folder in (
             os.path.join(rospkg.get_ros_home(), "config"),

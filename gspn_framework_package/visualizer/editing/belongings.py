@@ -11,7 +11,7 @@ from gspn_framework_package.model.errors import GspnError, LimitError
 from gspn_framework_package.visualizer.documents import Folder
 
 FILES, BYTES = 300, 20_000_000
-"""How many files, of how many bytes in all, are copied with a plan."""
+"""The most files, and the most bytes in all, that are copied with a plan."""
 
 
 class Belongings:

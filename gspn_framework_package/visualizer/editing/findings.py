@@ -37,10 +37,10 @@ from gspn_framework_package.model.subnet import SEPARATOR
 from gspn_framework_package.ros.check_all import check_all
 
 FAULTS = 12
-"""Most faults of a document that is not a plan yet that are reported at once."""
+"""The most faults reported at once for a document that is not a plan yet."""
 
 STATES_AT_LAST = 50
-"""Markings that are visited when the time is over, for the report of what is left open."""
+"""Markings visited after a timeout, for the report of what was not decided."""
 
 LEVELS = {Severity.REFUSED: "error", Severity.WARNING: "warning", Severity.OK: "note"}
 

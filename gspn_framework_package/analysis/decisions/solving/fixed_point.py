@@ -276,7 +276,7 @@ class _Search:
         return earned - gain * passed, gain
 
     def _one_class(self, chosen: Indices) -> Indices:
-        """The policy changed so that it has one recurrent class, the best of its own."""
+        """Change the policy so that only the best of its recurrent classes remains."""
         model = self._model
         matrix = model.matrix[chosen]
         matrix.sum_duplicates()

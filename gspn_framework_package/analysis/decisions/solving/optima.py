@@ -189,7 +189,7 @@ class _Work:
         return values
 
     def _mean(self, values: Floats) -> float:
-        """The mean of the values of the states (of the automaton) over the start."""
+        """The mean over the start distribution of one value per state of the automaton."""
         return float(values[self._starts] @ self._shares)
 
     def _narrow(self, low: float, high: float, scale: float) -> bool:
@@ -308,7 +308,7 @@ class _Work:
     # -- time and cost until a goal ----------------------------------------------------------------
 
     def total(self, rewards: Rewards, goal: Booleans, what: str) -> Solved:
-        """TIME_TO and COST_TO."""
+        """Solve the aims TIME_TO and COST_TO."""
         automaton = self._automaton
         reduced = self._reduced(rewards, goal, np.zeros(len(automaton)))
         base = reduced.layer.model
