@@ -23,7 +23,7 @@ from agreement.schedule import (
     run_schedule,
 )
 from agreement.world import ViolationError
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from gspn_framework_package.execution.agreement import config
 
 SIZES = {1: 4, 2: 30, 3: 48, 4: 8, 5: 6, 8: 3, 13: 1}
@@ -154,7 +154,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         schedules = draw_schedules(first, args.schedules, args.robots, args.kinds)
     if args.small_team is not None:
         config.SMALL_TEAM = args.small_team
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     result = run(schedules, args.schedules, args.seconds)
     if args.json:
         print(json.dumps(result))

@@ -36,14 +36,14 @@ from benchmarks.processes import (
     child,
     cost_of,
     cpu_seconds,
-    end_cleanly_when_told,
+    end_cleanly_on_signal,
 )
 from gspn_framework_package.execution.agreement.interface import Send
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.plan import Synchronisation
-from gspn_framework_package.team.agent import PrintedVoice, make_agent
+from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember, make_team, read_keys
@@ -112,7 +112,7 @@ def _robots(
             plan,
             robot,
             HostOptions(RUN, _log_of(folder, robot)),
-            PrintedVoice(robot, quiet=True),
+            PrintedReporter(robot, quiet=True),
             lambda host: ZenohCarrier(host.robot, RUN, site.access(host.robot), host.handlers),
         )
         for robot in names
@@ -356,7 +356,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     most = max([2, *args.robots, *(args.large or [])])
     rows: List[Dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:

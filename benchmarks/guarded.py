@@ -21,7 +21,7 @@ from typing import Any, Dict, Iterator, List, Optional, Sequence
 
 from benchmarks.latency import measure, plan_of
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.model.errors import GspnError
@@ -99,7 +99,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     args = parser.parse_args(arguments)
     if args.flooder:
         return flood(args.flooder)
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     need_ros()
     rows: List[Dict[str, Any]] = []
     with Master() as master:

@@ -24,7 +24,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 import numpy as np
 
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.analysis.simulation.estimates import mean
 from gspn_framework_package.execution.event_log import read_log, replay
@@ -158,7 +158,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--computed", metavar="PLAN", help="a plan that has been computed before")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     if args.quick:
         args.pairs = args.virtual_pairs = 2
         args.seconds, args.virtual = min(args.seconds, 20.0), min(args.virtual, 200.0)

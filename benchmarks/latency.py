@@ -33,7 +33,7 @@ from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.plans import ring_plan, tokens_plan
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.verifier import verify
@@ -199,7 +199,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     need_ros()
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
     rows: List[Dict[str, Any]] = []
     interrupted = False

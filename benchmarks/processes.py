@@ -94,7 +94,7 @@ def cost_of(processes: Iterable[psutil.Process]) -> ProcessCost:
     return ProcessCost(count, cpu, pss / 1e6, threads, descriptors)
 
 
-def end_cleanly_when_told() -> None:
+def end_cleanly_on_signal() -> None:
     """Make SIGTERM what Ctrl-C is, so that the processes of a benchmark end with it."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 

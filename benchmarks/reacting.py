@@ -34,7 +34,7 @@ import psutil
 from benchmarks.faults.team import PATIENCE, RestartableMaster
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.netns.main import why_not
-from benchmarks.processes import cpu_seconds, end_cleanly_when_told
+from benchmarks.processes import cpu_seconds, end_cleanly_on_signal
 from benchmarks.reacting_tasks import COLUMNS as TASK_COLUMNS
 from benchmarks.reacting_tasks import (
     FAULTS,
@@ -268,7 +268,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     reason = why_not() if "tasks" in args.part and "cuts" in args.faults else ""
     if reason:
         raise UsageError("the network cannot be cut here: %s" % reason)
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
     work: List[Tuple[str, Callable[[], Row]]] = []
     for part in args.part:

@@ -31,7 +31,7 @@ from benchmarks.faults.team import (
 from benchmarks.netns.experiment import PartitionExperiment
 from benchmarks.netns.rules import Cuts, one_way, partition
 from benchmarks.netns.team import MASTER
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from gspn_framework_package.execution.event_log import Record, read_log
 from gspn_framework_package.execution.verifier import Verdict, verify
 from gspn_framework_package.model.action import FunctionAction
@@ -454,7 +454,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--robots", nargs="+", required=True)
     args = parser.parse_args()
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     rospy.init_node("sender", anonymous=True)
     sender = OrderSender(args.robots, args.seed)
     print("begun", flush=True)

@@ -23,7 +23,7 @@ import time
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from benchmarks.machine import describe_machine, machine_line
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.room_report import FAULTS, figures, show
 from benchmarks.room_ros import measure_ros
 from gspn_framework_package.formats.example_plans import plans_folder
@@ -96,7 +96,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     args.room = args.room or os.path.join(plans_folder(), "patrol", "critical_room.yaml")
     if args.quick:
         args.minutes = min(args.minutes, 2.0)

@@ -22,7 +22,7 @@ from collections import Counter
 from typing import Any, Dict, List, Optional, Sequence
 
 from benchmarks.machine import describe_machine, machine_line
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.room_ros import end_launch, last_lines
 from benchmarks.team_run import Master, need_ros
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log, replay
@@ -287,7 +287,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the orders and of the person (0)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     result = measure(args.robots, args.minutes, args.factor, args.seed)
     machine = describe_machine(LIBRARIES)
     if args.json:

@@ -91,13 +91,13 @@ class DyingFile:
         return size  # never reached
 
 
-def die_when_told(*told_already: int, death: Optional[Death] = None) -> None:
+def die_on_signal(*received_already: int, death: Optional[Death] = None) -> None:
     """Make this process die at its next log write after one of the signals has arrived.
 
-    :param told_already: the signals to treat as received from the start.
+    :param received_already: the signals to treat as received from the start.
     :param death: also at the records that it orders.
     """
-    told: List[int] = list(told_already)
+    told: List[int] = list(received_already)
     append = EventLogWriter.append
 
     def append_or_die(
@@ -121,7 +121,7 @@ def main() -> None:
     from gspn_framework_package.ros.transport import node_process
 
     deaths = [Death(word[len(DEATH) :]) for word in sys.argv if word.startswith(DEATH)]
-    die_when_told(*([CUT] if AT_ONCE in sys.argv else []), death=deaths[0] if deaths else None)
+    die_on_signal(*([CUT] if AT_ONCE in sys.argv else []), death=deaths[0] if deaths else None)
     node_process.exit_with(node_main.run_execution_node())
 
 

@@ -26,7 +26,7 @@ from benchmarks.faults.outages import Outages
 from benchmarks.faults.soak import Soak
 from benchmarks.faults.team import RestartableMaster
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.team_run import need_ros
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
@@ -105,7 +105,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     seed = args.seed if args.seed is not None else random.SystemRandom().randrange(2**32)
     _tell("seed %d" % seed)
     source = random.Random(seed)

@@ -25,7 +25,7 @@ from benchmarks.page.long_log import measure_log
 from benchmarks.page.rendering import measure_page
 from benchmarks.page.team import ARRANGEMENTS, measure_team
 from benchmarks.page.viewers import measure_memory, measure_viewers
-from benchmarks.processes import end_cleanly_when_told
+from benchmarks.processes import end_cleanly_on_signal
 from gspn_framework_package.model.errors import GspnError
 
 WORDS = ("render", "viewers", "memory", "edit", "log", "team")
@@ -71,7 +71,7 @@ def main() -> int:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args()
-    end_cleanly_when_told()
+    end_cleanly_on_signal()
     for word in args.what:
         if word not in WORDS:
             parser.error("there is no '%s'; there are: %s" % (word, ", ".join(WORDS)))

@@ -53,7 +53,7 @@ def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> 
             for command in step.commands:
                 if isinstance(command, StartAction):
                     doing[command.robot] = command
-            failed = [r.name for r in ledger.state.robots.values() if r.phase.told.failed]
+            failed = [r.name for r in ledger.state.robots.values() if r.phase.report.failed]
             if not doing and not failed:
                 raise ExecutionError("the run of the log came to its end after %d entries" % number)
             batch = [

@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan, and be the robot until the run is over."""
-    from gspn_framework_package.team.agent import JsonVoice, PrintedVoice, make_agent
+    from gspn_framework_package.team.agent import JsonReporter, PrintedReporter, make_agent
     from gspn_framework_package.team.host import HostOptions
     from gspn_framework_package.team.plan_examination import check_plan
     from gspn_framework_package.team.router_wait import await_router
@@ -94,21 +94,21 @@ def run(args: argparse.Namespace) -> int:
 
     plan = _plan_of(args)
     access = access_of(args, args.robot)
-    told = JsonVoice(args.robot) if args.json else None
-    voice = told or PrintedVoice(args.robot, args.quiet)
-    check_plan(plan, voice.warn)
+    printed = JsonReporter(args.robot) if args.json else None
+    reporter = printed or PrintedReporter(args.robot, args.quiet)
+    check_plan(plan, reporter.warn)
     partial = plan.synchronisation is Synchronisation.PARTIAL
     options = HostOptions(args.run_name, _log_of(args), args.place, args.stay)
     signal.signal(signal.SIGTERM, _interrupt)
     zenoh_library()
     session_config(access)  # endpoints that are wrong are not waited for
     if not access.listen:  # else the session itself connects whenever it can
-        await_router(access.connect, voice.warn, time.sleep)
+        await_router(access.connect, reporter.warn, time.sleep)
     host = make_agent(
         plan,
         args.robot,
         options,
-        voice,
+        reporter,
         lambda host: ZenohCarrier(args.robot, args.run_name, access, host.handlers, partial),
         args.allow_commands,
     )
@@ -121,8 +121,8 @@ def run(args: argparse.Namespace) -> int:
     finally:
         host.stop()
         host.join(LAST_WORDS)
-        if told is not None:
-            told.tell("end", exit_code=code, log=options.log_file)
+        if printed is not None:
+            printed.write("end", exit_code=code, log=options.log_file)
     return code
 
 

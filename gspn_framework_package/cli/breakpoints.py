@@ -1,4 +1,4 @@
-"""``gspn breakpoints``: the places and transitions at which a robot halts until it is resumed."""
+"""``gspn breakpoints``: the places and transitions at which a robot stops until it is resumed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_team_options(parser)
     parser.epilog = (
-        "A robot halts before its action in a place starts, or before it asks for a transition; "
+        "A robot stops before its action in a place starts, or before it asks for a transition; "
         "'gspn resume ROBOT' (on the page: Resume) releases it. They are kept in breakpoints.json "
         "beside the plan, which runs read again when it changes. Exit codes: 0 done, 1 a node did "
         "not take them, 2 a name is not one of the plan."
@@ -59,5 +59,5 @@ def _of_plan(args: argparse.Namespace) -> int:
     else:
         file.changed()
     found = file.breakpoints
-    print(json.dumps(found.to_json()) if args.json else found.told)
+    print(json.dumps(found.to_json()) if args.json else found.in_words)
     return 0

@@ -91,18 +91,18 @@ def run(args: argparse.Namespace) -> int:
 
 def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> int:
     """Have a run without ROS go on under the plan."""
-    from gspn_framework_package.execution import run_door
+    from gspn_framework_package.execution import control_socket
     from gspn_framework_package.formats.plan_file import PLAN_FILE
 
     file = args.standalone
     if file and os.path.isdir(file):
         file = os.path.join(file, PLAN_FILE)
-    run = run_door.chosen_run(run_door.running_plans(), file, args.run_name)
+    run = control_socket.chosen_run(control_socket.running_plans(), file, args.run_name)
     folder = args.folder and os.path.abspath(args.folder)
-    request = run_door.DeployRequest(
+    request = control_socket.DeployRequest(
         os.path.abspath(plan.file or args.plan), mapping, folder, args.wait
     )
-    answer = run_door.ask_to_deploy(run, request)
+    answer = control_socket.ask_to_deploy(run, request)
     return _told(args, answer["done"], answer["message"], process=run.process)
 
 

@@ -206,7 +206,7 @@ GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
         ),
         "breakpoints": Verb(
             ".breakpoints",
-            "halt a robot at a place or a transition, for debugging",
+            "stop a robot at a place or a transition, for debugging",
             "breakpoints Door",
         ),
         "trust": Verb(

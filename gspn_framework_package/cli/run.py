@@ -22,11 +22,11 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
 from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.execution.breakpoints import BreakpointFile
+from gspn_framework_package.execution.control_socket import ControlSocket, DeployRequest
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.local_kinds import ALLOW, refuse_commands
 from gspn_framework_package.execution.log_entries import Entry
-from gspn_framework_package.execution.run_door import DeployRequest, RunDoor
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.plan_file import read_plan
@@ -82,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
     )
     executor.breakpoint_file = BreakpointFile(plan)
     if executor.breakpoint_file.changed():
-        print("note: breakpoints: %s" % executor.breakpoint_file.breakpoints.told, file=sys.stderr)
+        print(
+            "note: breakpoints: %s" % executor.breakpoint_file.breakpoints.in_words, file=sys.stderr
+        )
     # a line that an action prints could split a JSON line
     with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
         return _execute(args, executor, printer, event_log)
@@ -97,7 +99,7 @@ def _execute(
     started = time.monotonic()
     deadline = started + args.seconds if args.seconds is not None else None
     executor.start()
-    door = _door(executor)
+    control = _control_socket(executor)
     try:
         if not wait_for(printer.over, _left(deadline)) and not executor.over:
             executor.stop("the limit of %g seconds" % args.seconds)
@@ -107,23 +109,23 @@ def _execute(
         executor.wait(5.0)
         raise
     except ExecutionError as error:
-        printer.tell_end(
+        printer.print_end(
             error.message, executor.status()["marking"], time.monotonic() - started, broken=True
         )
         raise
     finally:
-        if door is not None:
-            door.close()
+        if control is not None:
+            control.close()
         if event_log is not None and executor.over:
             event_log.close()
     assert ended is not None
     fault = executor.state.fault  # neither a normal end nor a limit
-    printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started, fault)
+    printer.print_end(ended.reason, executor.status()["marking"], time.monotonic() - started, fault)
     return 1 if fault else 0
 
 
-def _door(executor: StandaloneExecutor) -> Optional[RunDoor]:
-    """The door by which ``gspn deploy --standalone`` reaches the run; None if there can be none."""
+def _control_socket(executor: StandaloneExecutor) -> Optional[ControlSocket]:
+    """The socket for ``gspn deploy --standalone``; None if it cannot be made."""
     began_with = executor.plan
 
     def about() -> Dict[str, Any]:
@@ -141,7 +143,7 @@ def _door(executor: StandaloneExecutor) -> Optional[RunDoor]:
         return "the run goes on under the plan '%s'" % plan.name
 
     try:
-        return RunDoor(about, deploy)
+        return ControlSocket(about, deploy)
     except ExecutionError as error:
         print("note: gspn deploy cannot reach this run: %s" % error, file=sys.stderr)
         return None
@@ -231,7 +233,7 @@ class _Printer(Listener):
         # the caller prints the end, in a thread that can report a failure to print
         self.over.set()
 
-    def tell_end(
+    def print_end(
         self, reason: str, marking: Dict[str, int], seconds: float, broken: bool = False
     ) -> None:
         """Print how the run ended; ``broken`` means that an action or the executor itself

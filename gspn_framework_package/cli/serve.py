@@ -139,19 +139,19 @@ def _serve_team(args: argparse.Namespace) -> int:
     from gspn_framework_package.formats.plan_file import read_plan
     from gspn_framework_package.visualizer.project import project_of_team
     from gspn_framework_package.visualizer.team_watch import TeamWatch
-    from gspn_framework_package.visualizer.zenoh_lookout import ZenohLookout
+    from gspn_framework_package.visualizer.zenoh_connection import ZenohConnection
 
     if args.edit or args.record or args.history:
         raise UsageError("--edit, --record and --history are for a folder, not for --connect")
     plan = read_plan(args.path)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
-    lookout = ZenohLookout(access_of(args), args.run_name)
-    watch = TeamWatch(plan, lookout, args.run_name)
+    connection = ZenohConnection(access_of(args), args.run_name)
+    watch = TeamWatch(plan, connection, args.run_name)
     try:
         return serve(project_of_team(args.path, plan, watch), args)
     finally:
-        lookout.close()
+        connection.close()
 
 
 def serve(project: object, args: argparse.Namespace) -> int:

@@ -9,7 +9,12 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.cli.table import aligned
 from gspn_framework_package.cli.team_client import add_team_options, label_of, team_client
-from gspn_framework_package.execution.told_data import SHOWN_TASKS, cause_text, order_text, shown
+from gspn_framework_package.execution.displayed_data import (
+    SHOWN_TASKS,
+    cause_text,
+    order_text,
+    shown,
+)
 
 COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
 

@@ -1,6 +1,6 @@
-"""Breakpoints: places and transitions at which a robot halts until somebody resumes it.
+"""Breakpoints: places and transitions at which a robot stops until somebody resumes it.
 
-A robot halts before its action in a *place* starts, and before it asks for a *transition* (or its
+A robot stops before its action in a *place* starts, and before it asks for a *transition* (or its
 event fires it): its own node, or the standalone executor, then orders ``Pause`` for this robot
 alone, and ``Resume`` releases it. So the log holds all that happened, and the token game knows no
 breakpoints. They are kept in ``breakpoints.json`` beside the plan.
@@ -30,7 +30,7 @@ class Breakpoints(NamedTuple):
     transitions: Tuple[str, ...] = ()
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """The names, for people."""
         return ", ".join((*self.places, *self.transitions)) or "no breakpoint"
 
@@ -71,8 +71,8 @@ class Breakpoints(NamedTuple):
         )
 
     def stops_result(self, plan: Plan, place: str, result: str) -> bool:
-        """Whether a robot that is done in ``place`` halts. Where its action names no transition, it
-        halts if one with a breakpoint may be next."""
+        """Whether a robot that is done in ``place`` stops. Where its action names no transition, it
+        stops if one with a breakpoint may be next."""
         if not self.transitions:
             return False
         if result not in ("", "None"):
@@ -94,7 +94,7 @@ def read_names(text: str) -> List[str]:
 
 
 def why_no_breakpoint(plan: Plan, name: str, kind: str) -> str:
-    """Why no robot can halt at a place or transition; "" if it can."""
+    """Why no robot can stop at a place or transition; "" if it can."""
     net = plan.net
     if kind == "place":
         if name not in net.place_index:
@@ -115,11 +115,11 @@ def why_no_breakpoint(plan: Plan, name: str, kind: str) -> str:
     own = [dict(robot.actions) for robot in plan.robots]
     if any(actions.get(p) is not None for actions in (plan.actions, *own) for p in before):
         return ""
-    return what + "; halt in the place before"
+    return what + "; stop in the place before"
 
 
-class Halts:
-    """Where one robot halts.
+class RobotBreakpoints:
+    """Where one robot stops.
 
     :ivar breakpoints: where it does; may be replaced at any time.
     """
@@ -131,12 +131,12 @@ class Halts:
         self._passed: Optional[Hashable] = None
 
     def may_start(self, visit: Hashable, place: str, attempt: int, paused: bool) -> str:
-        """Whether the robot's action may start: "yes", "no" (it halts), or "pause" (it halts, and
+        """Whether the robot's action may start: "yes", "no" (it stops), or "pause" (it stops, and
         the pause has to be ordered).
 
         :param visit: anything that distinguishes this visit from others.
-        :param attempt: the number of the attempt. A later one halts only if the robot is paused:
-            its node was restarted while it halted.
+        :param attempt: the number of the attempt. A later one stops only if the robot is paused:
+            its node was restarted while it was stopped.
         :param paused: whether the robot is paused, according to the log.
         """
         if visit == self._passed:

@@ -191,7 +191,7 @@ class _Watcher:
             try:
                 self._call(_LiveData(lambda: self._host.data_of(self._robot)))
             except _FunctionFailed as error:
-                self._tell_fault("%s; it does not watch any longer" % error)
+                self._report_fault("%s; it does not watch any longer" % error)
             return
         while not self.cancellation():
             self._asked_again.clear()
@@ -199,7 +199,7 @@ class _Watcher:
                 self._take(self._call(self._host.data_of(self._robot)))
                 self._told = ""
             except _FunctionFailed as error:
-                self._tell_fault(str(error))
+                self._report_fault(str(error))
             self._asked_again.wait(self._every)
 
     def ask_again(self) -> None:
@@ -267,7 +267,7 @@ class _Watcher:
         if not self.cancellation():
             self._host.submit(entry)
 
-    def _tell_fault(self, text: str) -> None:
+    def _report_fault(self, text: str) -> None:
         if text != self._told and not self.cancellation():
             self._told = text
             self._host.fault(self._robot, "%s failed: %s" % (self.what, text))

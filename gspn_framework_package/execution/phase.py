@@ -2,9 +2,9 @@
 
 The log gives each robot a phase (:attr:`RobotState.phase`). The phase reported to people and
 programs also takes into account a pause, the end of the run and what is not in the log yet
-(:func:`.team_state.told_phase`). The members of :class:`Phase` form a table: the name of each phase
-in logs, on ROS, in the thesis and on the page, and flags for what follows from it. Nothing else in
-the package compares these names.
+(:func:`.team_state.reported_phase`). The members of :class:`Phase` form a table: the name of each
+phase in logs, on ROS, in the thesis and on the page, and flags for what follows from it. Nothing
+else in the package compares these names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import enum
 from typing import Any, Dict, NamedTuple
 
 
-class Told(NamedTuple):
+class PhaseReport(NamedTuple):
     """How a phase is reported, and what follows from it."""
 
     state: str
@@ -48,47 +48,55 @@ class Phase(enum.Enum):
     The log contains DOING, DONE, FAILED, INACTIVE, LOST and LEFT. The others are only reported.
     """
 
-    told: Told
+    report: PhaseReport
     gone: bool
 
-    def __new__(cls, value: str, told: Told) -> Phase:
+    def __new__(cls, value: str, report: PhaseReport) -> Phase:
         """A member of the table below."""
         phase = object.__new__(cls)
         phase._value_ = value
-        phase.told = told
-        phase.gone = told.gone  # read so often that one look-up less matters
+        phase.report = report
+        phase.gone = report.gone  # read so often that one look-up less matters
         return phase
 
-    UNHEARD = "", Told("", "", "not heard yet", "")
+    UNHEARD = "", PhaseReport("", "", "not heard yet", "")
     """Nothing has been heard from the robot yet."""
-    FREE = "free", Told("Doing", "Free", "acts", "good", acts=True)
+    FREE = "free", PhaseReport("Doing", "Free", "acts", "good", acts=True)
     """It has come to a new place and is about to start."""
-    DOING = "doing", Told("Doing", "Occupied", "acts", "good", acts=True)
+    DOING = "doing", PhaseReport("Doing", "Occupied", "acts", "good", acts=True)
     """Its action runs."""
-    DONE = "done", Told("Done", "Done", "waits", "warn", waits=True)
+    DONE = "done", PhaseReport("Done", "Done", "waits", "warn", waits=True)
     """Its action is over. In the log, this means that it asks for a transition; when reported, that
     its request is not in the log yet."""
-    WAITING = "waiting", Told("Waiting", "Waiting", "waits", "warn", waits=True)
+    WAITING = "waiting", PhaseReport("Waiting", "Waiting", "waits", "warn", waits=True)
     """It asks for a transition that did not fire at once."""
-    PAUSED = "paused", Told("Paused", "Waiting", "paused", "warn", waits=True)
+    PAUSED = "paused", PhaseReport("Paused", "Waiting", "paused", "warn", waits=True)
     """The operator paused it or the team; it joins no firing."""
     FAILED = (
         "failed",
-        Told("Failed", "Failed", "failed", "bad", failed=True, needs_operator=True, outlasts=True),
+        PhaseReport(
+            "Failed", "Failed", "failed", "bad", failed=True, needs_operator=True, outlasts=True
+        ),
     )
     """Its action failed for good; the operator decides."""
-    INACTIVE = "inactive", Told("Inactive", "Inactive", "has finished", "", at_rest=True)
+    INACTIVE = "inactive", PhaseReport("Inactive", "Inactive", "has finished", "", at_rest=True)
     """It is in a place without output arcs, and has finished there."""
-    STOPPED = "stopped", Told("Inactive", "Inactive", "stopped", "", at_rest=True)
+    STOPPED = "stopped", PhaseReport("Inactive", "Inactive", "stopped", "", at_rest=True)
     """The run is over, and this robot had not finished."""
     LOST = (
         "lost",
-        Told("Lost", "Void", "lost", "bad", gone=True, needs_operator=True, outlasts=True),
+        PhaseReport("Lost", "Void", "lost", "bad", gone=True, needs_operator=True, outlasts=True),
     )
     """It was evicted; its token is in the account of the lost."""
-    LEFT = "left", Told("Left", "Void", "has left", "", gone=True, outlasts=True, shown=False)
+    LEFT = (
+        "left",
+        PhaseReport("Left", "Void", "has left", "", gone=True, outlasts=True, shown=False),
+    )
     """It left the team voluntarily."""
-    VOID = "void", Told("Left", "Void", "has ended", "", gone=True, outlasts=True, shown=False)
+    VOID = (
+        "void",
+        PhaseReport("Left", "Void", "has ended", "", gone=True, outlasts=True, shown=False),
+    )
     """An agent destroyed by a transition that consumed more agents than it produced."""
 
     @classmethod
@@ -120,7 +128,7 @@ _IN_LOGS = (Phase.DOING, Phase.DONE, Phase.FAILED, Phase.INACTIVE, Phase.LOST, P
 
 _BY_VALUE: Dict[str, Phase] = {phase.value: phase for phase in Phase}
 
-_BY_STATE = {phase.told.state: phase for phase in (*_IN_LOGS, Phase.WAITING, Phase.PAUSED)}
+_BY_STATE = {phase.report.state: phase for phase in (*_IN_LOGS, Phase.WAITING, Phase.PAUSED)}
 
 _LOGGED = {Phase.FREE: Phase.DOING, Phase.WAITING: Phase.DONE, Phase.PAUSED: Phase.UNHEARD}
 
@@ -135,7 +143,7 @@ def phases_to_json() -> Dict[str, Any]:
     left_out = ("state", "agent")
     return {
         "table": {
-            phase.value: {k: v for k, v in phase.told._asdict().items() if k not in left_out}
+            phase.value: {k: v for k, v in phase.report._asdict().items() if k not in left_out}
             for phase in Phase
         },
         "named": {

@@ -36,7 +36,11 @@ from gspn_framework_package.execution.actions import (
     Cancellation,
     error_text,
 )
-from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints, Halts
+from gspn_framework_package.execution.breakpoints import (
+    BreakpointFile,
+    Breakpoints,
+    RobotBreakpoints,
+)
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.execution.event_log import EventLogWriter, Record
@@ -172,11 +176,11 @@ class StandaloneExecutor:
         self._pool = WorkerPool("agent")
         self._queue: queue.SimpleQueue[_Message] = queue.SimpleQueue()
         self._running: Dict[str, _Attempt] = {}
-        self.halt_at = Breakpoints()
-        """Where agents halt. May be replaced at any time."""
+        self.break_at = Breakpoints()
+        """Where agents stop. May be replaced at any time."""
         self.breakpoint_file: Optional[BreakpointFile] = None
         """Where the breakpoints are kept; it is read again when it changes."""
-        self._halts: Dict[str, Halts] = {}
+        self._breaks: Dict[str, RobotBreakpoints] = {}
         self._halted: Dict[str, StartAction] = {}
         self._timers: List[Tuple[float, int, _Message]] = []
         self._timer_numbers = itertools.count()
@@ -360,7 +364,7 @@ class StandaloneExecutor:
                     {
                         "name": robot.name,
                         "place": self.plan.net.places[robot.place].name,
-                        "state": phase.told.agent,
+                        "state": phase.report.agent,
                         "visit": robot.visit,
                         "seconds": round(now - since, 3),
                         "why": self.game.why_waiting(self.state, robot),
@@ -428,7 +432,7 @@ class StandaloneExecutor:
                 self._follow_plan(step.game(self.game))
         if self._event_log is not None:  # before any of its effects leaves the process
             self._record(self._ledger.record(slot, entries, [], step))
-        self._tell_phases(step)
+        self._report_phases(step)
         self._listener.on_step(slot, entries, step.firings, self.state)
         self._fired += len(step.firings)
         limit = self._firing_limit
@@ -478,7 +482,7 @@ class StandaloneExecutor:
         if self._event_log is not None:
             self._event_log.append(*records)
 
-    def _tell_phases(self, step: Step) -> None:
+    def _report_phases(self, step: Step) -> None:
         for firing in step.firings:
             for move in firing.moves:
                 if move.target is None:
@@ -516,7 +520,7 @@ class StandaloneExecutor:
             if attempt is not None:
                 attempt.cancellation.cancel()
                 grace = self._clock() + self.plan.cancel_grace
-                self._at(grace, lambda: self._tell_deaf(command.robot, attempt))
+                self._at(grace, lambda: self._report_deaf(command.robot, attempt))
         elif isinstance(command, Fault):
             self._listener.on_fault(command.robot, command.message)
         elif isinstance(command, Ended):
@@ -534,17 +538,17 @@ class StandaloneExecutor:
             self.breakpoint_file.changed()
         except InputError as error:
             self._listener.on_fault("", "the breakpoints stay as they were: %s" % error)
-        self.halt_at = self.breakpoint_file.breakpoints
+        self.break_at = self.breakpoint_file.breakpoints
 
     def _may_start(self, command: StartAction) -> bool:
         """Whether no breakpoint holds an agent before its action; if one does, pause the agent."""
         robot = self.state.robots.get(command.robot)
-        if robot is None or not (self.halt_at.places or command.robot in self._halts):
+        if robot is None or not (self.break_at.places or command.robot in self._breaks):
             return True
-        halts = self._halts.setdefault(command.robot, Halts())
-        halts.breakpoints = self.halt_at
+        breaks = self._breaks.setdefault(command.robot, RobotBreakpoints())
+        breaks.breakpoints = self.break_at
         visit = (command.incarnation, command.visit)
-        answer = halts.may_start(visit, command.place, command.attempt, robot.paused)
+        answer = breaks.may_start(visit, command.place, command.attempt, robot.paused)
         if answer == "pause":
             self._queue.put(lambda: self._pause(command.robot) if self._is_current(command) else [])
         return answer == "yes"
@@ -574,7 +578,7 @@ class StandaloneExecutor:
     def _at(self, when: float, message: _Message) -> None:
         heapq.heappush(self._timers, (when, next(self._timer_numbers), message))
 
-    def _tell_deaf(self, agent: str, attempt: _Attempt) -> List[log_entries.Entry]:
+    def _report_deaf(self, agent: str, attempt: _Attempt) -> List[log_entries.Entry]:
         """Report a cancelled action that does not end."""
         if not attempt.ended.is_set():
             self._listener.on_fault(
@@ -663,7 +667,7 @@ class StandaloneExecutor:
             return []
         found: List[log_entries.Entry] = []
         for event in self._watches[agent].due(visit, self._clock()):
-            if event.transition in self.halt_at.transitions:
+            if event.transition in self.break_at.transitions:
                 found += self._pause(agent)
             found.append(event)
         return found
@@ -749,7 +753,7 @@ class StandaloneExecutor:
         if self._running.get(command.robot) is not attempt:
             return []  # timed out or cancelled in the meantime
         del self._running[command.robot]
-        if isinstance(entry, log_entries.Done) and self.halt_at.stops_result(
+        if isinstance(entry, log_entries.Done) and self.break_at.stops_result(
             self.plan, command.place, entry.result
         ):
             return [*self._pause(command.robot), entry]

@@ -10,7 +10,7 @@ from typing import Any, Dict, List, Mapping, Tuple
 
 from gspn_framework_package.execution.agreement.interface import Fired
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
+from gspn_framework_package.execution.team_state import RobotState, TeamState, reported_phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking, Net
 
@@ -29,7 +29,7 @@ _NUMBERED = (
     Phase.LEFT,
 )
 
-STATES = tuple(phase.told.state for phase in _NUMBERED)
+STATES = tuple(phase.report.state for phase in _NUMBERED)
 """The states of ``RobotActivity``, at the numbers of its constants; "": UNKNOWN."""
 
 
@@ -98,22 +98,22 @@ def robot_fields(
     :param run: the name of the run.
     :param plan: the hash of the plan that the team follows.
     """
-    phase = told_phase(state, robot)
+    phase = reported_phase(state, robot)
     gone = robot.phase.gone
-    waits = state.ended is None and not gone and not phase.told.acts
+    waits = state.ended is None and not gone and not phase.report.acts
     return {
         "run": run,
         "plan": plan,
         "robot": robot.name,
         "place": "" if gone else game.net.places[robot.place].name,
         "place_number": -1 if gone else robot.place,
-        "state": STATES.index(phase.told.state),
-        "state_name": phase.told.state,
+        "state": STATES.index(phase.report.state),
+        "state_name": phase.report.state,
         "visit": robot.visit,
         "attempt": robot.attempt,
         "task": robot.task.id if robot.task is not None else "",
         "waits_for": game.why_waiting(state, robot) if waits else "",
-        "needs_operator": phase.told.needs_operator and state.ended is None,
+        "needs_operator": phase.report.needs_operator and state.ended is None,
         "feedback": [],
     }
 

@@ -385,14 +385,14 @@ def whole_number(value: object) -> int:
     return value
 
 
-def told_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
+def reported_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
     """The phase that is reported for a robot of a team. LOST, LEFT and FAILED take precedence, then
     the end of the run, then a pause. A robot that the team does not know (yet) is reported as
     LOST."""
     if robot is None:
         return Phase.LOST
     phase = robot.phase
-    if phase.told.outlasts:
+    if phase.report.outlasts:
         return phase
     if state.ended is not None:
         return phase if state.finished and phase is Phase.INACTIVE else Phase.STOPPED

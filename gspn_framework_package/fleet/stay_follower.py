@@ -15,7 +15,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record, Replayed, Replayer
 from gspn_framework_package.execution.firing import Ended, Fault
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import told_phase
+from gspn_framework_package.execution.team_state import reported_phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.plan import Plan
 
@@ -264,8 +264,8 @@ class StayFollower:
     def _alarm(self, step: Replayed, fault: Fault) -> None:
         """A fault that a person has to deal with; not a failure after which the robot goes on."""
         robot = step.state.robots.get(fault.robot)
-        phase = told_phase(step.state, robot) if robot is not None else Phase.UNHEARD
-        if not fault.failed or phase.told.needs_operator or step.state.fault:
+        phase = reported_phase(step.state, robot) if robot is not None else Phase.UNHEARD
+        if not fault.failed or phase.report.needs_operator or step.state.fault:
             place = self._replayer.game.net.places[robot.place].name if robot is not None else ""
             self._moment(step.slot, fault.robot, ALARM, fault.message, place)
 
@@ -289,7 +289,7 @@ class StayFollower:
             renamed = stay is not None and stay.visit == robot.visit
             self._leave(name)
             stay = self._arrive(name, place, robot.visit, step.slot, arrived=not renamed)
-        use = _use(told_phase(step.state, robot))
+        use = _use(reported_phase(step.state, robot))
         if use != stay.use:
             stay.book(self._at())
             stay.use = use
@@ -326,7 +326,7 @@ class StayFollower:
 
 
 def _use(phase: Phase) -> int:
-    told = phase.told
+    told = phase.report
     if phase is Phase.PAUSED:
         return 2
     return 0 if told.acts else 1 if told.waits else 3 if told.failed else 4

@@ -58,7 +58,7 @@ class ConditionSource:
             holds = self._condition.holds(message)
         except ExpressionError as error:
             # what is not known does not change anything
-            self._complaints.tell(error.message)
+            self._complaints.report(error.message)
             return
         with self._lock:
             if holds == self._holds:
@@ -120,7 +120,7 @@ class TaskSource:
         try:
             task = task_of(self._transition, self._source, message)
         except GspnError as error:
-            self._complaints.tell("a message is not taken as a task: %s" % error.message)
+            self._complaints.report("a message is not taken as a task: %s" % error.message)
             return
         self._host.enqueue(self._host.give, TaskCame(task))
 

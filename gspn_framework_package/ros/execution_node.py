@@ -7,13 +7,13 @@ from typing import Callable, Dict, List, Optional
 
 from gspn_framework_package.model.plan import Plan, Synchronisation, Transport
 from gspn_framework_package.ros.action_targets import ActionTarget
-from gspn_framework_package.ros.entrance import Entrance
+from gspn_framework_package.ros.diagnostics import RosReporter
 from gspn_framework_package.ros.event_sources import EventSources
+from gspn_framework_package.ros.inbound import InboundMessages
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.node_services import NodeServices
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.robot_actions import RobotActions
-from gspn_framework_package.ros.voice import RosVoice
 from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.host import HostOptions, ReplicaHost
 from gspn_framework_package.team.jobs import Job
@@ -24,7 +24,7 @@ class ExecutionNode:
     """Executes a plan for one robot, until the run is over.
 
     Its ROS interface is documented in :class:`TopicLink`, :class:`RosFacts`, :class:`NodeServices`,
-    :class:`RosVoice`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`.
+    :class:`RosReporter`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`.
 
     :param plan: the checked plan, with the team that begins the run.
     :param robot: name of the robot.
@@ -40,7 +40,7 @@ class ExecutionNode:
             plan,
             robot,
             HostOptions(options.run, options.log_file(robot), options.place, options.stay),
-            RosVoice(robot, namespace, options.run),
+            RosReporter(robot, namespace, options.run),
             lambda plan, listener: EventSources(plan, robot, namespace, witness, listener),
         )
         with contextlib.ExitStack() as undo:
@@ -56,16 +56,16 @@ class ExecutionNode:
                 host.warn,
             )
             undo.callback(self._actions.close)
-            entrance = Entrance(
+            inbound = InboundMessages(
                 options.transport != Transport.ZENOH.value,
                 Seal(read_team_key(options.team_key_file), options.run, robot)
                 if options.team_key_file
                 else None,
             )
-            services = NodeServices(host, namespace, entrance)
+            services = NodeServices(host, namespace, inbound)
             undo.callback(services.close)
             host.connect(
-                _carrier(host, plan, namespace, options, services.uri, entrance),
+                _carrier(host, plan, namespace, options, services.uri, inbound),
                 self._actions,
                 [services.close],
             )
@@ -119,7 +119,7 @@ def _carrier(
     namespace: str,
     options: NodeOptions,
     service_uri: str,
-    entrance: Entrance,
+    inbound: InboundMessages,
 ) -> Carrier:
     if options.transport == Transport.ZENOH.value:
         # imported here, since a team on ROS needs none of its libraries
@@ -129,7 +129,7 @@ def _carrier(
     kind = TopicLink if plan.synchronisation is Synchronisation.FULL else ServiceLink
     quiet = 3 * host.heartbeat
     link = kind(
-        host.robot, options.run, namespace, host.receive, host.serve, quiet, entrance, host.knows
+        host.robot, options.run, namespace, host.receive, host.serve, quiet, inbound, host.knows
     )
     link.serve_at(service_uri)
     return link

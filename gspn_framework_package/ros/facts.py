@@ -40,7 +40,7 @@ class RosFacts:
         self._marking = latched("marking", Marking)
         self._team = latched("team_state", TeamState)
 
-    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
+    def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`Carrier`."""
         for fields in firings:
             self._fired.publish(fired_message(fields))
@@ -49,7 +49,7 @@ class RosFacts:
         """See :class:`Carrier`."""
         return bool(self._activity.get_num_connections() or self._robot.get_num_connections())
 
-    def tell_activity(self, activity: Dict[str, Any]) -> None:
+    def publish_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
         self._activity.publish(json.dumps(activity))
         self._robot.publish(filled(RobotActivity, **activity_fields(activity)))
@@ -58,7 +58,7 @@ class RosFacts:
         """See :class:`Carrier`."""
         return bool(self._marking.get_num_connections() or self._team.get_num_connections())
 
-    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
+    def publish_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
         self._marking.publish(filled(Marking, **marking))
         robots = [filled(RobotActivity, **robot) for robot in team["robots"]]

@@ -14,7 +14,7 @@ from typing import Any, Dict, Mapping, NamedTuple
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.log_entries import NOTHING
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.message_filter import json_object
 
 
 class GoalData(NamedTuple):

@@ -21,8 +21,8 @@ from gspn_framework_package.execution.agreement.interface import (
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance, said
 from gspn_framework_package.ros.facts import RosFacts
+from gspn_framework_package.ros.inbound import ANSWERED, ASKED, InboundMessages, said
 from gspn_framework_package.ros.messages import filled
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
@@ -99,7 +99,7 @@ class Link(RosFacts):
         threads.
     :param quiet: seconds without a message from a robot on its topics after which its services are
         called as well.
-    :param entrance: checks what other nodes send.
+    :param inbound: checks what other nodes send.
     :param knows: whether this robot listens to another one; called on any thread. Whoever it does
         not know costs neither a thread nor a connection, since anybody can send under any name.
 
@@ -114,12 +114,12 @@ class Link(RosFacts):
         received: Callable[[Message], None],
         serve: Serve,
         quiet: float,
-        entrance: Entrance,
+        inbound: InboundMessages,
         knows: Callable[[str], bool],
     ) -> None:
         super().__init__(namespace)
         self._knows = knows
-        self._entrance = entrance
+        self._inbound = inbound
         self.robot, self.run = robot, run
         self._namespace = namespace
         self._received = received
@@ -145,7 +145,7 @@ class Link(RosFacts):
 
     def refusals(self) -> List[NotTaken]:
         """See :class:`Carrier`."""
-        return self._entrance.refusals()
+        return self._inbound.refusals()
 
     def close(self) -> None:
         """End the threads of the calls, and unregister from the topic."""
@@ -188,16 +188,16 @@ class Link(RosFacts):
             namespace=self._namespace,
             service_uri=self._service_uri,
             to=to,
-            body=self._entrance.sealed(to, body, said(self._namespace, self._service_uri)),
+            body=self._inbound.sealed(to, body, said(self._namespace, self._service_uri)),
         )
 
     def _on_message(self, news: Agreement) -> None:
         if news._connection_header.get("callerid") == self._node:
             return  # our own, or from a robot in this process, which has passed it on directly
         if news.run != self.run or news.to not in ("", self.robot):
-            self._entrance.pass_by(news.body, news._connection_header)
+            self._inbound.pass_by(news.body, news._connection_header)
             return
-        message = self._entrance.read(
+        message = self._inbound.read(
             news.body,
             news._connection_header,
             said(news.namespace, news.service_uri),
@@ -246,14 +246,14 @@ class Link(RosFacts):
             peer.service_uri,
             rospy.names.ns_join(peer.namespace, service),
             service_class,
-            request(self.robot, self._entrance.sealed(name, body, ASKED)),
+            request(self.robot, self._inbound.sealed(name, body, ASKED)),
             lambda response: self._answered(name, response),
         )
 
     def _answered(self, name: str, response: genpy.Message) -> None:
         if not response.agreement:
             return  # it has nothing to say
-        message = self._entrance.read(
+        message = self._inbound.read(
             response.agreement, response._connection_header, ANSWERED, name
         )
         if message is not None:
@@ -277,10 +277,10 @@ class TopicLink(Link):
         received: Callable[[Message], None],
         serve: Serve,
         quiet: float,
-        entrance: Entrance,
+        inbound: InboundMessages,
         knows: Callable[[str], bool],
     ) -> None:
-        super().__init__(robot, run, namespace, received, serve, quiet, entrance, knows)
+        super().__init__(robot, run, namespace, received, serve, quiet, inbound, knows)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
         self._inbox = rospy.Subscriber(

@@ -26,9 +26,9 @@ from gspn_framework_package.ros.transport.node_process import (
     ERRORS,
     await_master,
     be_node,
+    report_error,
     run_node,
     share_log_configuration,
-    tell_error,
 )
 from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 from gspn_framework_package.ros.transport.registration import (
@@ -68,7 +68,7 @@ def run_team() -> int:
         await_master(Ending())
         return _fork(read_options_of(rospy.names.ns_join(_own_namespace(), name)))
     except ERRORS as error:
-        return tell_error(name, error)
+        return report_error(name, error)
 
 
 def run_place_servers() -> int:

@@ -13,7 +13,7 @@ from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.execution.team_messages import marking_lists
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
-from gspn_framework_package.ros.entrance import ANSWERED, ASKED, Entrance
+from gspn_framework_package.ros.inbound import ANSWERED, ASKED, InboundMessages
 from gspn_framework_package.srv import (
     Command,
     CommandRequest,
@@ -45,12 +45,12 @@ class NodeServices:
 
     :param worker: the host of the robot.
     :param namespace: absolute namespace of the robot.
-    :param entrance: checks the messages of peers.
+    :param inbound: checks the messages of peers.
     """
 
-    def __init__(self, worker: Worker, namespace: str, entrance: Entrance) -> None:
+    def __init__(self, worker: Worker, namespace: str, inbound: InboundMessages) -> None:
         self._worker = worker
-        self._entrance = entrance
+        self._inbound = inbound
         self._commands = Commands(worker)
         self._services = [
             rospy.Service(rospy.names.ns_join(namespace, name), service, handler)
@@ -128,7 +128,7 @@ class NodeServices:
     def _obey(self, asked: OperatorRequest, request: genpy.Message) -> OperatorAnswer:
         """Answer an operator, if this robot takes what he asks."""
         try:
-            asked, operator = self._entrance.order(asked, request._connection_header)
+            asked, operator = self._inbound.order(asked, request._connection_header)
         except RefusedError as error:
             return OperatorAnswer(False, error.message)
         with _as_failed_call():
@@ -141,7 +141,7 @@ class NodeServices:
 
         :param claimed: the robot that is said to call, if the request says so.
         """
-        message = self._entrance.read(request.agreement, request._connection_header, ASKED, claimed)
+        message = self._inbound.read(request.agreement, request._connection_header, ASKED, claimed)
         if message is None:
             return ""
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()
@@ -152,7 +152,7 @@ class NodeServices:
             raise rospy.ServiceException("no answer in time") from None
         if not answer:
             return ""
-        return self._entrance.sealed(sender_of(message), compact(answer), ANSWERED)
+        return self._inbound.sealed(sender_of(message), compact(answer), ANSWERED)
 
 
 @contextlib.contextmanager

@@ -125,7 +125,7 @@ class PlaceServers:
         with registered_together():
             for server in self.servers.values():
                 server.start()
-        self._timer = threading.Thread(target=self._tell_status, name="status", daemon=True)
+        self._timer = threading.Thread(target=self._report_status, name="status", daemon=True)
         self._timer.start()
 
     def stop(self) -> None:
@@ -204,13 +204,13 @@ class PlaceServers:
         if self._stopping.is_set() or rospy.is_shutdown():
             return
         try:
-            self._tell_result(goal, result, failure)
+            self._report_result(goal, result, failure)
         except rospy.ROSException:
             if not self._stopping.is_set():  # otherwise stop() has closed the publisher
                 raise
 
     @staticmethod
-    def _tell_result(goal: _RunningGoal, result: ActionResult, failure: Optional[str]) -> None:
+    def _report_result(goal: _RunningGoal, result: ActionResult, failure: Optional[str]) -> None:
         message = ExecGSPNResult(result.transition)
         if goal.cancellation():
             goal.handle.set_canceled(message, failure or "cancelled")
@@ -221,11 +221,11 @@ class PlaceServers:
 
     # -- status ------------------------------------------------------------------------------------
 
-    def _tell_status(self) -> None:
+    def _report_status(self) -> None:
         period = 1.0 / max(float(found_parameter("actionlib_status_frequency", 1.0)), 0.1)
         while not self._stopping.wait(period) and not rospy.is_shutdown():
             for server in self.servers.values():
-                server.tell_status()
+                server.send_status()
             with self._lock:
                 running = list(self._running.values())
             for goal in running:
@@ -381,7 +381,7 @@ class PlaceServer(ActionServer):
     def _goal(self, handle: ServerGoalHandle) -> None:
         self._owner.accept(self, handle, self._caller, self._given)
 
-    def tell_status(self) -> None:
+    def send_status(self) -> None:
         """Publish the status again if there are subscribers or goals to report."""
         with self.lock:
             if self.started and (self.status_list or self.status_pub.impl.has_connections()):
@@ -391,7 +391,7 @@ class PlaceServer(ActionServer):
     def publish_status(self) -> None:
         """Publish the status of all goals, but only the last :data:`KEPT_ENDED` ended ones. Where
         nobody listens, a goal of this process, which hears of it directly, can wait for
-        :meth:`tell_status`: the library takes longer for a status than a replica for a firing."""
+        :meth:`send_status`: the library takes longer for a status than a replica for a firing."""
         with self.lock:
             self._forget_ended()
             if self._caller or self.status_pub.impl.has_connections():

@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.message_filter import json_object
 
 _ACTIVITY_FIELDS = {"run", "place", "state", "visit", "waits_for", "ended", "fault"}
 

@@ -15,7 +15,7 @@ from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 from gspn_framework_package.team.zenoh_session import TeamAccess
 
 
-class ToldOnRos(RosFacts):
+class PublishedOnRos(RosFacts):
     """A carrier whose facts are published on ROS as well (see :class:`Carrier`).
 
     :param carrier: carries the messages, and publishes the facts for the others.
@@ -35,19 +35,19 @@ class ToldOnRos(RosFacts):
         """See :class:`Carrier`."""
         self._carrier.send(sends)
 
-    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
+    def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`Carrier`."""
-        super().tell_firings(firings)
-        self._carrier.tell_firings(firings)
+        super().publish_firings(firings)
+        self._carrier.publish_firings(firings)
 
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""
         return super().is_watched() or self._carrier.is_watched()
 
-    def tell_activity(self, activity: Dict[str, Any]) -> None:
+    def publish_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
-        super().tell_activity(activity)
-        self._carrier.tell_activity(activity)
+        super().publish_activity(activity)
+        self._carrier.publish_activity(activity)
 
     def refusals(self) -> List[NotTaken]:
         """See :class:`Carrier`."""
@@ -60,7 +60,7 @@ class ToldOnRos(RosFacts):
 
 def zenoh_transport(
     host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions
-) -> ToldOnRos:
+) -> PublishedOnRos:
     """The carrier of a robot with ``transport`` zenoh.
 
     :param plan: the plan with which the robot begins.
@@ -71,4 +71,4 @@ def zenoh_transport(
     access = TeamAccess(tuple(options.router.split()), (), keys)
     partial = plan.synchronisation is Synchronisation.PARTIAL
     carrier = ZenohCarrier(host.robot, host.run, access, host.handlers, partial)
-    return ToldOnRos(carrier, namespace)
+    return PublishedOnRos(carrier, namespace)

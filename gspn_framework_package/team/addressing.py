@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Dict, Mapping, Optional, TypeVar
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.message_filter import json_object
 
 Address = TypeVar("Address")
 

@@ -14,14 +14,14 @@ from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.function_actions import FunctionActions
 from gspn_framework_package.team.function_sources import FunctionSources
 from gspn_framework_package.team.host import HostOptions, ReplicaHost
-from gspn_framework_package.team.sides import Voice
+from gspn_framework_package.team.sides import Reporter
 
 
 def make_agent(
     plan: Plan,
     robot: str,
     options: HostOptions,
-    voice: Voice,
+    reporter: Reporter,
     carrier: Callable[[ReplicaHost], Carrier],
     allow_commands: bool = False,
 ) -> ReplicaHost:
@@ -37,7 +37,7 @@ def make_agent(
         plan,
         robot,
         options,
-        voice,
+        reporter,
         lambda plan, listener: FunctionSources(plan, robot, witness, listener, topics=False),
     )
     with contextlib.ExitStack() as undo:
@@ -57,8 +57,8 @@ def make_agent(
     return host
 
 
-class PrintedVoice:
-    """The voice of a robot on a terminal (see :class:`Voice`): lines on standard error.
+class PrintedReporter:
+    """The reporter of a robot on a terminal (see :class:`Reporter`): lines on standard error.
 
     :param robot: name of the robot.
     :param quiet: whether only warnings and errors are printed.
@@ -68,33 +68,33 @@ class PrintedVoice:
         self._robot, self._quiet = robot, quiet
 
     def say(self, text: str) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         if not self._quiet:
             self._print(text)
 
     def warn(self, text: str) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         self._print("warning: " + text)
 
     def error(self, text: str, traceback: bool = False) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         error = sys.exc_info()[1] if traceback else None
         cause = "" if error is None else " (%s: %s)" % (type(error).__name__, error)
         self._print("error: %s%s" % (text, cause))
 
     def is_asked(self) -> bool:
-        """See :class:`Voice`: nobody is there who would listen to diagnoses."""
+        """See :class:`Reporter`: nobody is there who would listen to diagnoses."""
         return False
 
     def diagnose(self, level: int, message: str, values: Mapping[str, Any]) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
 
     def _print(self, text: str) -> None:
         print("%s: %s" % (self._robot, text), file=sys.stderr, flush=True)
 
 
-class JsonVoice:
-    """The voice of a robot for programs (see :class:`Voice`): lines on standard output, a
+class JsonReporter:
+    """The reporter of a robot for programs (see :class:`Reporter`): lines on standard output, a
     JSON object each, with the key ``event``: ``say``, ``warning`` and ``error`` have a ``text``;
     ``diagnosis`` has what a robot on ROS publishes on ``/diagnostics``, whenever it changes.
 
@@ -107,30 +107,30 @@ class JsonVoice:
         self._last: Tuple[int, str] = (-1, "")
 
     def say(self, text: str) -> None:
-        """See :class:`Voice`."""
-        self.tell("say", text=text)
+        """See :class:`Reporter`."""
+        self.write("say", text=text)
 
     def warn(self, text: str) -> None:
-        """See :class:`Voice`."""
-        self.tell("warning", text=text)
+        """See :class:`Reporter`."""
+        self.write("warning", text=text)
 
     def error(self, text: str, traceback: bool = False) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         error = sys.exc_info()[1] if traceback else None
         cause = "" if error is None else " (%s: %s)" % (type(error).__name__, error)
-        self.tell("error", text=text + cause)
+        self.write("error", text=text + cause)
 
     def is_asked(self) -> bool:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         return True
 
     def diagnose(self, level: int, message: str, values: Mapping[str, Any]) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         if (level, message) != self._last:
             self._last = (level, message)
-            self.tell("diagnosis", level=level, message=message, values=dict(values))
+            self.write("diagnosis", level=level, message=message, values=dict(values))
 
-    def tell(self, event: str, **more: Any) -> None:
+    def write(self, event: str, **more: Any) -> None:
         """Print a line about the robot.
 
         :param event: what kind of line.

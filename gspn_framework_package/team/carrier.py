@@ -75,7 +75,7 @@ class Carrier(Protocol):
     def send(self, sends: List[Send]) -> None:
         """Send protocol messages to the robots that they name; does not wait for anybody."""
 
-    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
+    def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
         """Publish firings that this robot decided in one slot, or local transitions of its own.
 
         :param firings: the fields of each, see
@@ -86,7 +86,7 @@ class Carrier(Protocol):
         """Whether somebody may watch the activity now. While nobody does, it is published less
         often."""
 
-    def tell_activity(self, activity: Dict[str, Any]) -> None:
+    def publish_activity(self, activity: Dict[str, Any]) -> None:
         """Publish what the robot does; whoever begins to watch later sees the last one.
 
         :param activity: a JSON object.
@@ -96,9 +96,9 @@ class Carrier(Protocol):
         """What came in so far and was not taken."""
 
     def is_team_watched(self) -> bool:
-        """Whether somebody wants :meth:`tell_team` now."""
+        """Whether somebody wants :meth:`publish_team` now."""
 
-    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
+    def publish_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
         """Publish the marking and the state of the whole team, as this robot's log has them.
 
         :param marking: see

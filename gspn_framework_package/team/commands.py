@@ -11,7 +11,7 @@ from gspn_framework_package.execution.plan_change import digest_of
 from gspn_framework_package.model.errors import DataError, ExecutionError, GspnError, LogError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.message_filter import json_object
 from gspn_framework_package.team.worker import Answer, Worker
 
 ANSWER_TIME = 2.0

@@ -8,7 +8,7 @@ from gspn_framework_package.execution.plan_change import plan_of
 from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.message_filter import json_object
 
 
 class DeployedPlan(NamedTuple):

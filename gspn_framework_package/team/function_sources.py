@@ -23,7 +23,7 @@ class Complaints:
         self._listener, self._source = listener, source
         self._next = 0.0
 
-    def tell(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Report it, unless that was done lately."""
         now = time.monotonic()
         if now >= self._next:
@@ -93,7 +93,7 @@ class FunctionSources:
         if task.id:
             self._listener.enqueue(self._listener.give, TaskCame(task))
         else:
-            self._without_id.tell(
+            self._without_id.report(
                 "a task has no id: the function runs in the node of every robot, so it has to "
                 "return an id with each task"
             )

@@ -46,7 +46,7 @@ from gspn_framework_package.team.sides import (
     ActionSide,
     EventListener,
     EventSide,
-    Voice,
+    Reporter,
 )
 from gspn_framework_package.team.worker import Answer, View, Worker
 
@@ -85,7 +85,7 @@ class ReplicaHost(Worker):
     :param plan: the checked plan, with the team that begins the run.
     :param robot: name of the robot.
     :param options: see :class:`HostOptions`.
-    :param voice: prints for people.
+    :param reporter: prints for people.
     :param sources: makes the sources of the events of a plan; they report to the listener.
     :raises GspnError: the log or the sources cannot be used.
 
@@ -99,7 +99,7 @@ class ReplicaHost(Worker):
         plan: Plan,
         robot: str,
         options: HostOptions,
-        voice: Voice,
+        reporter: Reporter,
         sources: Callable[[Plan, EventListener], EventSide],
     ) -> None:
         self.plan, self.robot, self.run = plan, robot, options.run
@@ -123,7 +123,7 @@ class ReplicaHost(Worker):
         self._gone: Dict[str, Phase] = {}
         self._told_length = -1
         self._began_with = plan
-        self._narrator = Narrator(voice)
+        self._narrator = Narrator(reporter)
         self._make_sources: Callable[[Plan], EventSide] = lambda plan: sources(
             plan, self._listener()
         )
@@ -312,8 +312,8 @@ class ReplicaHost(Worker):
         """Halt at other places and transitions if the file with the breakpoints has changed."""
         try:
             if self._breakpoints.changed():
-                self._replica.halt_at(self._breakpoints.breakpoints)
-                self._narrator.warn("halts at: %s" % self._breakpoints.breakpoints.told)
+                self._replica.break_at(self._breakpoints.breakpoints)
+                self._narrator.warn("stops at: %s" % self._breakpoints.breakpoints.in_words)
         except GspnError as error:
             self._narrator.warn("the breakpoints stay as they were: %s" % error)
 
@@ -360,21 +360,21 @@ class ReplicaHost(Worker):
         if gone != self._gone:
             for name in sorted(set(gone) | set(self._gone)):
                 if name != self.robot and gone.get(name) != self._gone.get(name):
-                    self._tell_gone(name, gone.get(name), first)
+                    self._report_gone(name, gone.get(name), first)
             self._gone = gone
         if ledger.state.ended is not None and not first:
             self._is_over("is over")
 
-    def _tell_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
+    def _report_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
         if phase is None:
-            self._narrator.tell("%s is in the team again" % name)
+            self._narrator.report("%s is in the team again" % name)
         elif phase is Phase.LEFT:
-            self._narrator.tell("%s has left the team" % name)
+            self._narrator.report("%s has left the team" % name)
         else:
             ledger = self._replica.ledger
             place = ledger.game.net.places[ledger.state.robots[name].place].name
             text = "%s is lost: the team goes on without it; its token was in %s" % (name, place)
-            (self._narrator.tell if long_ago else self._narrator.warn)(text)
+            (self._narrator.report if long_ago else self._narrator.warn)(text)
 
     # -- effects of the replica --------------------------------------------------------------------
 
@@ -407,7 +407,7 @@ class ReplicaHost(Worker):
         for reply in replies:
             self._reply(reply)
         if told:
-            self._carrier.tell_firings([firing_fields(fired, self.run) for fired in told])
+            self._carrier.publish_firings([firing_fields(fired, self.run) for fired in told])
         for effect in others:
             self._effects[type(effect)](self, effect)
 
@@ -448,7 +448,7 @@ class ReplicaHost(Worker):
     def _examine(self, effect: interface.Examine) -> None:
         """Find out whether the robot can follow a staged plan. This may take a while, in which the
         host has to be heard."""
-        self._narrator.tell("examines the staged plan '%s'" % effect.plan.name)
+        self._narrator.report("examines the staged plan '%s'" % effect.plan.name)
 
         def staged() -> Plan:
             return with_folder(effect.plan, effect.folder, self._began_with)
@@ -466,7 +466,7 @@ class ReplicaHost(Worker):
         """
         before = self.plan
         plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
-        self._narrator.tell("follows the plan '%s'" % plan.name)
+        self._narrator.report("follows the plan '%s'" % plan.name)
         self._breakpoints.follow(plan)
         if not self._witness:
             self._actions.follow(plan)
@@ -494,7 +494,7 @@ class ReplicaHost(Worker):
     def _end_with(self, text: str, reason: str, finished: bool) -> None:
         self.exit_code, self.reason = (0 if finished else 1), reason
         self._actions.cancel()
-        (self._narrator.tell if finished else self._narrator.warn)(text)
+        (self._narrator.report if finished else self._narrator.warn)(text)
         if not self._stay:
             self._leave_at = time.monotonic() + FAREWELL
 
@@ -568,9 +568,9 @@ class ReplicaHost(Worker):
         """See :class:`Worker`."""
         if argument:
             found = Breakpoints.of_names(read_names(argument), self.plan)
-            self._replica.halt_at(found)
+            self._replica.break_at(found)
             self._breakpoints.write(found)
-        return "halts at: %s" % self._breakpoints.breakpoints.told
+        return "stops at: %s" % self._breakpoints.breakpoints.in_words
 
     def request(
         self, message: interface.Message, answer: Callable[[interface.Message], None]

@@ -7,7 +7,7 @@ from typing import Any, Callable, Dict, Mapping, Tuple
 
 from gspn_framework_package.execution.team_messages import Fields
 from gspn_framework_package.team.carrier import Carrier
-from gspn_framework_package.team.sides import Voice
+from gspn_framework_package.team.sides import Reporter
 
 LINES_PER_SECOND = 4
 """Maximum number of lines on the screen per second; further lines are only counted."""
@@ -25,7 +25,7 @@ DIAGNOSIS_PERIOD = 1.0
 """Seconds between two diagnoses."""
 
 Diagnosis = Tuple[int, str, Mapping[str, Any]]
-"""How the robot is: (level, message, values), see :meth:`Voice.diagnose`."""
+"""How the robot is: (level, message, values), see :meth:`Reporter.diagnose`."""
 
 WAITING_TIME = 1.0
 """Seconds after which a waiting robot reports what it waits for."""
@@ -34,11 +34,11 @@ WAITING_TIME = 1.0
 class Narrator:
     """Reports what one robot does. All methods belong to the host's worker thread.
 
-    :param voice: prints the lines, and hears the diagnoses.
+    :param reporter: prints the lines, and hears the diagnoses.
     """
 
-    def __init__(self, voice: Voice) -> None:
-        self._voice = voice
+    def __init__(self, reporter: Reporter) -> None:
+        self._reporter = reporter
         self._told: Dict[str, Any] = {}
         self._changed = True
         self._activity_at = 0.0
@@ -57,23 +57,23 @@ class Narrator:
         second = int(time.monotonic())
         if second != self._second:
             if self._lines > LINES_PER_SECOND:
-                self.tell("and %d lines more" % (self._lines - LINES_PER_SECOND))
+                self.report("and %d lines more" % (self._lines - LINES_PER_SECOND))
             self._second, self._lines = second, 0
         self._lines += 1
         if self._lines <= LINES_PER_SECOND:
-            self.tell(text)
+            self.report(text)
 
-    def tell(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Print a line regardless of how many there are."""
-        self._voice.say(text)
+        self._reporter.say(text)
 
     def warn(self, text: str) -> None:
         """Print a warning."""
-        self._voice.warn(text)
+        self._reporter.warn(text)
 
     def error(self, text: str, traceback: bool = False) -> None:
-        """Print an error; see :meth:`Voice.error`."""
-        self._voice.error(text, traceback)
+        """Print an error; see :meth:`Reporter.error`."""
+        self._reporter.error(text, traceback)
 
     def note_change(self) -> None:
         """Note that what the robot does may have changed."""
@@ -92,7 +92,7 @@ class Narrator:
         :param now: the time (monotonic seconds).
         :param carrier: publishes the activity.
         :param activity: returns what the robot does, a JSON object.
-        :param team: returns the marking and the state of the team, as :meth:`Carrier.tell_team`
+        :param team: returns the marking and the state of the team, as :meth:`Carrier.publish_team`
             takes them.
         :param diagnosis: returns how the robot is.
         """
@@ -107,9 +107,9 @@ class Narrator:
             told = activity()
             if told != self._told:
                 self._told = told
-                carrier.tell_activity(told)
+                carrier.publish_activity(told)
             self._note_reason(told["waits_for"], now)
-        self._tell_reason(now)
+        self._report_reason(now)
         if now >= self._team_at:
             watched = carrier.is_team_watched()
             self._team_at = now + (TEAM_PERIOD if watched else UNHEARD_PERIOD)
@@ -117,11 +117,11 @@ class Narrator:
                 state = team()
                 if state != self._team_told:
                     self._team_told = state
-                    carrier.tell_team(*state)
+                    carrier.publish_team(*state)
         if now >= self._diagnosis_at:
             self._diagnosis_at = now + DIAGNOSIS_PERIOD
-            if self._voice.is_asked():
-                self._voice.diagnose(*diagnosis())
+            if self._reporter.is_asked():
+                self._reporter.diagnose(*diagnosis())
         due = min(self._team_at, self._diagnosis_at)
         return min(self._activity_at, due) if self._changed else due
 
@@ -129,7 +129,7 @@ class Narrator:
         if reason != self._reason:
             self._reason, self._reason_since = reason, now
 
-    def _tell_reason(self, now: float) -> None:
+    def _report_reason(self, now: float) -> None:
         """Print what the robot waits for, once, after it has waited for a while."""
         if self._reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
             self._reason_told = self._reason

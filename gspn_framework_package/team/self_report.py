@@ -8,14 +8,14 @@ from typing import Any, Callable, Deque, Dict, List, Sequence, Tuple
 
 from gspn_framework_package.execution.agreement.interface import OrderGiven
 from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.displayed_data import displayed_robot, displayed_team
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_messages import (
     Fields,
     marking_fields,
     team_fields,
 )
-from gspn_framework_package.execution.team_state import told_phase
-from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
+from gspn_framework_package.execution.team_state import reported_phase
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.team.carrier import NotTaken
 from gspn_framework_package.team.narrator import Diagnosis, level_of
@@ -63,7 +63,7 @@ class SelfReport:
         """See :class:`Worker`."""
         ledger, own = self._replica.ledger, self._replica.state
         robot = ledger.state.robots.get(self._robot)
-        place, visit, phase = "", 0, told_phase(ledger.state, robot)
+        place, visit, phase = "", 0, reported_phase(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self._net.places[own.position.place].name, own.position.visit
             # there are local transitions that the log does not have yet
@@ -75,7 +75,7 @@ class SelfReport:
             place, visit = self._net.places[robot.place].name, robot.visit
         return View(
             place,
-            phase.told.state,
+            phase.report.state,
             self._replica.incarnation,
             visit,
             self._replica.marking(),
@@ -98,10 +98,10 @@ class SelfReport:
         )
         if data:
             brief = data == "brief"
-            status["data"] = told_of_team(state, self._net, brief)
+            status["data"] = displayed_team(state, self._net, brief)
             for robot in status["robots"]:
                 if robot["robot"] in state.robots:
-                    robot.update(told_of_robot(state.robots[robot["robot"]], self._net, brief))
+                    robot.update(displayed_robot(state.robots[robot["robot"]], self._net, brief))
         return status
 
     def waits_for(self) -> str:
@@ -122,7 +122,7 @@ class SelfReport:
         robot = state.robots.get(self._robot)
         if self._replica.halted is not None or self._replica.is_stuck():
             return True
-        return robot is not None and state.ended is None and robot.phase.told.needs_operator
+        return robot is not None and state.ended is None and robot.phase.report.needs_operator
 
     def note_order(self, given: OrderGiven) -> None:
         """An operator gave this robot an order."""
@@ -172,7 +172,7 @@ class SelfReport:
 
     def team(self) -> Tuple[Fields, Fields]:
         """The marking and the state of the team, as the log has them (see
-        :meth:`Carrier.tell_team`)."""
+        :meth:`Carrier.publish_team`)."""
         ledger = self._replica.ledger
         about = (ledger.game, ledger.state, self._run, ledger.game.plan.hash())
         return marking_fields(*about), team_fields(*about)

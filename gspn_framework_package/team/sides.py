@@ -1,5 +1,5 @@
 """What the host of a replica needs besides a carrier: somebody who acts, somebody who watches for
-events, and a voice. A robot with ROS has them on ROS, one without in Python."""
+events, and a reporter. A robot with ROS has them on ROS, one without in Python."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class EventListener(NamedTuple):
     """The data that a robot, or "" the team, may read."""
 
 
-class Voice(Protocol):
+class Reporter(Protocol):
     """Prints lines for people, and says how the robot is."""
 
     def say(self, text: str) -> None:

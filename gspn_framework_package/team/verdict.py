@@ -85,7 +85,7 @@ def _function_item(text: str, **details: str) -> CheckItem:
 
 
 def _look_at_breakpoints(plan: Plan) -> List[CheckItem]:
-    """Warn of breakpoints that are kept beside the plan: they halt robots in every run."""
+    """Warn of breakpoints that are kept beside the plan: they stop robots in every run."""
     file = BreakpointFile(plan)
     try:
         file.changed()
@@ -94,8 +94,8 @@ def _look_at_breakpoints(plan: Plan) -> List[CheckItem]:
         return [CheckItem("breakpoints", Severity.WARNING, text, {"file": file.path})]
     if not any(file.breakpoints):
         return []
-    text = "robots halt at %s in every run of this plan here: %s says so" % (
-        file.breakpoints.told,
+    text = "robots stop at %s in every run of this plan here: %s says so" % (
+        file.breakpoints.in_words,
         os.path.basename(file.path),
     )
     return [CheckItem("breakpoints", Severity.WARNING, text, file.breakpoints.to_json())]

@@ -20,8 +20,8 @@ from gspn_framework_package.team.carrier import (
     OperatorAnswer,
     OperatorRequest,
 )
-from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
 from gspn_framework_package.team.lanes import Lanes
+from gspn_framework_package.team.message_filter import LARGEST_MESSAGE, MessageFilter, json_object
 from gspn_framework_package.team.tcp_patience import SilenceLimit, ports_of
 from gspn_framework_package.team.zenoh_body import is_compressed, unwrapped, wrapped
 from gspn_framework_package.team.zenoh_session import (
@@ -89,7 +89,7 @@ class ZenohCarrier:
         self._handlers = handlers
         self._partial = partial
         self._proof = "certificate" if access.keys is not None else ""
-        self._gate = MessageGate(LARGEST_MESSAGE, HEARD)
+        self._filter = MessageFilter(LARGEST_MESSAGE, HEARD)
         self._lanes = {"all": Lanes(), "to": Lanes()}
         self._pool = WorkerPool("operator")
         self._room = {"orders": MOST_WAITING, "status": MOST_WAITING}
@@ -171,13 +171,13 @@ class ZenohCarrier:
             time.sleep(wait)
         self._put(wrapped(body), *channel, str(lane))
 
-    def tell_firings(self, firings: List[Dict[str, Any]]) -> None:
+    def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         # without asking for listeners: just after the start or a cut, those are not known yet
         for pack in _packs([_json(fields) for fields in firings]):
             self._put(pack, "fired")
 
-    def tell_activity(self, activity: Dict[str, Any]) -> None:
+    def publish_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         self._activity = _json(activity)
         self._put(self._activity, "activity")
@@ -193,7 +193,7 @@ class ZenohCarrier:
         """Never: who watches over Zenoh reads the firings, and asks for the status."""
         return False
 
-    def tell_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
+    def publish_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
         """See :meth:`is_team_watched`."""
 
     def close(self) -> None:
@@ -202,7 +202,7 @@ class ZenohCarrier:
 
     def refusals(self) -> List[NotTaken]:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
-        return self._gate.refusals()
+        return self._filter.refusals()
 
     def _put(self, body: bytes, *rest: str) -> None:
         with contextlib.suppress(self._zenoh.ZError):  # closed, or closing
@@ -234,18 +234,18 @@ class ZenohCarrier:
                 self._senders[key] = sender
         robot, channel = sender
         payload = sample.payload
-        if not self._gate.admits(robot, len(payload), time.monotonic(), channel):
+        if not self._filter.admits(robot, len(payload), time.monotonic(), channel):
             return
         body = bytes(payload)
         if is_compressed(body):
             grown = unwrapped(body, LARGEST_MESSAGE)
             if grown is None:
-                self._gate.refuse(robot, "cannot be decompressed")
+                self._filter.refuse(robot, "cannot be decompressed")
                 return
-            if not self._gate.admits(robot, len(grown), time.monotonic(), channel):
+            if not self._filter.admits(robot, len(grown), time.monotonic(), channel):
                 return
             body = grown
-        for message in self._gate.read(robot, body):
+        for message in self._filter.read(robot, body):
             self._handlers.received(message)
 
     def _on_asked(self, query: zenoh.Query) -> None:
@@ -262,7 +262,7 @@ class ZenohCarrier:
         given = self._read(query)
         command, robot, argument = (given.get(n, "") for n in ("command", "robot", "argument"))
         if not all(isinstance(text, str) for text in (command, robot, argument)) or not command:
-            self._gate.refuse(operator, "an order that cannot be read")
+            self._filter.refuse(operator, "an order that cannot be read")
             self._reply(
                 query, _json(OperatorAnswer(False, "not an order")._asdict()), "orders", operator
             )
@@ -288,7 +288,7 @@ class ZenohCarrier:
             has_room = self._room[kind] > 0
             self._room[kind] -= has_room
         if not has_room:
-            self._gate.refuse(operator.name, "too many %s at once" % kind)
+            self._filter.refuse(operator.name, "too many %s at once" % kind)
             answer = OperatorAnswer(False, "%s is busy with other %s" % (self.robot, kind))
             self._reply(query, _json(answer._asdict()), *rest)
             return

@@ -17,7 +17,7 @@ from gspn_framework_package.team.addressing import (
 )
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.commands import ORDER_TIME
-from gspn_framework_package.team.gate import json_object
+from gspn_framework_package.team.message_filter import json_object
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,

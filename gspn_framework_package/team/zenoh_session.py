@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any, Dict, Iterator, List, NamedTuple, Optiona
 from urllib.parse import quote, unquote
 
 from gspn_framework_package.model.errors import ExecutionError, UsageError
-from gspn_framework_package.team.gate import LARGEST_MESSAGE
 from gspn_framework_package.team.keys import KeyFolder, KeyHolder
 from gspn_framework_package.team.lanes import router_limits
+from gspn_framework_package.team.message_filter import LARGEST_MESSAGE
 
 if TYPE_CHECKING:
     import zenoh

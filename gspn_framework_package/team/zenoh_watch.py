@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Any, Callable, Dict, NamedTuple
 
-from gspn_framework_package.team.gate import LARGEST_MESSAGE, json_objects
+from gspn_framework_package.team.message_filter import LARGEST_MESSAGE, json_objects
 from gspn_framework_package.team.zenoh_operator import ZenohOperator
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,

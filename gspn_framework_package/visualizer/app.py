@@ -89,7 +89,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.errorhandler(GspnError)
     def explain(error: GspnError) -> Answer:
-        answer: Dict[str, Any] = {"error": project.told(str(error))}
+        answer: Dict[str, Any] = {"error": project.without_folders(str(error))}
         if isinstance(error, FormError):
             answer["fields"] = error.fields
         elif isinstance(error, ExistsError):

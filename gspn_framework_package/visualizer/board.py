@@ -18,7 +18,7 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
     ``r``: the robots that changed (objects with ``name``); ``gone``: the names of robots that left.
 ``data``
     The data of the ``team`` and the tasks that are ``waiting`` outside, if they changed, and the
-    ``queues`` that did (see :mod:`~gspn_framework_package.execution.told_data`).
+    ``queues`` that did (see :mod:`~gspn_framework_package.execution.displayed_data`).
 ``plan``
     The team goes on under another plan: the one with the number ``plan``, called ``name``. The plan
     that the page was given has number 0. ``places`` and ``transitions`` map the old indices to the

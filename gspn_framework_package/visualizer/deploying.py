@@ -194,7 +194,7 @@ def add_routes(
     @app.route("/api/deploy")
     def deployment() -> Dict[str, Any]:
         found = deploys.latest(session().key)
-        return {**found, "says": project.told(found["says"])} if found else found
+        return {**found, "says": project.without_folders(found["says"])} if found else found
 
 
 def _offered(session: Session) -> List[str]:

@@ -19,7 +19,7 @@ class Feedback:
         self._said: Dict[str, str] = {}
         self._timer: Optional[threading.Timer] = None
 
-    def tell(self, robot: str, text: str) -> None:
+    def show(self, robot: str, text: str) -> None:
         """Take in the feedback ``text`` of ``robot``. May be called from any thread."""
         with self._lock:
             self._said[robot] = text[:200]

@@ -26,9 +26,9 @@ from typing import (
     Tuple,
 )
 
+from gspn_framework_package.execution.displayed_data import cause_text
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.told_data import cause_text
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event

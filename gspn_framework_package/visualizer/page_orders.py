@@ -16,18 +16,18 @@ from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
 from gspn_framework_package.team.verdict import obey
 from gspn_framework_package.visualizer.activity import Fields, Handler, names_field, text_field
-from gspn_framework_package.visualizer.lookout import (
+from gspn_framework_package.visualizer.submissions import submission
+from gspn_framework_package.visualizer.team_connection import (
     ANSWER_TIME,
     ORDER_TIME,
-    Lookout,
     RobotLine,
+    TeamConnection,
     UnreachableError,
     ask,
 )
-from gspn_framework_package.visualizer.submissions import submission
 
 if TYPE_CHECKING:
-    from gspn_framework_package.visualizer.lookout import Replies
+    from gspn_framework_package.visualizer.team_connection import Replies
 
 Order = Tuple[str, str, str]
 """An order to the team: the command, the robot and the argument of the Command service."""
@@ -70,13 +70,13 @@ class PageOrders:
     """Gives the page's orders to a team. Every order names the run.
 
     :param team: the team.
-    :param lookout: how it is reached.
+    :param connection: how it is reached.
     :ivar commands: command of the page -> what carries it out.
     """
 
-    def __init__(self, team: OrderedTeam, lookout: Lookout) -> None:
-        self._team, self._lookout = team, lookout
-        self._line = lookout.line(ORDER_TIME)
+    def __init__(self, team: OrderedTeam, connection: TeamConnection) -> None:
+        self._team, self._connection = team, connection
+        self._line = connection.line(ORDER_TIME)
         self.commands: Dict[str, Handler] = {
             "stop": self._ordered(
                 lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")
@@ -101,7 +101,7 @@ class PageOrders:
     ) -> DeployOutcome:
         """See :class:`Activity`; the robots find its functions where those of their plan are."""
         obey(check_all(plan), plan)
-        line = self._lookout.line(ANSWER_TIME)
+        line = self._connection.line(ANSWER_TIME)
 
         def order(command: str, text: str) -> Tuple[bool, str]:
             try:
@@ -171,7 +171,7 @@ class PageOrders:
         )
 
     def _set_breakpoints(self, fields: Fields) -> Dict[str, Any]:
-        """Have every robot of the run halt at these places and transitions.
+        """Have every robot of the run stop at these places and transitions.
 
         :raises RefusedError: a robot did not take them.
         """
@@ -192,12 +192,12 @@ class PageOrders:
                     continue
                 silent.discard(address)
                 if not answer.success:
-                    refusals.append("%s: %s" % (self._lookout.label(address), answer.message))
+                    refusals.append("%s: %s" % (self._connection.label(address), answer.message))
         self._team.ask_soon()
-        refusals += ["%s does not answer" % self._lookout.label(n) for n in sorted(silent)]
+        refusals += ["%s does not answer" % self._connection.label(n) for n in sorted(silent)]
         if refusals or not asked:
             raise RefusedError("; ".join(refusals) or "no robot of the run has been heard of yet")
-        return {"message": "robots halt at: %s" % found.told}
+        return {"message": "robots stop at: %s" % found.in_words}
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
         """The addresses of the run's robots, in the order to try them: first the robot concerned

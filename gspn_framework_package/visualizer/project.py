@@ -154,7 +154,7 @@ class Project:
         if session is not None and session.outdated and session.loss is not None:
             self.sessions.drop(session, "the plan was saved: it is opened anew")
 
-    def told(self, text: str) -> str:
+    def without_folders(self, text: str) -> str:
         """A message without this machine's folders, which viewers need not know."""
         for folder in (self._folder.root if self._folder is not None else None, self._runs):
             if folder is not None and len(folder) > 1:

@@ -18,6 +18,7 @@ from collections import OrderedDict
 from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.displayed_data import decided_order_text, order_text
 from gspn_framework_package.execution.event_log import (
     ORDER_GIVEN,
     LogClock,
@@ -26,7 +27,6 @@ from gspn_framework_package.execution.event_log import (
     Replayer,
 )
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.execution.told_data import decided_order_text, order_text
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan

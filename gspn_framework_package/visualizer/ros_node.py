@@ -28,7 +28,7 @@ from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.team.seal import TeamKey, read_team_key
 from gspn_framework_package.visualizer.guard import read_tokens
 from gspn_framework_package.visualizer.project import project_of_team
-from gspn_framework_package.visualizer.ros_watch import RosLookout
+from gspn_framework_package.visualizer.ros_watch import RosConnection
 from gspn_framework_package.visualizer.serving import DEFAULT_PORT, WebServer
 from gspn_framework_package.visualizer.team_watch import TeamWatch
 
@@ -60,7 +60,7 @@ def _server() -> WebServer:
     robots = int(_parameter("robots", 0))
     if robots:
         plan = plan.for_robots(robots)
-    watch = TeamWatch(plan, RosLookout(_team_key()), _parameter("run", ""))
+    watch = TeamWatch(plan, RosConnection(_team_key()), _parameter("run", ""))
     project = project_of_team(path, plan, watch)
     token, viewer_token = _tokens()
     names = [name for name in _parameter("names", "").replace(",", " ").split() if name]

@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Prediction
+from gspn_framework_package.ros.diagnostics import diagnostic_array
 from gspn_framework_package.ros.messages import filled
-from gspn_framework_package.ros.voice import diagnostic_array
 from gspn_framework_package.visualizer.live_comparison import Departures
 
 PREDICTION_TOPIC = "/gspn_prediction"
@@ -25,7 +25,7 @@ class RosPrediction:
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._prediction = rospy.Publisher(PREDICTION_TOPIC, Prediction, latch=True, queue_size=1)
 
-    def tell(self, plan: Plan, run: str, found: Departures) -> None:
+    def publish(self, plan: Plan, run: str, found: Departures) -> None:
         """Publish.
 
         :param plan: the plan that the run is compared with.

@@ -24,15 +24,15 @@ from gspn_framework_package.team.addressing import QUESTIONS
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.seal import TeamKey
 from gspn_framework_package.visualizer.live_comparison import Departures
-from gspn_framework_package.visualizer.lookout import ANSWER_TIME, UnreachableError
 from gspn_framework_package.visualizer.ros_prediction import RosPrediction
+from gspn_framework_package.visualizer.team_connection import ANSWER_TIME, UnreachableError
 
 ACTIVITY = "/activity"
 
 
-class RosLookout:
-    """A :class:`~gspn_framework_package.visualizer.lookout.Lookout` on one ROS master; a robot's
-    address is its namespace.
+class RosConnection:
+    """A :class:`~gspn_framework_package.visualizer.team_connection.TeamConnection` on one ROS
+    master; a robot's address is its namespace.
 
     Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition), to every existing
     ``NAMESPACE/activity`` (std_msgs/String), to ``/world/room`` and ``/world/state``
@@ -51,7 +51,7 @@ class RosLookout:
         self._subscribers: List[rospy.Subscriber] = []
 
     def open(self, seen: Callable[..., None]) -> None:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         self._seen = seen
         self._prediction = RosPrediction()
         self._subscribe(FIRED_TOPIC, FiredTransition, lambda message: seen("fired", message))
@@ -60,13 +60,13 @@ class RosLookout:
             self._subscribe("/world/" + what, String, self._with_json(name))
 
     def close(self) -> None:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         for subscriber in self._subscribers:
             subscriber.unregister()
         self._subscribers = []
 
     def find(self) -> Set[str]:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         try:
             published = published_topics(ANSWER_TIME)
         except MASTER_ERRORS as error:
@@ -79,27 +79,27 @@ class RosLookout:
         return set(self._found)
 
     def line(self, seconds: float) -> RosLine:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         return RosLine(seconds, self._orders)
 
     def label(self, address: str) -> str:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         return address
 
     def why_unheard(self) -> str:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         return (
             " on %s (is the topic remapped, or cannot this machine reach the robots?)"
             % rospy.resolve_name(FIRED_TOPIC)
         )
 
-    def tell(self, text: str) -> None:
-        """See :class:`Lookout`."""
+    def report(self, text: str) -> None:
+        """See :class:`TeamConnection`."""
         rospy.logwarn_throttle(5.0, text)
 
-    def tell_departures(self, plan: Plan, run: str, found: Departures) -> None:
-        """See :class:`Lookout`."""
-        self._prediction.tell(plan, run, found)
+    def report_departures(self, plan: Plan, run: str, found: Departures) -> None:
+        """See :class:`TeamConnection`."""
+        self._prediction.publish(plan, run, found)
 
     def _with_json(self, *what: str) -> Callable[[String], None]:
         """A callback that passes on what a message says in JSON."""
@@ -108,7 +108,7 @@ class RosLookout:
             try:
                 told: Any = json.loads(message.data)
             except ValueError as error:
-                self.tell("the page: %s is not JSON (%s)" % (" of ".join(what), error))
+                self.report("the page: %s is not JSON (%s)" % (" of ".join(what), error))
                 return
             self._seen(*what, told)
 
@@ -123,7 +123,7 @@ class RosLookout:
 
 
 class RosLine:
-    """A :class:`~gspn_framework_package.visualizer.lookout.RobotLine` of services.
+    """A :class:`~gspn_framework_package.visualizer.team_connection.RobotLine` of services.
 
     :param seconds: time limit of an answer.
     :param orders: writes the orders.

@@ -24,7 +24,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "capacity": p.capacity,
                 "kind": _kind(p.name, plan),
                 "action": _action(p.name, plan),
-                "halts": plan is not None and not why_no_breakpoint(plan, p.name, "place"),
+                "breakable": plan is not None and not why_no_breakpoint(plan, p.name, "place"),
                 "queue": plan is not None and p.name in plan.tasks.queues,
             }
             for p in net.places
@@ -39,7 +39,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "servers": t.servers,
                 "environment": plan is not None and _is_environment(net, plan, i),
                 "event": _event(t.name, plan),
-                "halts": plan is not None and not why_no_breakpoint(plan, t.name, "transition"),
+                "breakable": plan is not None and not why_no_breakpoint(plan, t.name, "transition"),
                 "submits": plan is not None and t.name in plan.submissions,
             }
             for i, t in enumerate(net.transitions)

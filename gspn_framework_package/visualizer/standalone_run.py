@@ -210,10 +210,10 @@ class StandaloneRun(Activity, Listener):
             self._breakpoints.write(found)
         finally:
             self._show_breakpoints()
-        return {"message": "agents halt at: %s" % found.told}
+        return {"message": "agents stop at: %s" % found.in_words}
 
     def _show_breakpoints(self) -> None:
-        """Show on the page where agents halt."""
+        """Show on the page where agents stop."""
         names = [*self._breakpoints.breakpoints.places, *self._breakpoints.breakpoints.transitions]
         if self._hub.info.get("breakpoints", []) != names:
             self._hub.change_info(breakpoints=names)
@@ -282,7 +282,7 @@ class StandaloneRun(Activity, Listener):
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
         """Take in feedback, on the action's thread."""
         if not self._told_end:
-            self._feedback.tell(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
+            self._feedback.show(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
 
     def on_fault(self, agent: str, message: str) -> None:
         """Publish a fault, on the executor's thread."""

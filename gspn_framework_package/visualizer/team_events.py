@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.displayed_data import (
+    SHOWN_TASKS,
+    cause_text,
+    displayed_robot,
+    displayed_team,
+)
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import NewNames
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.execution.told_data import (
-    SHOWN_TASKS,
-    cause_text,
-    told_of_robot,
-    told_of_team,
-)
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import (
@@ -194,7 +194,7 @@ class TeamEvents:
             seen = self._describe(state, robot)
             raw = (robot.data, robot.task, dict(robot.held), robot.resumed_from)
             if self._is_new(robot.name, raw):
-                told = told_of_robot(robot, self.net, brief=True)
+                told = displayed_robot(robot, self.net, brief=True)
                 # what a robot never had is not reported
                 seen.update({k: v for k, v in told.items() if v or (shown and shown.get(k))})
             if shown is None:
@@ -215,7 +215,7 @@ class TeamEvents:
         raw = (state.data, list(state.queues.items()), state.submitted[:SHOWN_TASKS])
         if not self._is_new("", raw):
             return []
-        return data_event(self._data, told_of_team(state, self.net, brief=True))
+        return data_event(self._data, displayed_team(state, self.net, brief=True))
 
     def _is_new(self, whose: str, raw: Any) -> bool:
         """Whether data and tasks may have changed since they were last reported."""

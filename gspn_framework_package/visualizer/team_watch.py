@@ -2,7 +2,7 @@
 
 One thread with one queue does the work. What comes from the network is only put into the queue. So
 does a second thread, which asks the team for its state, since an answer may take a while. How the
-team is reached, on ROS or over Zenoh, is for the :class:`Lookout` to know.
+team is reached, on ROS or over Zenoh, is for the :class:`TeamConnection` to know.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from typing import (
 
 from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.analysis.preflight.while_running import CHECK_MARKINGS
+from gspn_framework_package.execution.displayed_data import order_text
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import NewNames
-from gspn_framework_package.execution.told_data import order_text
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -51,17 +51,17 @@ from gspn_framework_package.visualizer.fired_follower import (
 )
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures, LiveComparison
-from gspn_framework_package.visualizer.lookout import (
+from gspn_framework_package.visualizer.page_orders import Answer, Order, PageOrders
+from gspn_framework_package.visualizer.team_connection import (
     ANSWER_TIME,
-    Lookout,
     RobotLine,
+    TeamConnection,
     UnreachableError,
     ask,
 )
-from gspn_framework_package.visualizer.page_orders import Answer, Order, PageOrders
 
 if TYPE_CHECKING:
-    from gspn_framework_package.visualizer.lookout import Replies
+    from gspn_framework_package.visualizer.team_connection import Replies
 
 LOOK_AROUND = 2.0
 """Seconds between two searches for robots, and between two requests for the team's state."""
@@ -84,15 +84,15 @@ class TeamWatch(Activity):
     plan and run shown are listed, followed and given orders, and every order names the run.
 
     :param plan: the plan, with its initial robots.
-    :param lookout: how the team is reached.
+    :param connection: how the team is reached.
     :param run: the run to show; "" takes the first run of this plan that is heard.
     """
 
     mode = "LIVE"
 
-    def __init__(self, plan: Plan, lookout: Lookout, run: str = "") -> None:
+    def __init__(self, plan: Plan, connection: TeamConnection, run: str = "") -> None:
         super().__init__()
-        self._lookout = lookout
+        self._connection = connection
         self._plan = plan
         self._net: Net = plan.net
         self._hash = self._given = plan.hash()
@@ -119,14 +119,14 @@ class TeamWatch(Activity):
         self._early: Dict[str, Dict[str, Any]] = {}
         self._comparison: Optional[LiveComparison] = None
         self._stop = threading.Event()
-        self._asking = lookout.line(ANSWER_TIME)
+        self._asking = connection.line(ANSWER_TIME)
         self._ask_now = threading.Event()
         self._turn = self._silent = 0
         self._before: Optional[TeamSeen] = None
         self._heard = True
         self._unheard = 0
-        self._orders = PageOrders(self, lookout)
-        self.commands = self._orders.commands if lookout.orders else {}
+        self._orders = PageOrders(self, connection)
+        self.commands = self._orders.commands if connection.orders else {}
 
     @property
     def plan(self) -> Plan:
@@ -187,12 +187,12 @@ class TeamWatch(Activity):
             "fault": False,
         }
         offered = sorted([*self.commands, "deploy"]) if self.commands else []
-        info = {"commands": offered, "says": self._lookout.says}
+        info = {"commands": offered, "says": self._connection.says}
         hub.restart(self.mode, self._follower.board(self._status), info)
         self._comparison = LiveComparison(
-            self._plan, hub, complete=False, listener=self._tell_departures
+            self._plan, hub, complete=False, listener=self._report_departures
         )
-        self._lookout.open(lambda *seen: self._queue.put(seen))
+        self._connection.open(lambda *seen: self._queue.put(seen))
         threading.Thread(target=self._work, name="watch", daemon=True).start()
         threading.Thread(target=self._ask_around, name="ask", daemon=True).start()
 
@@ -203,7 +203,7 @@ class TeamWatch(Activity):
             self._comparison.end()
         self._asking.close()
         self._orders.close()
-        self._lookout.close()
+        self._connection.close()
 
     # -- the worker --------------------------------------------------------------------------------
 
@@ -217,7 +217,7 @@ class TeamWatch(Activity):
                 getattr(self, "_on_" + what)(*seen)
                 self._hub.publish(*self._follower.retry(time.monotonic()))
             except Exception as error:  # logged; the page continues
-                self._lookout.tell("the page: %s: %s" % (type(error).__name__, error))
+                self._connection.report("the page: %s: %s" % (type(error).__name__, error))
             if self._follower.lost_track:
                 self._ask_now.set()
 
@@ -248,7 +248,7 @@ class TeamWatch(Activity):
                 text = "run '%s' {} has the same plan; it is not shown"
             else:
                 text = "run '%s' {} has another plan; it is not shown"
-            self._note("warning", "", text.format(self._lookout.where) % run)
+            self._note("warning", "", text.format(self._connection.where) % run)
         return False
 
     def _show_run(self, run: str) -> None:
@@ -289,7 +289,7 @@ class TeamWatch(Activity):
         self._show_orders(name, activity.get("orders") or [])
         feedback = activity.get("feedback")
         if feedback and phase is Phase.DOING:
-            self._feedback.tell(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
+            self._feedback.show(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
         else:
             self._feedback.forget(name)
 
@@ -343,12 +343,12 @@ class TeamWatch(Activity):
             self._ask_now.clear()
             why = ""
             try:
-                self._known = self._lookout.find()
+                self._known = self._connection.find()
                 heard = self.statuses(self._askable(), self._asking)
                 self._queue.put(("answers", lost_track, heard, self._ask_plan(heard)))
             except UnreachableError as error:
                 why = str(error)
-                self._lookout.tell("the page: %s" % why)
+                self._connection.report("the page: %s" % why)
             if why != self._status["unreachable"]:
                 self._queue.put(("unreachable", why))
             self._ask_now.wait(LOOK_AROUND)
@@ -496,7 +496,7 @@ class TeamWatch(Activity):
                     "warning",
                     "",
                     "the team moves, but no firing is heard%s: the page shows what robots answer "
-                    "every %g s" % (self._lookout.why_unheard(), LOOK_AROUND),
+                    "every %g s" % (self._connection.why_unheard(), LOOK_AROUND),
                 )
         self._heard = False
 
@@ -534,9 +534,9 @@ class TeamWatch(Activity):
             return [(address, status)]
         if address not in self._unread:
             self._unread.add(address)
-            self._lookout.tell(
+            self._connection.report(
                 "the page: the answer of %s to 'status' cannot be read: %.80r"
-                % (self._lookout.label(address), message)
+                % (self._connection.label(address), message)
             )
         return []
 
@@ -577,9 +577,9 @@ class TeamWatch(Activity):
         if "data" in status:
             self._hub.publish(*data_event(self._data, status["data"]))
         phases = [Phase.of_state(r["state"]) for r in status["robots"]]
-        acting = [p for p in phases if not (p.gone or p.told.at_rest)]
+        acting = [p for p in phases if not (p.gone or p.report.at_rest)]
         waits = [r for r in status["robots"] if r["waits_for"]]
-        stalled = acting and all(p.logged is Phase.DONE or p.told.failed for p in acting)
+        stalled = acting and all(p.logged is Phase.DONE or p.report.failed for p in acting)
         if status["ended"]:
             self._show_end(status)
             return
@@ -621,5 +621,5 @@ class TeamWatch(Activity):
     def _note(self, level: str, robot: str, text: str) -> None:
         self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
 
-    def _tell_departures(self, found: Departures) -> None:
-        self._lookout.tell_departures(self._plan, self._run, found)
+    def _report_departures(self, found: Departures) -> None:
+        self._connection.report_departures(self._plan, self._run, found)

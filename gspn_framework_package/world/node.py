@@ -163,7 +163,7 @@ class WorldNode:
                 break
         self.team.step()
         self.referee.watch()
-        self._tell_of_people()
+        self._report_people()
         if self.recorder is not None:
             self.recorder.record()
         self._steps += 1
@@ -182,7 +182,7 @@ class WorldNode:
             self._reported = wall
             self._report.publish(json.dumps(self.referee.report()))
 
-    def _tell_of_people(self) -> None:
+    def _report_people(self) -> None:
         """Publish whether somebody is there, when that changes."""
         somebody = any(walker.at is not None for walker in self.team.people)
         if somebody != self._somebody:

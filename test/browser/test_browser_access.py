@@ -1,7 +1,7 @@
 """The page is of use at every width, by keyboard, and with a screen reader."""
 
 from page_reading import boxes, overlaps, resize, settle
-from told_run import ToldRun
+from reported_run import ReportedRun
 
 from gspn_framework_package.formats.plan_file import read_plan
 
@@ -275,7 +275,7 @@ def told_model(alarm):
 
 def test_a_run_is_shown_beside_its_prediction(show_net, open_page, axe, picture):
     plan = read_plan("plans/patrol")
-    told = ToldRun(plan)
+    told = ReportedRun(plan)
     page = open_page(show_net(plan.net, plan, told).address, reduced_motion="reduce")
     page.wait_for_selector("#robots .robot-card >> nth=3")
     assert page.locator(".model-run").count() == 0

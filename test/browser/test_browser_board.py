@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
+from gspn_framework_package.execution.team_state import RobotState, TeamState, reported_phase
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.visualizer.board import Board
 
@@ -33,8 +33,8 @@ PLAY = """async ([data, events]) => {
 }"""
 
 TOLD = """async (robots) => {
-  const { toldOf } = await import("/static/js/phases.js");
-  return robots.map(([robot, status]) => toldOf(robot, status));
+  const { robotReport } = await import("/static/js/phases.js");
+  return robots.map(([robot, status]) => robotReport(robot, status));
 }"""
 
 
@@ -142,14 +142,14 @@ def test_the_page_goes_on_by_events_as_the_server_does(page):
     any_events()
 
 
-def test_the_page_says_of_a_robot_what_is_told_of_it(page):
+def test_the_page_says_of_a_robot_what_is_reported_of_it(page):
     logged = (Phase.DOING, Phase.DONE, Phase.FAILED, Phase.INACTIVE, Phase.LOST, Phase.LEFT)
     facts = list(itertools.product(logged, (False, True), (None, "stopped"), (False, True)))
     asked, expected = [], []
     for phase, paused, ended, finished in facts:
         state = TeamState((1,), ended=ended, finished=finished)
         robot = RobotState("r", 0, phase=phase, paused=paused)
-        told = told_phase(state, robot).told
+        told = reported_phase(state, robot).report
         expected.append((told.word, told.tone, told.gone, told.needs_operator))
         asked.append(
             [

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 from page_reading import boxes, dots, marking, overlaps, settle
-from told_run import ToldRun
+from reported_run import ReportedRun
 
 from benchmarks.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
@@ -140,7 +140,7 @@ def test_pausing_the_view_never_pauses_the_robots(serve_folder, open_page):
 @pytest.fixture(name="told")
 def _told(show_net):
     plan = read_plan("plans/patrol")
-    activity = ToldRun(plan)
+    activity = ReportedRun(plan)
     site = show_net(plan.net, plan, activity)
     site.told = activity
     return site
@@ -223,7 +223,7 @@ def test_feedback_what_was_refused_and_the_room_are_shown(told, open_page, pictu
     assert page.is_hidden("#room")
 
 
-def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_page):
+def test_the_age_of_the_last_event_is_reported_and_the_end_of_all_events(told, open_page):
     page = open_page(told.address)
     told.told.hub.publish(
         {"k": "note", "level": "fault", "robot": "robot_1", "text": "its action failed"}
@@ -261,7 +261,7 @@ def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_
 
 def test_more_viewers_than_streams_poll_and_agree(show_net, open_page):
     plan = read_plan("plans/patrol")
-    activity = ToldRun(plan)
+    activity = ReportedRun(plan)
     site = show_net(plan.net, plan, activity, viewers=1)
     one = open_page(site.address)
     two = open_page(site.address, expect_errors=True)

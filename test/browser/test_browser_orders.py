@@ -2,7 +2,7 @@
 
 import pytest
 from page_reading import boxes
-from told_run import ToldRun
+from reported_run import ReportedRun
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import RefusedError
@@ -11,7 +11,7 @@ from gspn_framework_package.model.plan import Plan, RobotSpec
 COMMANDS = ["evict", "fire", "leave", "pause", "resume", "retry", "set_place", "stop"]
 
 
-class Team(ToldRun):
+class Team(ReportedRun):
     """Two robots of run "run_7"; keeps the orders, and refuses those for robot_2."""
 
     def __init__(self, plan):
@@ -138,7 +138,7 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     )
 
 
-def test_who_may_only_look_is_told_why_nothing_can_be_pressed(team, show_net, open_page):
+def test_who_may_only_look_is_reported_why_nothing_can_be_pressed(team, show_net, open_page):
     site = show_net(
         team.plan.net, team.plan, Team(team.plan), viewer_token="only-for-looking-at-it"
     )

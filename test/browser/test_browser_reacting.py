@@ -1,15 +1,15 @@
 """Data, tasks and events on the page: where they are shown, and how a task is submitted."""
 
 import pytest
+from reported_run import ReportedRun
 from shop_plan import SLOTS, shop
-from told_run import ToldRun
 
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.visualizer.submissions import submission
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 
-class Shop(ToldRun):
+class Shop(ReportedRun):
     """A run of the shop whose log the test writes; tasks of the page go into it."""
 
     def __init__(self, plan):
@@ -26,7 +26,7 @@ class Shop(ToldRun):
 
     def _halt(self, fields):
         self.hub.change_info(breakpoints=fields["names"])
-        return {"message": "robots halt there"}
+        return {"message": "robots stop there"}
 
     def _submit(self, fields):
         task = submission(self.plan, fields)
@@ -79,13 +79,13 @@ def test_tasks_data_and_causes_are_shown_and_tasks_are_submitted(run, open_page,
     # a breakpoint is set, marked on the net, told of a robot that halts there, and removed
     page.click("#list li[data-key='p1']")
     page.click("#inspector button:has-text('Set breakpoint')")
-    page.wait_for_selector("#net .place.halts")
+    page.wait_for_selector("#net .place.breaks")
     run.hub.publish({"k": "robots", "r": [{"name": "b", "paused": True}], "gone": []})
     page.wait_for_selector(
-        "#inspector .robot-card[data-robot='b']:has-text('halts at a breakpoint')"
+        "#inspector .robot-card[data-robot='b']:has-text('stops at a breakpoint')"
     )
     page.click("#inspector button:has-text('Remove breakpoint')")
-    page.wait_for_selector("#net .place.halts", state="detached")
+    page.wait_for_selector("#net .place.breaks", state="detached")
     page.click("#list li[data-key='t1']")  # an immediate move from a place without an action
     page.wait_for_selector("#inspector h2:has-text('take')")
     assert page.locator("#inspector button:has-text('breakpoint')").count() == 0

@@ -81,7 +81,7 @@ def test_the_run_button_goes_on_until_it_is_stopped(show_net, open_page):
     agree(page, site)
 
 
-def test_a_dead_end_is_told(show_net, open_page):
+def test_a_dead_end_is_reported(show_net, open_page):
     site = show_net(NetBuilder("end").place("p", 1).exponential("t", inputs="p").build())
     page = open_page(site.address)
     page.click("#steps")

@@ -8,7 +8,7 @@ import re
 
 import pytest
 from page_reading import dots, settle
-from told_run import ToldRun
+from reported_run import ReportedRun
 
 from gspn_framework_package.execution.log_entries import Done
 from gspn_framework_package.execution.token_game import TokenGame
@@ -51,7 +51,7 @@ def test_a_subnet_folds_into_one_node(tmp_path, show_net, open_page, axe, pictur
     (tmp_path / "plan.json").write_text(json.dumps(HOME))
     (tmp_path / "dock.json").write_text(json.dumps(DOCK))
     plan = read_plan(str(tmp_path))
-    run = ToldRun(plan, {"run": "run_1"})
+    run = ReportedRun(plan, {"run": "run_1"})
     game = TokenGame(plan)
     state = game.new_state()
     events = TeamEvents(game)
@@ -119,7 +119,7 @@ def test_every_mode_shows_what_was_drawn(
         page = open_page(serve_folder(tmp_path).address + "#file-plan.json")
     else:
         plan = read_plan(str(tmp_path))
-        page = open_page(show_net(plan.net, plan, ToldRun(plan, {"run": "run_1"})).address)
+        page = open_page(show_net(plan.net, plan, ReportedRun(plan, {"run": "run_1"})).address)
     page.wait_for_selector("body[data-mode='%s']" % mode)
     settle(page)
     folded = spots(page)

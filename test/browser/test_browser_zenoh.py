@@ -28,9 +28,9 @@ def _agents(tmp_path, monkeypatch):
 
 
 def test_a_team_over_zenoh_is_watched_and_ordered(agents, site, open_page, picture):
-    from gspn_framework_package.visualizer.zenoh_lookout import ZenohLookout
+    from gspn_framework_package.visualizer.zenoh_connection import ZenohConnection
 
-    watch = TeamWatch(agents.plan, ZenohLookout(agents.hub.access("screen")), "monday")
+    watch = TeamWatch(agents.plan, ZenohConnection(agents.hub.access("screen")), "monday")
     page = open_page(site(project_of_team(str(agents.folder), agents.plan, watch)).address)
     page.wait_for_selector("#frame-name:has-text('a team of robots on Zenoh')")
     page.wait_for_selector(".robot-card[data-robot='robot_1']:has-text('acts')")

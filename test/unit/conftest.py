@@ -11,7 +11,7 @@ from gspn_framework_package.execution.event_log import EventLogWriter, header, r
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 
 sys.path.append(str(Path(__file__).parent))
-# "meeting", "waiting" and "told_run", which need no ROS
+# "meeting", "waiting" and "reported_run", which need no ROS
 sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))
 
 

@@ -58,7 +58,7 @@ def test_breakpoints_that_were_left_beside_the_plan_are_a_warning(tmp_path, caps
     (tmp_path / "breakpoints.json").write_text(json.dumps({"places": ["P"]}))
     assert main(["check", str(tmp_path)]) == 0
     told = capsys.readouterr().out
-    assert "warning  breakpoints: robots halt at P in every run of this plan" in told
+    assert "warning  breakpoints: robots stop at P in every run of this plan" in told
     (tmp_path / "breakpoints.json").write_text(json.dumps({"places": ["elsewhere"]}))
     assert main(["check", str(tmp_path)]) == 0
     told = capsys.readouterr().out
@@ -105,7 +105,7 @@ def test_the_modules_of_another_plan_are_not_taken(tmp_path, capsys):
     assert "there is no only_here.py beside the plan" in capsys.readouterr().err
 
 
-def test_a_net_is_told_as_a_net(tmp_path, capsys):
+def test_a_net_is_reported_as_a_net(tmp_path, capsys):
     assert main(["convert", _net(tmp_path), str(tmp_path / "net.pnml")]) == 0
     capsys.readouterr()
     assert main(["check", str(tmp_path / "net.pnml")]) == 2

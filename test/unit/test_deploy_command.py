@@ -10,15 +10,15 @@ import time
 import pytest
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.event_log import read_log, replay
-from gspn_framework_package.execution.run_door import (
+from gspn_framework_package.execution.control_socket import (
+    ControlSocket,
     DeployRequest,
-    RunDoor,
     RunningPlan,
     ask_to_deploy,
     chosen_run,
     running_plans,
 )
+from gspn_framework_package.execution.event_log import read_log, replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
@@ -148,7 +148,7 @@ def test_a_run_is_found_and_answers(tmp_path, own_folder):
         return "done so"
 
     request = DeployRequest("/new", {"A": "B"}, None, 1.0)
-    with RunDoor(lambda: {"plan": "p", "files": ["/a/plan.json", "/b/plan.json"]}, deploy):
+    with ControlSocket(lambda: {"plan": "p", "files": ["/a/plan.json", "/b/plan.json"]}, deploy):
         (run,) = running_plans()
         assert run[1:] == (os.getpid(), "p", ["/a/plan.json", "/b/plan.json"])
         assert chosen_run([run], "/b/plan.json", "") is run is chosen_run([run], "", "")
@@ -190,7 +190,7 @@ def test_a_folder_that_others_may_enter_is_not_used(own_folder):
     own_folder.mkdir(0o700)
     own_folder.chmod(0o755)
     with pytest.raises(ExecutionError, match="only you may enter"):
-        RunDoor(dict, lambda request: "")
+        ControlSocket(dict, lambda request: "")
     own_folder.rmdir()
     own_folder.symlink_to("/tmp")
     with pytest.raises(ExecutionError, match="only you may enter"):

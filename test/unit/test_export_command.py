@@ -146,8 +146,8 @@ def test_every_reported_state_has_a_number_in_the_message():
     assert {name: int(number) for name, number in constants.items()} == {
         state.upper() or "UNKNOWN": number for number, state in enumerate(STATES)
     }
-    assert {phase.told.state for phase in Phase} == set(STATES) - {"Done"} | {
-        phase.told.state for phase in Phase if phase is Phase.DONE
+    assert {phase.report.state for phase in Phase} == set(STATES) - {"Done"} | {
+        phase.report.state for phase in Phase if phase is Phase.DONE
     }
 
 

@@ -15,7 +15,7 @@ QUICK = ["--robots", "2", "--simulate", "0"]
 CHECKS = ["--reward", "*:Temperature_*=1"]
 
 
-def test_the_new_plan_is_written_and_told(tmp_path, capsys):
+def test_the_new_plan_is_written_and_reported(tmp_path, capsys):
     target = tmp_path / "new"
     words = ["--may-wait", "p*:Decide_*", "-o", str(target), "--json"]
     assert main(["optimise", PATROL, *QUICK, *CHECKS, *words]) == 0

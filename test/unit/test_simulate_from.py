@@ -56,7 +56,7 @@ def test_what_follows_is_recorded_as_a_log_of_its_own(recorded: str, tmp_path: P
         ("@17", ["--time", "5", "--robots", "3"], "a recorded run has no --robots"),
     ],
 )
-def test_what_cannot_go_on_is_told(
+def test_what_cannot_go_on_is_reported(
     recorded: str, capsys: Any, slot: str, options: Any, text: str
 ) -> None:
     assert main(["simulate", recorded + slot, *options]) == 2

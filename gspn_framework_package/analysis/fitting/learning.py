@@ -325,7 +325,7 @@ class _Learning:
         if unseen:
             self.notes.append("no attempt was seen in %s" % ", ".join(unseen))
         rates = self._rates(events)
-        self._tell_doubts()
+        self._report_doubts()
         return FitReport(places, rates, tuple(self.notes))
 
     # -- a place -----------------------------------------------------------------------------------
@@ -528,7 +528,7 @@ class _Learning:
     def _doubt(self, kind: str, p: float, text: str) -> None:
         self._doubts.setdefault(kind, []).append((p, text))
 
-    def _tell_doubts(self) -> None:
+    def _report_doubts(self) -> None:
         for doubts in self._doubts.values():
             tests = len(doubts)
             for p, text in doubts:

@@ -90,7 +90,7 @@ class OnDiskChain:
                 hint="raise --memory",
             )
         self._column_type = np.dtype(np.int32 if size < 2**31 else np.int64)
-        self._tell_disk(size, counts.arcs, bool(counts.vanishing))
+        self._report_disk(size, counts.arcs, bool(counts.vanishing))
         if space.has_vanishing_start:  # no tangible state leads to what follows there
             Chain(rate(window(space.packed, space.packed.initial[None, :])))
         self.tangible: SortedKeys = space.tangible(watch)
@@ -111,7 +111,7 @@ class OnDiskChain:
     def __len__(self) -> int:
         return len(self.tangible)
 
-    def _tell_disk(self, size: int, arcs: int, vanishing: bool) -> None:
+    def _report_disk(self, size: int, arcs: int, vanishing: bool) -> None:
         """:raises LimitError: the disk has too little room."""
         each = 8 + self._column_type.itemsize + (_ARC.itemsize if vanishing else 0)
         needed = each * arcs + (16 + self.space.code.dtype.itemsize) * size

@@ -197,7 +197,7 @@ class MarkingChecks:
     def _decide_bounds(self, markings: PlanMarkings) -> None:
         if markings.complete:
             bounds = markings.bounds()
-            self._list.tell_bounds(
+            self._list.report_bounds(
                 {p: bounds[p] for p in self._structure.resource_bounds}, "exploration"
             )
             return
@@ -242,10 +242,10 @@ class MarkingChecks:
     def _decide_dead(self, markings: PlanMarkings) -> None:
         found = list(markings.dead(after_losses=False))
         at_once = [finding for finding in found if not finding.sequence]
-        self._tell_findings(
+        self._report_findings(
             "dead_markings", Severity.REFUSED, at_once, "nothing can ever fire: dead marking"
         )
-        self._tell_findings(
+        self._report_findings(
             "dead_markings",
             Severity.WARNING,
             [finding for finding in found if finding.sequence],
@@ -278,14 +278,14 @@ class MarkingChecks:
         gaps = (
             self._kinds(markings.policy_gaps()) if self.plan.policy.rows or self.plan.strict else []
         )
-        self._tell_findings(
+        self._report_findings(
             "policy",
             severity,
             gaps,
             "the policy has no row" + ("" if self.plan.strict else ", so that the weights decide"),
         )
         waiting = list(markings.undecided_choices())
-        self._tell_findings(
+        self._report_findings(
             "policy",
             Severity.WARNING,
             waiting,
@@ -312,7 +312,7 @@ class MarkingChecks:
             kinds.setdefault((finding.place, counts), finding)
         return list(kinds.values())
 
-    def _tell_findings(
+    def _report_findings(
         self, check: str, severity: Severity, found: Sequence[Finding], what: str, **details: Any
     ) -> None:
         for finding in found[:LISTED]:

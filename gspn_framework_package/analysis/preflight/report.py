@@ -144,7 +144,7 @@ class Checklist:
         """Add an item."""
         self.items.append(CheckItem(check, severity, text, details))
 
-    def tell_bounds(self, bounds: Dict[str, int], how: str) -> None:
+    def report_bounds(self, bounds: Dict[str, int], how: str) -> None:
         """Report that these resource places are bounded.
 
         :param bounds: place -> most tokens.

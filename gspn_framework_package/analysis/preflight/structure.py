@@ -162,7 +162,7 @@ class StructureChecks:
         if unknown:
             self.open.append("resource_bounds")
         elif self.resource_bounds:
-            self._list.tell_bounds(
+            self._list.report_bounds(
                 {p: b for p, b in self.resource_bounds.items() if b is not None}, "structure"
             )
 

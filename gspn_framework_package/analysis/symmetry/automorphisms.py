@@ -24,12 +24,12 @@ from gspn_framework_package.model.net import Net
 def automorphisms(
     net: Net,
     asked: Sequence[Condition] = (),
-    told_apart: Optional[Sequence[Hashable]] = None,
+    distinguished: Optional[Sequence[Hashable]] = None,
 ) -> List[Indices]:
     """Generators of the group of the automorphisms of a net.
 
     :param asked: conditions that have to stay what they are.
-    :param told_apart: a value for each transition; those with different values are not exchanged.
+    :param distinguished: a value for each transition; different values are not exchanged.
     :return: each generator as an int array over the nodes (the places, then the transitions): the
         node that each becomes. Only those that move a place.
     :raises UsageError: igraph is not installed.
@@ -43,7 +43,7 @@ def automorphisms(
             if transition.timed
             else ("immediate", transition.weight, transition.priority)
         )
-        colours.append((*behaviour, told_apart[t] if told_apart else None))
+        colours.append((*behaviour, distinguished[t] if distinguished else None))
     edges: List[Tuple[int, int]] = []
     for kind, rows in (("in", net.inputs), ("out", net.outputs), ("not", net.inhibitors)):
         for t, row in enumerate(rows):

@@ -43,7 +43,7 @@ class Symmetry:
 
     :param net: the net.
     :param asked: conditions that no exchange may change.
-    :param told_apart: see :func:`~.automorphisms.automorphisms`.
+    :param distinguished: see :func:`~.automorphisms.automorphisms`.
     :ivar factors: the factors of the group that is used.
     :ivar generators: its generators: int arrays over places and transitions.
     :ivar unused: the number of generators of the whole group that it does without, since the form
@@ -57,9 +57,9 @@ class Symmetry:
         self,
         net: Net,
         asked: Sequence[Condition] = (),
-        told_apart: Optional[Sequence[Hashable]] = None,
+        distinguished: Optional[Sequence[Hashable]] = None,
     ) -> None:
-        found = automorphisms(net, asked, told_apart)
+        found = automorphisms(net, asked, distinguished)
         places = len(net.places)
         self.net = net
         self.factors, used = factors_of([generator[:places] for generator in found])

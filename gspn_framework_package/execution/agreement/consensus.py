@@ -39,7 +39,7 @@ from gspn_framework_package.execution.agreement.messages import (
     Torn,
 )
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.state import BallotAttempt, ReplicaState
 
@@ -73,7 +73,7 @@ class Consensus:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
     ) -> None:
         self.config = config
         self.state = state

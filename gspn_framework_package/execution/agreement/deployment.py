@@ -11,7 +11,7 @@ from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
@@ -26,7 +26,7 @@ class Deployment:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
     ) -> None:
         self.config = config
         self.state = state

@@ -19,9 +19,9 @@ from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.state import Goal, Position, Proposal, ReplicaState
-from gspn_framework_package.execution.breakpoints import Halts
+from gspn_framework_package.execution.breakpoints import RobotBreakpoints
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
 from gspn_framework_package.execution.ledger import Item, Origin
@@ -44,15 +44,15 @@ class LocalRobot:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
-        halts: Halts,
+        proposals: ProposalQueue,
+        breaks: RobotBreakpoints,
     ) -> None:
         self.config = config
         self.state = state
         self.outbox = outbox
         self.electorate = electorate
         self.proposals = proposals
-        self.halts = halts
+        self.breaks = breaks
         self._from: Optional[Position] = None
         """Where the log had our robot when we took it over."""
         self._led_to: OrderedDict[Origin, Position] = OrderedDict()
@@ -178,8 +178,8 @@ class LocalRobot:
             entry = log_entries.Done(
                 self.config.name, goal.incarnation, goal.visit, result, given.data
             )
-            if self.halts.breakpoints.stops_result(plan, place, result):
-                self.halt()
+            if self.breaks.breakpoints.stops_result(plan, place, result):
+                self.pause_at_breakpoint()
             if given.data:
                 entry = self._readable(entry, goal)
             elif self._may_move_alone():
@@ -200,7 +200,7 @@ class LocalRobot:
         except LogError as error:
             return log_entries.Failed(self.config.name, *goal, "bad result", str(error))
 
-    def halt(self) -> None:
+    def pause_at_breakpoint(self) -> None:
         """Order a pause of our robot, unless it is paused already."""
         robot = self.electorate.own_robot()
         if robot is not None and not robot.paused:
@@ -304,9 +304,9 @@ class LocalRobot:
         """Whether no breakpoint holds our robot before its action."""
         robot = self.electorate.own_robot()
         paused = robot is not None and robot.paused
-        answer = self.halts.may_start((at.incarnation, at.visit), place, at.attempt, paused)
+        answer = self.breaks.may_start((at.incarnation, at.visit), place, at.attempt, paused)
         if answer == "pause":
-            self.halt()
+            self.pause_at_breakpoint()
         return answer == "yes"
 
     def _given(self, at: Position) -> Tuple[Mapping[str, Any], int]:

@@ -22,7 +22,7 @@ from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.messages import MOST_ROBOTS, Envelope, Hello, Seen
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Life
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
@@ -71,7 +71,7 @@ class Membership:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
         proposer: Proposer,
         robot: LocalRobot,
     ) -> None:
@@ -812,11 +812,11 @@ class Membership:
         """Another process of our name is there: if one of us is in the team, the other waits, and
         has to hear of it before it takes part."""
         state, pace = self.state, self.config.pace
-        rested = state.now >= state.namesake_told + min(pace.greeting, pace.heartbeat)
+        rested = state.now >= state.namesake_answered + min(pace.greeting, pace.heartbeat)
         if hello.active and not state.active:
             state.namesake_heard = state.now
         elif state.active and not hello.active and rested:
-            state.namesake_told = state.now
+            state.namesake_answered = state.now
             self.outbox.broadcast(self._hello())
 
     def _rival_stays(self) -> bool:

@@ -241,7 +241,7 @@ def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
     return value
 
 
-class Event(NamedTuple):
+class Proposals(NamedTuple):
     """Proposals: what the sender wants in the log. Sent to the leader (or, by a robot without a
     ``vote``, to any member) again and again until they are in the log."""
 
@@ -253,7 +253,7 @@ class Event(NamedTuple):
         return {"items": [i.to_json() for i in self.items], "vote": self.vote}
 
     @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Event:
+    def from_json(cls, data: Dict[str, Any]) -> Proposals:
         """The message of a JSON object. :raises MessageError: not one."""
         return cls(_items(_field(data, "items"), "items"), _flag(data, "vote"))
 
@@ -452,11 +452,11 @@ class Learn(NamedTuple):
         return cls(Chosen(_number(data, "slot"), _ballot(_field(data, "ballot"))))
 
 
-Body = Union[Hello, Event, Prepare, Promise, Accept, Accepted, Nack, Pull, Learn]
+Body = Union[Hello, Proposals, Prepare, Promise, Accept, Accepted, Nack, Pull, Learn]
 
 _KINDS: Dict[str, Type[Any]] = {
     "hello": Hello,
-    "event": Event,
+    "event": Proposals,
     "prepare": Prepare,
     "promise": Promise,
     "accept": Accept,

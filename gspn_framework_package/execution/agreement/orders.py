@@ -14,7 +14,7 @@ from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import ORDER_GIVEN
@@ -32,7 +32,7 @@ class Orders:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
         membership: Membership,
         reactions: Reactions,
     ) -> None:

@@ -25,7 +25,7 @@ from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.token_game import Step
 
 
-class Proposals:
+class ProposalQueue:
     """The proposals on their way. Those of one origin stay in the order of their numbers."""
 
     def __init__(
@@ -190,7 +190,7 @@ class Proposals:
         """The robots whose proposals others announced."""
         return list(self.state.others_proposals)
 
-    def told_of(self, robots: Iterable[str]) -> List[Item]:
+    def reported_by(self, robots: Iterable[str]) -> List[Item]:
         """The announced proposals of these robots."""
         return [own.item for robot in robots for own in self.state.others_proposals[robot]]
 

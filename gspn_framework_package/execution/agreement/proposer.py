@@ -19,13 +19,13 @@ from gspn_framework_package.execution.agreement.messages import (
     Accept,
     Accepted,
     Envelope,
-    Event,
     Nack,
     Prepare,
     Promise,
+    Proposals,
 )
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.chance import uniform
@@ -50,7 +50,7 @@ class Proposer:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
         consensus: Consensus,
     ) -> None:
         self.config = config
@@ -62,7 +62,7 @@ class Proposer:
 
     # -- inputs ------------------------------------------------------------------------------------
 
-    def on_event(self, message: Envelope, body: Event) -> None:
+    def on_proposals(self, message: Envelope, body: Proposals) -> None:
         """Another wants something in the log."""
         self.proposals.add_others(self.electorate.not_given_up(message, body.items))
         voteless = self.state.voteless
@@ -195,7 +195,7 @@ class Proposer:
         without_vote = [o for o in origins if o not in members or o in voteless]
         if not without_vote:
             return False
-        return bool(self.electorate.without_ghosts(self.proposals.told_of(without_vote)))
+        return bool(self.electorate.without_ghosts(self.proposals.reported_by(without_vote)))
 
     def _somebody_asks_the_policy(self) -> bool:
         team, immediate = self.state.ledger.state, self.state.ledger.game.immediate
@@ -277,19 +277,19 @@ class Proposer:
     def _send_event(self, to: List[str]) -> None:
         state = self.state
         items = self.proposals.own_items()
-        told = (
+        sent = (
             tuple(to),
             state.ledger.length,
             len(state.own_proposals),
             tuple(self.proposals.origins()),
         )
-        if told == state.told[:4] and state.now < state.told[4]:
+        if sent == state.last_sent[:4] and state.now < state.last_sent[4]:
             return
-        state.told = (*told, state.now + self.config.pace.retry)
+        state.last_sent = (*sent, state.now + self.config.pace.retry)
         extra = self.proposals.in_order(True)[: self.config.limits.batch]
         known = {i.origin for i in items}
         items = items + [i for i in extra if i.origin not in known]
-        self.outbox.send_all(to, Event(items[:MOST_ITEMS], self.electorate.may_vote()))
+        self.outbox.send_all(to, Proposals(items[:MOST_ITEMS], self.electorate.may_vote()))
 
     def _patience(self) -> float:
         """How long a proposal waits for the leader (s)."""
@@ -335,8 +335,10 @@ class Proposer:
                 times.append(state.wait_until)
             if self.consensus.leads() and state.gathers_until > state.now:
                 times.append(state.gathers_until)
-            if state.told and not self.config.partial or not self.electorate.may_vote():
-                times.append(state.told[4] if state.told else state.now + self.config.pace.retry)
+            if state.last_sent and not self.config.partial or not self.electorate.may_vote():
+                times.append(
+                    state.last_sent[4] if state.last_sent else state.now + self.config.pace.retry
+                )
         elif state.frozen_since is not None:
             times.append(state.frozen_since + 2 * self.config.pace.takeover)
         return times

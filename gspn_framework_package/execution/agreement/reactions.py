@@ -16,9 +16,9 @@ from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.state import ReplicaState
-from gspn_framework_package.execution.breakpoints import Halts
+from gspn_framework_package.execution.breakpoints import RobotBreakpoints
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT
@@ -37,9 +37,9 @@ class Reactions:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
         robot: LocalRobot,
-        halts: Halts,
+        breaks: RobotBreakpoints,
     ) -> None:
         self.config = config
         self.state = state
@@ -47,7 +47,7 @@ class Reactions:
         self.electorate = electorate
         self.proposals = proposals
         self.robot = robot
-        self.halts = halts
+        self.breaks = breaks
         self._game = config.game
         self._watch: Optional[EventWatch] = None
         self._begin_to_watch()
@@ -83,8 +83,8 @@ class Reactions:
             return
         for event in self._watch.due(self._visit(), self.state.now):
             if not self._is_idle(event):
-                if event.transition in self.halts.breakpoints.transitions:
-                    self.robot.halt()
+                if event.transition in self.breaks.breakpoints.transitions:
+                    self.robot.pause_at_breakpoint()
                 self.proposals.propose(self._readable(event))
 
     def _is_idle(self, event: log_entries.Interrupt) -> bool:

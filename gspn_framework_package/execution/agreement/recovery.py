@@ -11,7 +11,7 @@ from typing import Sequence
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.membership import Membership
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import ReplicaState
@@ -33,7 +33,7 @@ class Recovery:
         config: Config,
         state: ReplicaState,
         consensus: Consensus,
-        proposals: Proposals,
+        proposals: ProposalQueue,
         membership: Membership,
         replication: Replication,
         reactions: Reactions,

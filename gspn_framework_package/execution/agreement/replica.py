@@ -21,7 +21,7 @@ from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.orders import Orders
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
@@ -29,7 +29,7 @@ from gspn_framework_package.execution.agreement.recovery import Recovery
 from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.agreement.status import Status
-from gspn_framework_package.execution.breakpoints import Breakpoints, Halts
+from gspn_framework_package.execution.breakpoints import Breakpoints, RobotBreakpoints
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.model.net import Marking
@@ -101,9 +101,9 @@ class Replica:
         # each part knows those before it; two need the log, which comes after them
         self.outbox = outbox = Outbox(config, state)
         self.electorate = electorate = Electorate(config, state)
-        self.proposals = proposals = Proposals(config, state, outbox, electorate)
-        self.halts = halts = Halts()
-        self.robot = local = LocalRobot(config, state, outbox, electorate, proposals, halts)
+        self.proposals = proposals = ProposalQueue(config, state, outbox, electorate)
+        self.breaks = breaks = RobotBreakpoints()
+        self.robot = local = LocalRobot(config, state, outbox, electorate, proposals, breaks)
         self.consensus = consensus = Consensus(config, state, outbox, electorate, proposals)
         self.proposer = proposer = Proposer(config, state, outbox, electorate, proposals, consensus)
         self.membership = membership = Membership(
@@ -114,7 +114,7 @@ class Replica:
         )
         consensus.connect(replication)
         membership.connect(replication)
-        self.reactions = Reactions(config, state, outbox, electorate, proposals, local, halts)
+        self.reactions = Reactions(config, state, outbox, electorate, proposals, local, breaks)
         self.deployment = Deployment(config, state, outbox, electorate, proposals)
         self.recovery = Recovery(
             config, state, consensus, proposals, membership, replication, self.reactions
@@ -237,8 +237,8 @@ class Replica:
             self.membership.on_hello(message, body)
         elif isinstance(body, messages.Pull):
             self.replication.on_pull(message)
-        elif isinstance(body, messages.Event):
-            self.proposer.on_event(message, body)
+        elif isinstance(body, messages.Proposals):
+            self.proposer.on_proposals(message, body)
             self.replication.help_if_behind(message)
         elif isinstance(body, messages.Learn):
             if self.electorate.can_teach(message.sender):
@@ -259,7 +259,7 @@ class Replica:
                 self.membership.greet()
                 self.membership.consider_active()
                 self.membership.watch()
-                self.people.tell()
+                self.people.report()
             self.reactions.follow()
             self.reactions.want_tasks()
             if state.leaving:
@@ -370,9 +370,9 @@ class Replica:
         """Whether an event could interrupt our robot in its present visit."""
         return self.reactions.watches(transition)
 
-    def halt_at(self, breakpoints: Breakpoints) -> None:
-        """From now on, our robot halts at these places and transitions."""
-        self.halts.breakpoints = breakpoints
+    def break_at(self, breakpoints: Breakpoints) -> None:
+        """From now on, our robot stops at these places and transitions."""
+        self.breaks.breakpoints = breakpoints
 
     def marking(self) -> Marking:
         """The marking as this robot knows it: the log's, with its own local transitions."""

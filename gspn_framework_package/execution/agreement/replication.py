@@ -19,7 +19,7 @@ from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch, Chosen, Envelope, Learn, Pull
 from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import ReplicaState
@@ -39,7 +39,7 @@ class Replication:
         state: ReplicaState,
         outbox: Outbox,
         electorate: Electorate,
-        proposals: Proposals,
+        proposals: ProposalQueue,
         proposer: Proposer,
         membership: Membership,
         robot: LocalRobot,
@@ -68,9 +68,9 @@ class Replication:
         if mine and self.state.halted is None:
             origins = {item.origin.robot for item in batch.items}
             if not self.proposer.lead_on(ballot, origins):
-                self._tell_chosen(slot, ballot, set() if by_all else origins, alone)
+                self._report_chosen(slot, ballot, set() if by_all else origins, alone)
 
-    def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
+    def _report_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
         """Inform the others, except, in a small team, those whose proposals were in the batch:
         they saw each other's votes."""
         voted = self.config.is_small and not self.config.partial and not alone

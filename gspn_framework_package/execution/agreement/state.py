@@ -228,7 +228,7 @@ class ReplicaState:
     """Since when we have heard another process of our name after that (s)."""
     namesake_heard: Optional[float] = _owned("membership")
     """When we, not in the team, last heard a process of our name that is (s)."""
-    namesake_told: float = _owned("membership", -math.inf)
+    namesake_answered: float = _owned("membership", -math.inf)
     """When we, in the team, last let a process of our name know at once that we are (s)."""
 
     # -- who the others are ------------------------------------------------------------------------
@@ -317,7 +317,7 @@ class ReplicaState:
     """Robots without a vote that have their proposals made by members."""
     asked_at: Optional[float] = _owned("proposer")
     """Since when others were asked to propose what waits here (s)."""
-    told: Tuple[Any, ...] = _owned("proposer", ())
+    last_sent: Tuple[Any, ...] = _owned("proposer", ())
     """Whom we sent our proposals last, which, and when we do it again."""
 
     # -- our robot ---------------------------------------------------------------------------------
@@ -342,7 +342,7 @@ class ReplicaState:
 
     held_orders: List[interface.Order] = _owned("orders", make=list)
     """Orders that came while we only listened."""
-    told_status: str = _owned("status", "")
+    reported_status: str = _owned("status", "")
     """What we last reported to people that we wait for."""
     now: float = _owned("replica", 0.0)
     """The time of the input that is being taken (s)."""

@@ -1,6 +1,6 @@
 """A replica's answers for people, and its announcements when they change.
 
-Owns ``told_status``. Reads the state and the electorate, and the local robot's marking;
+Owns ``reported_status``. Reads the state and the electorate, and the local robot's marking;
 announces through the outbox.
 """
 
@@ -18,7 +18,7 @@ from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.plan_change import vote_of
-from gspn_framework_package.execution.team_state import RobotState, told_phase
+from gspn_framework_package.execution.team_state import RobotState, reported_phase
 
 
 class Status:
@@ -42,11 +42,11 @@ class Status:
         self.proposer = proposer
         self.robot = robot
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Announce what we wait for, if that has changed."""
         text = self.waits_for()
-        if text != self.state.told_status:
-            self.state.told_status = text
+        if text != self.state.reported_status:
+            self.state.reported_status = text
             if text:
                 self.outbox.put(interface.StatusChanged(text))
 
@@ -195,7 +195,7 @@ class Status:
         at = state.position if mine else None
         heard = state.peers.get(robot.name).heard
         team = state.ledger.state
-        told = told_phase(team, robot).told
+        told = reported_phase(team, robot).report
         return {
             "robot": robot.name,
             "place": self.state.ledger.game.net.places[at.place if at else robot.place].name,

@@ -74,7 +74,7 @@ def run_node(
         rospy.on_shutdown(on_shutdown)
         code = body(ending)
     except ERRORS as error:
-        code = tell_error(name, error)
+        code = report_error(name, error)
     ended.set()
     rospy.signal_shutdown("the end")
     _await_shutdown()
@@ -89,7 +89,7 @@ def _await_shutdown() -> None:
         rospy.core._shutdown_lock.release()
 
 
-def tell_error(name: str, error: BaseException) -> int:
+def report_error(name: str, error: BaseException) -> int:
     """Report one of :data:`ERRORS` in one line; returns its exit code.
 
     :param name: the name of the node or command.
@@ -196,11 +196,11 @@ def say_nothing_of_sockets_after_the_end() -> None:
     hide other messages."""
     tell = threading.excepthook
 
-    def tell_unless_ended(args: Any) -> None:
+    def report_unless_ended(args: Any) -> None:
         if not (rospy.is_shutdown() and issubclass(args.exc_type, OSError)):
             tell(args)
 
-    threading.excepthook = tell_unless_ended
+    threading.excepthook = report_unless_ended
 
 
 class _Lines(logging.handlers.QueueHandler):

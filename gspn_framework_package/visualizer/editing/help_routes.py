@@ -81,7 +81,7 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
             )
         )
         for finding in found.get("findings", ()):
-            finding["text"] = project.told(finding["text"])
+            finding["text"] = project.without_folders(finding["text"])
         return answer({"revision": fields.get("revision"), **found})
 
     @app.route("/api/edit/choices", methods=["POST"])

@@ -68,7 +68,7 @@ def add_routes(app: flask.Flask, project: Project, body: Body) -> None:
             saved = workshop.save(path(), fields.get("etag"), fields.get("document"))
         except ConflictError as error:
             theirs = {"etag": error.theirs.etag, "document": error.theirs.document}
-            return answer({"error": project.told(str(error)), "theirs": theirs}, 412)
+            return answer({"error": project.without_folders(str(error)), "theirs": theirs}, 412)
         if saved.written:
             project.renew([saved.opened.path, *saved.written])
         return answer(

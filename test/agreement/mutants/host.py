@@ -10,7 +10,7 @@ from agreement.world import SimulatedNode
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 
 
 def _writes_late() -> ContextManager[Any]:
@@ -59,7 +59,7 @@ def _wrong_results() -> ContextManager[Any]:
 
     def make(original: Any) -> Any:
         def propose(
-            self: Proposals, entry: log_entries.Entry, order_id: str = "", suspect: str = ""
+            self: ProposalQueue, entry: log_entries.Entry, order_id: str = "", suspect: str = ""
         ) -> None:
             original(self, entry, order_id, suspect)
             name, own = self.config.name, self.state.own_proposals
@@ -72,7 +72,7 @@ def _wrong_results() -> ContextManager[Any]:
 
         return propose
 
-    return wrap(Proposals, "propose", make)
+    return wrap(ProposalQueue, "propose", make)
 
 
 MUTANTS: List[Mutant] = [

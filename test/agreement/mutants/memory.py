@@ -19,7 +19,7 @@ from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Seen
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Peers
-from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
 from gspn_framework_package.execution.agreement.recovery import Recovery
@@ -119,7 +119,7 @@ def _skips_a_slot_of_a_chunk() -> ContextManager[Any]:
 
 def _newest_first() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def batch(self: Proposals, *given: Any) -> Batch:
+        def batch(self: ProposalQueue, *given: Any) -> Batch:
             limits = self.config.limits
             self.config.limits = limits._replace(batch=10**6)
             try:
@@ -130,7 +130,7 @@ def _newest_first() -> ContextManager[Any]:
 
         return batch
 
-    return wrap(Proposals, "batch", make)
+    return wrap(ProposalQueue, "batch", make)
 
 
 def _off_for_ever() -> ContextManager[Any]:
@@ -226,7 +226,7 @@ def _keeps_to_the_first_heard() -> ContextManager[Any]:
 
 def _lets_lost_lives_stand() -> ContextManager[Any]:
     return mock.patch.object(
-        Proposals, "_without_lost_lives", lambda self, items, unasked: list(items)
+        ProposalQueue, "_without_lost_lives", lambda self, items, unasked: list(items)
     )
 
 
@@ -389,13 +389,13 @@ def _moves_while_paused() -> ContextManager[Any]:
 
 def _drops_the_first_proposal() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def batch(self: Proposals, *given: Any) -> Batch:
+        def batch(self: ProposalQueue, *given: Any) -> Batch:
             whole: Batch = original(self, *given)
             return Batch.of(whole.items[1:]) if len(whole.items) > 1 else whole
 
         return batch
 
-    return wrap(Proposals, "batch", make)
+    return wrap(ProposalQueue, "batch", make)
 
 
 def _reads_no_facts_back() -> ContextManager[Any]:

@@ -151,7 +151,7 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual(robot.do("P1")[1:4], ("T_P1", "", ""))
         self.assertEqual(robot.do("P2")[1:4], ("T_P2", "", ""))
 
-    def test_an_action_is_told_who_asks_and_tells_how_far_it_is(self):
+    def test_an_action_is_reported_who_asks_and_tells_how_far_it_is(self):
         plan, _ = self.serve({"P1": "tell"})
         acts = self.acts()
         robot = self.robot(plan)

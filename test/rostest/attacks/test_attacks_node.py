@@ -20,7 +20,7 @@ from waiting import wait_for
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros.entrance import said
+from gspn_framework_package.ros.inbound import said
 from gspn_framework_package.srv import Command, GetPlace, SetPlace
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.seal import SEALED, Seal, make_team_key, read_team_key

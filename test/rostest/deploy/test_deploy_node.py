@@ -22,7 +22,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.ros.team_view import TeamView
 from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.hub import Hub
-from gspn_framework_package.visualizer.ros_watch import RosLookout
+from gspn_framework_package.visualizer.ros_watch import RosConnection
 from gspn_framework_package.visualizer.team_watch import TeamWatch
 
 ACTIONS = """
@@ -77,7 +77,9 @@ class DeployTest(RobotTestCase):
 
     def watched(self, team):
         """The hub of a page that watches a team, and was given the plan that it began with."""
-        watch = TeamWatch(read_plan(os.path.join(team.plan, "plan.json")), RosLookout(), team.run)
+        watch = TeamWatch(
+            read_plan(os.path.join(team.plan, "plan.json")), RosConnection(), team.run
+        )
         hub = Hub("", Board(0, []))
         watch.begin(hub)
         self.addCleanup(watch.end)

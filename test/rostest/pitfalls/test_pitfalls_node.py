@@ -174,7 +174,7 @@ class PitfallsTest(RobotTestCase):
         self.assertTrue(robot.command("stop").success)
         self.assertEqual(robot.exit_code(), 1)
 
-    def test_10_a_robot_that_waits_for_a_partner_says_so_and_ends_at_once_when_told(self):
+    def test_10_a_robot_that_waits_for_a_partner_says_so_and_ends_at_once_when_asked(self):
         net = chain(["A", "End"])
         net["places"] += [{"name": "B"}]
         net["arcs"] += [{"from": "B", "to": "T1"}, {"from": "T1", "to": "End"}]

@@ -159,7 +159,7 @@ class ServicesTest(RobotTestCase):
         self.assertTrue(json.loads(output)["done"], output)
         wait_for(lambda: "operator" in robot_2.status()["waits_for"], what="the failure")
         self.assertEqual(gspn("retry", "robot_2")[0], 0)
-        wait_for(lambda: robot_2.state().state == "Paused", what="the halt at the breakpoint")
+        wait_for(lambda: robot_2.state().state == "Paused", what="the stop at the breakpoint")
         self.assertEqual((robot_2.state().place, robot_1.state().state), ("B", "Doing"))
         self.assertEqual(gspn("breakpoints", "--clear")[0], 0)
         self.assertEqual(gspn("resume", "robot_2")[0], 0)

@@ -135,7 +135,7 @@ def test_a_vector_that_does_not_fit_is_refused():
         chain_of(net, 4600 * 8 * 1.5)
 
 
-def test_a_disk_without_room_is_told_before(monkeypatch, tmp_path):
+def test_a_disk_without_room_is_reported_before(monkeypatch, tmp_path):
     scratch = Scratch(tmp_path)
     space = search(FAMILIES["kanban"](2), 1e5, scratch=scratch)
     asked = []

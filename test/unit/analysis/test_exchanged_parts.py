@@ -405,7 +405,7 @@ def test_limits_end_it():
     assert report(analysis, Questions(structure=False))["lumped"]["factor"] is None
 
 
-def test_more_permutations_than_a_float_can_count_are_told(tmp_path, capsys):
+def test_more_permutations_than_a_float_can_count_are_reported(tmp_path, capsys):
     file = tmp_path / "machines.pnml"
     write_net(machines(175), file)
     assert main(["analyse", str(file), "--lump", "--no-structure", "--limit", "5"]) == 1

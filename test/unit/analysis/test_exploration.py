@@ -139,7 +139,7 @@ def test_a_place_with_thousands_of_transitions(monkeypatch):
 
 # more than 2**62 tokens, and more than a machine word holds
 @pytest.mark.parametrize("arcs", [600, 1_100])
-def test_a_count_that_is_too_large_is_told(arcs):
+def test_a_count_that_is_too_large_is_reported(arcs):
     # enough for their transitions to fire together
     places = [Place("p%d" % i, 1) for i in range(100)]
     transitions = [Transition("t%d" % i, timed=True) for i in range(100)]
@@ -221,7 +221,7 @@ def test_cancel(engine):
         explore(kanban(3), engine=engine, cancel=lambda: True)
 
 
-def test_progress_is_told():
+def test_progress_is_reported():
     told = []
     watch = Watch(lambda what, count, seconds: told.append((what, count)), interval=0.0)
     watch.step("states", 7)

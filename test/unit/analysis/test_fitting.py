@@ -400,7 +400,7 @@ def test_attempts_that_all_failed_are_learned(reason: str, count: int) -> None:
         assert found.throughput["ab"].mean + found.throughput["aa"].mean < 0.05
 
 
-def test_too_few_failures_are_told() -> None:
+def test_too_few_failures_are_reported() -> None:
     seen = attempts([0.4], failed="aborted") + attempts([0.5, 0.5], result="ab")
     report = fit_plan(small_plan(), seen)
     assert report.places["A"].failure is None
@@ -572,7 +572,7 @@ def test_a_folder_that_cannot_be_made_is_reported(recorded, capsys) -> None:
         (".", "empty", "holds no event logs"),
     ],
 )
-def test_wrong_input_is_told_in_a_line(recorded, capsys, tmp_path, plan, log, message) -> None:
+def test_wrong_input_is_reported_in_a_line(recorded, capsys, tmp_path, plan, log, message) -> None:
     (recorded / "empty").mkdir(exist_ok=True)
     out = tmp_path / "new.json"
     plan = str(recorded) if plan == "." else plan

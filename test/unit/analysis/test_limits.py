@@ -281,7 +281,7 @@ def test_an_interrupt_does_not_wait_for_the_reading_of_a_file():
     _is_ended_by_an_interrupt(program, "reading")
 
 
-def test_what_goes_wrong_in_the_work_is_told_here():
+def test_what_goes_wrong_in_the_work_is_reported_here():
     def fail(progress, cancel):
         assert threading.current_thread() is not threading.main_thread()
         raise LimitError("no")

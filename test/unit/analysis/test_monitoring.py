@@ -221,7 +221,7 @@ def test_a_slower_robot_is_named(duration: Duration, most: int) -> None:
     assert "slower than planned" in first.describe()
 
 
-def test_a_slower_robot_is_told_once_and_not_overstated() -> None:
+def test_a_slower_robot_is_reported_once_and_not_overstated() -> None:
     """The alarms that last say the same thing once, by how much as far as is known by now."""
     now = []
     for seed in range(12):

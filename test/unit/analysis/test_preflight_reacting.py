@@ -29,7 +29,7 @@ def said(plan, name, **options):
 # -- events ----------------------------------------------------------------------------------------
 
 
-def test_a_plan_that_does_not_react_is_told_nothing_new():
+def test_a_plan_that_does_not_react_is_reported_nothing_new():
     report = check(replace(guards(), events={}))
     assert not [i for i in report.items if i.check in ("events", "tasks", "data")]
 

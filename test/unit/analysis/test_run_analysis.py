@@ -436,7 +436,7 @@ def test_an_action_that_never_says_what_to_do():
     assert [analysis.space.named(dead) for dead in analysis.properties.deadlocks] == [{"a": 1}]
 
 
-def test_robots_that_differ_are_told():
+def test_robots_that_differ_are_reported():
     plan = read_plan("plans/rendezvous")
     slow = plan.robots[0]._replace(actions={"Fetch": None})
     told = Analysis(replace(plan, robots=(slow, *plan.robots[1:])).validate()).timing.assumptions

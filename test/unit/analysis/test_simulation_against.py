@@ -101,7 +101,7 @@ def test_equal_plans_do_not_differ_at_all():
     assert found.old.high > found.old.low
 
 
-def test_a_small_difference_is_not_claimed_and_its_price_is_told():
+def test_a_small_difference_is_not_claimed_and_its_price_is_reported():
     # in the other order, so that the same random numbers do not make the same choices
     almost = SLOW.with_policy(choosing(take_quick=0.498, take_slow=0.502))
     found = compare_plans(

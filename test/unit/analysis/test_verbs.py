@@ -241,7 +241,7 @@ def test_a_counter_that_nothing_feeds_does_not_keep_a_plan_from_its_beginning(ru
     assert "reversible: yes" in out
 
 
-def test_a_reason_is_told_once_with_what_it_concerns(run):
+def test_a_reason_is_reported_once_with_what_it_concerns(run):
     words = (
         "--limit",
         100,

@@ -11,9 +11,9 @@ import pytest
 
 PARENT = """
 import time
-from benchmarks.processes import child, end_cleanly_when_told
+from benchmarks.processes import child, end_cleanly_on_signal
 
-end_cleanly_when_told()
+end_cleanly_on_signal()
 started = child(time.sleep, 600)
 started.start()
 print(started.pid, flush=True)

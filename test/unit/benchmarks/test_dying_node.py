@@ -20,7 +20,7 @@ import os, signal, sys
 from benchmarks.faults import dying_node
 from gspn_framework_package.execution.event_log import EventLogWriter, read_log
 
-dying_node.die_when_told()
+dying_node.die_on_signal()
 first = read_log(sys.argv[1]).header
 log = EventLogWriter(sys.argv[1], first)
 log.append({"kind": "life", "incarnation": 1})
@@ -31,7 +31,7 @@ print("sent")
 
 
 @pytest.mark.parametrize("told, kinds", [("SIGUSR1", ["life"]), ("SIGUSR2", ["life", "active"])])
-def test_a_node_that_is_told_dies_in_its_next_write_or_right_after_it(
+def test_a_node_that_is_reported_dies_in_its_next_write_or_right_after_it(
     tmp_path, told, kinds
 ) -> None:
     path = str(tmp_path / "r1.jsonl")
@@ -49,10 +49,10 @@ def test_a_node_that_is_told_dies_in_its_next_write_or_right_after_it(
 
 ORDERED = """
 import sys
-from benchmarks.faults.dying_node import Death, die_when_told
+from benchmarks.faults.dying_node import Death, die_on_signal
 from gspn_framework_package.execution.event_log import EventLogWriter, read_log
 
-die_when_told(death=Death(sys.argv[2]))
+die_on_signal(death=Death(sys.argv[2]))
 log = EventLogWriter(sys.argv[1], read_log(sys.argv[1]).header)
 log.append({"kind": "invoked", "entry": {"entry": "adopt"}})
 log.append({"kind": "accepted", "batch": [[{"entry": "done"}, []], [{"entry": "staged"}, []]]})

@@ -17,7 +17,7 @@ def test_small_nets_are_compared_and_large_ones_are_not(monkeypatch, capsys):
     assert "| machines 3 " in capsys.readouterr().out
 
 
-def test_a_difference_is_told(monkeypatch, capsys):
+def test_a_difference_is_reported(monkeypatch, capsys):
     analyse = lumping.timed
 
     def wrong(net, transition, lump=None):

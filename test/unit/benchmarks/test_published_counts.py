@@ -13,7 +13,7 @@ def test_small_nets_are_as_published(capsys):
     assert found[0]["peak_mb"] > 0
 
 
-def test_a_count_that_differs_is_told(capsys, monkeypatch):
+def test_a_count_that_differs_is_reported(capsys, monkeypatch):
     wrong = published.Published("philosophers", 4, 35, None, "nobody")
     monkeypatch.setattr(published, "COUNTS", [wrong])
     assert published.main([]) == 1

@@ -145,7 +145,7 @@ def test_the_token_game_benchmark_fires():
     assert game_rate(tokens_plan(instant=True).for_robots(3), 0.01) > 0
 
 
-def test_the_machine_is_told_with_every_result():
+def test_the_machine_is_reported_with_every_result():
     described = describe_machine()
     assert {"cpu", "cores", "memory", "python"} <= set(described)
     assert described["python"] in machine_line(described)
@@ -157,7 +157,7 @@ def test_tables_are_aligned():
     assert len({len(line) for line in lines}) == 1
 
 
-def test_wrong_usage_is_told(capsys, monkeypatch):
+def test_wrong_usage_is_reported(capsys, monkeypatch):
     assert main(["nonsense"]) == 2
     assert "there is no experiment 'nonsense'" in capsys.readouterr().err
     with pytest.raises(SystemExit):

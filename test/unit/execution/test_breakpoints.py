@@ -54,7 +54,7 @@ def place_of(world: World, robot: str) -> Any:
 def test_a_robot_halts_before_its_action_and_the_others_go_on(partial: bool) -> None:
     world = team(partial)
     node = world.nodes["r1"]
-    node.replica.halt_at(Breakpoints(("D",)))
+    node.replica.break_at(Breakpoints(("D",)))
 
     def halted() -> bool:
         return bool(node.replica.ledger.state.robots["r1"].paused)
@@ -68,7 +68,7 @@ def test_a_robot_halts_before_its_action_and_the_others_go_on(partial: bool) -> 
     assert len(world.published) > fired + 3
     visit = node.replica.ledger.state.robots["r1"].visit
 
-    node.replica.halt_at(Breakpoints())
+    node.replica.break_at(Breakpoints())
     world.nodes["r2"].give(interface.Order("go on", log_entries.Resume("r1")))
 
     def moved() -> bool:
@@ -83,7 +83,7 @@ def test_a_robot_halts_before_its_action_and_the_others_go_on(partial: bool) -> 
 def test_a_robot_halts_before_a_transition(partial: bool) -> None:
     world = team(partial)
     node = world.nodes["r1"]
-    node.replica.halt_at(Breakpoints((), ("bd", "cd")))
+    node.replica.break_at(Breakpoints((), ("bd", "cd")))
 
     def halted() -> bool:
         return bool(node.replica.ledger.state.robots["r1"].paused)
@@ -94,7 +94,7 @@ def test_a_robot_halts_before_a_transition(partial: bool) -> None:
     world.run(world.now + 1.0)
     assert place_of(world, "r1") == where
     # it asked for the transition before it halted, so nothing but the resume is missing
-    node.replica.halt_at(Breakpoints())
+    node.replica.break_at(Breakpoints())
     world.nodes["r2"].give(interface.Order("go on", log_entries.Resume("r1")))
     assert world.run(world.now + 2.0, lambda: place_of(world, "r1") != where)
 
@@ -151,7 +151,7 @@ class Steps(Listener):
 def test_an_agent_halts_and_goes_on_when_it_is_resumed(tmp_path: Path) -> None:
     steps = Steps()
     executor = StandaloneExecutor(ring(tmp_path), steps)
-    executor.halt_at = Breakpoints(("B",))
+    executor.break_at = Breakpoints(("B",))
     executor.start()
 
     def states() -> Any:
@@ -160,12 +160,12 @@ def test_an_agent_halts_and_goes_on_when_it_is_resumed(tmp_path: Path) -> None:
     def agents() -> Any:
         return executor.status()["agents"]
 
-    wait_for(lambda: states() == [("B", True), ("B", True)], what="both to halt")
+    wait_for(lambda: states() == [("B", True), ("B", True)], what="both to stop")
     assert sorted(steps.fired) == ["a", "b"]
-    executor.halt_at = Breakpoints((), ("ab",))
+    executor.break_at = Breakpoints((), ("ab",))
     executor.order(log_entries.Resume("a"))
-    wait_for(lambda: states() == [("A", True), ("B", True)], what="a to halt before ab")
-    executor.halt_at = Breakpoints()
+    wait_for(lambda: states() == [("A", True), ("B", True)], what="a to stop before ab")
+    executor.break_at = Breakpoints()
     executor.order(log_entries.Resume("a"))
     wait_for(lambda: steps.fired.count("a") > 10, what="a to go on")
     assert steps.fired.count("b") == 1
@@ -183,7 +183,7 @@ def test_a_breakpoint_at_an_event_holds_it(tmp_path: Path) -> None:
     )
     steps = Steps()
     executor = StandaloneExecutor(plan, steps)
-    executor.halt_at = Breakpoints((), ("late",))
+    executor.break_at = Breakpoints((), ("late",))
     executor.start()
     wait_for(lambda: executor.state.robots and executor.state.robots["a"].held, what="the event")
     assert executor.state.robots["a"].paused and steps.fired == []
@@ -213,7 +213,7 @@ def test_breakpoints_are_kept_in_a_file_beside_the_plan(tmp_path: Path) -> None:
     file.write(Breakpoints())
 
 
-def test_a_file_that_does_not_fit_changes_nothing_and_is_told_once(tmp_path: Path) -> None:
+def test_a_file_that_does_not_fit_changes_nothing_and_is_reported_once(tmp_path: Path) -> None:
     file = BreakpointFile(ring(tmp_path))
     file.write(Breakpoints(("B",)))
     for text in ("{", '{"places": "B"}', '{"places": ["C"]}', '{"robots": []}', "[]"):
@@ -282,7 +282,7 @@ def test_a_run_reads_the_file_again_and_tells_what_is_wrong(tmp_path: Path) -> N
     assert "nowhere" in faults[0] and FILE_NAME in faults[0]
     BreakpointFile(plan).write(Breakpoints(("B",)))
     wait_for(
-        lambda: all(r.paused for r in list(executor.state.robots.values())), what="both to halt"
+        lambda: all(r.paused for r in list(executor.state.robots.values())), what="both to stop"
     )
     executor.stop()
     executor.wait(20)

@@ -106,7 +106,7 @@ def test_a_log_of_another_run_is_not_taken_up(tmp_path) -> None:
         (lambda lines: [*lines[:2], "[1]\n", *lines[2:]], ":3: is not a record"),
     ],
 )
-def test_damage_is_told_with_the_line(tmp_path, damage, message) -> None:
+def test_damage_is_reported_with_the_line(tmp_path, damage, message) -> None:
     path = tmp_path / "r1.jsonl"
     written(path)
     lines = path.read_text().splitlines(keepends=True)
@@ -134,7 +134,7 @@ def test_a_log_of_the_version_before_is_read_and_gone_on_with(tmp_path) -> None:
     assert len(list(replay(read))) == 4
 
 
-def test_a_line_that_was_changed_or_dropped_is_told(tmp_path) -> None:
+def test_a_line_that_was_changed_or_dropped_is_reported(tmp_path) -> None:
     path = tmp_path / "r1.jsonl"
     written(path)
     writer = EventLogWriter(str(path), header(PLAN, "run", "r1", "log2"))

@@ -11,7 +11,7 @@ from agreement.plans import make_plan
 from agreement.world import SimulatedNode, World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.messages import Event, Prepare
+from gspn_framework_package.execution.agreement.messages import Prepare, Proposals
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.ledger import Item, Origin
@@ -148,7 +148,7 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     first = world.replica("r1")
     join = Item(log_entries.Join("r1", 1, "p1", first.log_id), Origin("r1", 1, 1, first.log_id[:8]))
     # said in a life of r1 that the others know nothing of
-    late = first.outbox.signed(Event([join], False))
+    late = first.outbox.signed(Proposals([join], False))
     world.force("r2", "r1")
     world.run(world.now + 1)
     assert world.answer("r2", "r1").ok

@@ -10,14 +10,14 @@ import pytest
 import gspn_framework_package
 from gspn_framework_package.execution.log_entries import FAILURES
 from gspn_framework_package.execution.phase import Phase, phases_to_json
-from gspn_framework_package.execution.team_state import RobotState, Task, TeamState, told_phase
+from gspn_framework_package.execution.team_state import RobotState, Task, TeamState, reported_phase
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 
 PACKAGE = Path(gspn_framework_package.__file__).parent
 ROOT = Path(__file__).parents[3]
 VALUES = {phase.value for phase in Phase if phase.value}
-STATES = {phase.told.state for phase in Phase if phase.told.state}
+STATES = {phase.report.state for phase in Phase if phase.report.state}
 UNMISTAKABLE = {"doing", "inactive", "has left", "has finished", "not heard yet"} | STATES
 """Strings that mean a phase wherever they stand; the others have other uses too."""
 
@@ -190,14 +190,14 @@ def test_what_logs_and_programs_read_keeps_its_name():
     assert logged == {Phase.DONE, Phase.DOING, Phase.FAILED, Phase.LOST}
     assert (Phase.INACTIVE.value, Phase.LEFT.value) == ("inactive", "left")
     for phase in (Phase.DOING, Phase.DONE, Phase.WAITING, Phase.PAUSED, Phase.FAILED):
-        assert phase.told.state == phase.name.capitalize()
-        assert Phase.of_state(phase.told.state) is phase
+        assert phase.report.state == phase.name.capitalize()
+        assert Phase.of_state(phase.report.state) is phase
     assert Phase.of_state("none of them") is Phase.UNHEARD
 
 
 def told(phase, paused=False, team_paused=False, ended=None, finished=False):
     state = TeamState((1,), paused=team_paused, ended=ended, finished=finished)
-    return told_phase(state, RobotState("r", 0, phase=phase, paused=paused))
+    return reported_phase(state, RobotState("r", 0, phase=phase, paused=paused))
 
 
 @pytest.mark.parametrize(
@@ -206,23 +206,23 @@ def told(phase, paused=False, team_paused=False, ended=None, finished=False):
     ids=["", "paused", "team paused", "over"],
 )
 def test_a_failed_robot_is_failed_everywhere(facts):
-    assert told(Phase.FAILED, **facts).told.state == "Failed"
-    assert told(Phase.FAILED, **facts).told.needs_operator
-    assert told(Phase.LOST, **facts).told.state == "Lost"
+    assert told(Phase.FAILED, **facts).report.state == "Failed"
+    assert told(Phase.FAILED, **facts).report.needs_operator
+    assert told(Phase.LOST, **facts).report.state == "Lost"
 
 
-def test_what_is_told_of_a_robot():
+def test_what_is_reported_of_a_robot():
     assert told(Phase.DOING) is Phase.DOING
     assert told(Phase.DONE) is Phase.WAITING
     assert told(Phase.DOING, paused=True) is told(Phase.DONE, team_paused=True) is Phase.PAUSED
     assert told(Phase.DONE, ended="stopped") is Phase.STOPPED
-    assert Phase.STOPPED.told.state == Phase.INACTIVE.told.state == "Inactive"
+    assert Phase.STOPPED.report.state == Phase.INACTIVE.report.state == "Inactive"
     assert told(Phase.INACTIVE, ended="the end", finished=True) is Phase.INACTIVE
     assert told(Phase.INACTIVE, ended="stopped") is Phase.STOPPED
-    assert told_phase(TeamState((1,)), None) is Phase.LOST
+    assert reported_phase(TeamState((1,)), None) is Phase.LOST
 
 
-def test_the_page_is_told_of_every_phase():
+def test_the_page_is_reported_of_every_phase():
     told = phases_to_json()
     assert set(told["table"]) == {phase.value for phase in Phase}
     assert set(told["named"].values()) <= VALUES

@@ -341,7 +341,7 @@ def test_a_plan_without_a_queue_names_the_tasks_that_robots_keep():
     assert "keeps task o1, and the plan has no queue" in faults(run)
 
 
-def test_a_second_task_pushes_out_the_first_and_that_is_told():
+def test_a_second_task_pushes_out_the_first_and_that_is_reported():
     net = (
         NetBuilder()
         .place("Go")
@@ -363,7 +363,7 @@ def test_a_second_task_pushes_out_the_first_and_that_is_told():
     assert any(isinstance(c, Fault) and "o1" in c.message for c in run.commands)
 
 
-def test_a_task_for_another_transition_is_refused_and_told():
+def test_a_task_for_another_transition_is_refused_and_reported():
     run = shop()
     assert run.feed(log_entries.Submit("delivered", "x")) == []
     assert [c.message for c in run.commands if isinstance(c, Fault)] == [
@@ -380,7 +380,7 @@ def test_a_task_that_comes_in_without_a_queue_is_done_with_the_firing():
     assert not [c for c in run.commands if isinstance(c, Fault)]
 
 
-def test_a_task_that_a_resource_transition_takes_is_dropped_and_that_is_told():
+def test_a_task_that_a_resource_transition_takes_is_dropped_and_that_is_reported():
     net = (
         NetBuilder()
         .place("Go")

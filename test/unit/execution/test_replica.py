@@ -18,7 +18,13 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.membership import GUESTS
-from gspn_framework_package.execution.agreement.messages import Batch, Envelope, Event, Hello, Learn
+from gspn_framework_package.execution.agreement.messages import (
+    Batch,
+    Envelope,
+    Hello,
+    Learn,
+    Proposals,
+)
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
 from gspn_framework_package.execution.event_log import EventLog
@@ -702,7 +708,7 @@ def test_strangers_of_the_same_run_cost_little_and_do_not_stop_a_team(partial: b
     records = replica.records
     for number in range(10_000):
         name = "s%d" % number
-        asks = Event([item._replace(origin=Origin(name, 0, 1, name))], False)
+        asks = Proposals([item._replace(origin=Origin(name, 0, 1, name))], False)
         for body in (hello, asks):
             said = {**replica.outbox.signed(body), "from": name, "log": name}
             node.give(interface.Received(json.loads(json.dumps(said))))

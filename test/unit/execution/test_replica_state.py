@@ -277,7 +277,12 @@ def test_the_documentation_names_the_owner_of_each_field() -> None:
 
 
 def test_the_documentation_names_whom_each_part_calls() -> None:
-    names = {"LocalRobot": "local_robot", "ConsensusLog": "log", "MembershipLog": "log"}
+    names = {
+        "LocalRobot": "local_robot",
+        "ProposalQueue": "proposals",
+        "RobotBreakpoints": "breaks",
+        **dict.fromkeys(("ConsensusLog", "MembershipLog"), "log"),
+    }
     for part, (_, calls) in _table_of_parts().items():
         if part == "replica":
             continue

@@ -79,7 +79,7 @@ def write_chain(folder, actions, on_failure=None):
 
 
 @pytest.mark.parametrize("limit", [1, 5, 300])
-def test_a_run_fires_as_often_as_it_was_told(limit, capsys):
+def test_a_run_fires_as_often_as_it_was_asked(limit, capsys):
     assert main(["run", PLAN, "--agents", "2", "--firings", str(limit), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert sum(line["event"] == "firing" for line in lines) == lines[-1]["firings"] == limit

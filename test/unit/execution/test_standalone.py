@@ -264,7 +264,7 @@ def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
 RING = {"T1": (True, ["P1"], ["P2"]), "T2": (True, ["P2"], ["P1"])}
 
 
-def test_a_full_log_ends_the_run_and_is_told_as_its_end(
+def test_a_full_log_ends_the_run_and_is_reported_as_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ends: List[Tuple[str, bool]] = []
@@ -287,7 +287,7 @@ def test_a_full_log_ends_the_run_and_is_told_as_its_end(
     assert len(list(replay(read_log(str(tmp_path / "log"))))) > 5  # what had room can be read
 
 
-def test_an_end_that_cannot_be_recorded_is_told(
+def test_an_end_that_cannot_be_recorded_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ends: List[str] = []

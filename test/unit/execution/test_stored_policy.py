@@ -105,7 +105,9 @@ def test_a_large_policy_in_the_header_of_an_older_log_is_read(tmp_path) -> None:
     assert read_log(str(path)).plan.policy == LARGE.policy
 
 
-def test_a_policy_that_is_missing_or_altered_is_told_with_file_and_hash(tmp_path, capsys) -> None:
+def test_a_policy_that_is_missing_or_altered_is_reported_with_file_and_hash(
+    tmp_path, capsys
+) -> None:
     path = tmp_path / "run.jsonl"
     write_log(path, LARGE)
     name = read_log(str(path)).header["plan"]["policy"]["hash"]

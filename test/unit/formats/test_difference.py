@@ -58,7 +58,7 @@ def test_the_document_of_a_shipped_plan_is_the_same_plan(name: str) -> None:
     assert difference(document, json.loads(json.dumps(document))) == []
 
 
-def test_each_kind_of_change_is_told() -> None:
+def test_each_kind_of_change_is_reported() -> None:
     old, new = a_document(), a_document()
     net, plan, policy = new["net"], new["plan"], new["policy"]
     net["places"][0].update(tokens=2, position=[5, 5])
@@ -125,13 +125,13 @@ def test_true_is_not_one() -> None:
         ("policy", "rows", "~ the order of the rows of the policy"),
     ],
 )
-def test_the_order_is_told_where_it_counts(part: str, key: str, what: str) -> None:
+def test_the_order_is_reported_where_it_counts(part: str, key: str, what: str) -> None:
     new = a_document()
     new[part][key].reverse()
     assert told(a_document(), new) == [what]
 
 
-def test_a_policy_that_comes_or_goes_is_told_even_without_rows() -> None:
+def test_a_policy_that_comes_or_goes_is_reported_even_without_rows() -> None:
     without = {**a_document(), "policy": None}
     empty = {**a_document(), "policy": {"rows": []}}
     assert told(without, empty) == ['+ setting policy: {"rows": []}']

@@ -363,7 +363,7 @@ def test_the_computed_chain_as_storm_reads_it(tmp_path, net, data):
     assert found == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_label_that_no_state_has_is_told(tmp_path, capsys):
+def test_a_label_that_no_state_has_is_reported(tmp_path, capsys):
     """DRN names labels at states only, so that Storm cannot know of it."""
     net = NetBuilder("n").place("a", 1).exponential("t", inputs="a").build()
     write_net(net, tmp_path / "n.xml")

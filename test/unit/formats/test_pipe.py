@@ -277,7 +277,7 @@ def test_one_of_several_nets(tmp_path):
         ([], None, "no place and no transition"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path, elements, line, message):
+def test_what_is_wrong_is_reported_with_its_line(tmp_path, elements, line, message):
     with pytest.raises(InputError, match="net.xml") as raised:
         read_text(tmp_path, document(*elements), format="pipe")
     assert message in str(raised.value)

@@ -346,7 +346,7 @@ RAW = re.compile(
 
 
 @pytest.mark.parametrize("name", SCHEMA["properties"])
-def test_a_wrong_value_is_told_in_words_with_its_name(name):
+def test_a_wrong_value_is_reported_in_words_with_its_name(name):
     for value in WRONG:
         try:
             check_schema({"net": "net.xml", "actions": {}, name: value})
@@ -392,7 +392,7 @@ def test_a_wrong_value_is_told_in_words_with_its_name(name):
         ),
     ],
 )
-def test_what_is_wrong_in_a_part_is_told_by_its_own_name(part, element, message):
+def test_what_is_wrong_in_a_part_is_reported_by_its_own_name(part, element, message):
     with pytest.raises(PlanError) as caught:
         check_schema({"net": "net.xml", "actions": {}, **part})
     assert (caught.value.element or "").startswith(element)

@@ -139,7 +139,7 @@ def test_prom_writes_means(tmp_path):
         (['<place id="p"/><place id="p"/>'], "", 2, "already taken"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path, elements, kind, line, message):
+def test_what_is_wrong_is_reported_with_its_line(tmp_path, elements, kind, line, message):
     with pytest.raises(InputError, match="net.pnml") as raised:
         read_text(tmp_path, page(*elements, kind=kind))
     assert message in str(raised.value)

@@ -119,7 +119,7 @@ def test_several_nets_and_a_composition():
         ("<place/>", "", 4, "neither an id nor a name"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path, nodes, edges, line, message):
+def test_what_is_wrong_is_reported_with_its_line(tmp_path, nodes, edges, line, message):
     with pytest.raises(InputError, match="net.PNPRO") as raised:
         read_nodes(tmp_path, nodes, edges)
     assert message in str(raised.value)

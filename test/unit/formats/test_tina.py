@@ -73,7 +73,7 @@ def test_a_transition_may_be_told_twice(tmp_path):
         ("net {x}", None, "no place and no transition"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path, text, line, message):
+def test_what_is_wrong_is_reported_with_its_line(tmp_path, text, line, message):
     with pytest.raises(InputError, match="n.net") as raised:
         read_text(tmp_path, text)
     assert message in str(raised.value)

@@ -80,7 +80,7 @@ def test_only_changes_of_a_condition_are_told_with_their_cause():
     assert node.work() == [EventObserved("low", False)]
 
 
-def test_a_short_rise_is_told_although_it_is_over():
+def test_a_short_rise_is_reported_although_it_is_over():
     node = Node()
     source = low(node)
     for value in (0.1, 0.9):

@@ -11,9 +11,9 @@ import rospy
 
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.msg import Agreement
-from gspn_framework_package.ros import entrance, facts, links, messages
-from gspn_framework_package.ros.entrance import Entrance
-from gspn_framework_package.team.gate import FASTEST
+from gspn_framework_package.ros import facts, inbound, links, messages
+from gspn_framework_package.ros.inbound import InboundMessages
+from gspn_framework_package.team.message_filter import FASTEST
 from gspn_framework_package.team.seal import Seal, TeamKey
 
 OTHER = {"callerid": "/robot_2/executor"}
@@ -55,7 +55,7 @@ def make(monkeypatch):
             got.append,
             None,
             5.0,
-            Entrance(seal=Seal(key, run, robot) if key else None),
+            InboundMessages(seal=Seal(key, run, robot) if key else None),
             lambda name: not name.startswith("stranger"),
         )
         link.got = got
@@ -115,8 +115,8 @@ def test_a_forged_message_is_dropped_and_its_sender_not_believed(make):
 
 def test_a_flood_of_another_run_is_braked(make, monkeypatch):
     braked = []
-    monkeypatch.setattr(entrance.time, "sleep", braked.append)
-    monkeypatch.setattr(entrance.time, "monotonic", lambda: 7.0)
+    monkeypatch.setattr(inbound.time, "sleep", braked.append)
+    monkeypatch.setattr(inbound.time, "monotonic", lambda: 7.0)
     one, stranger = make("robot_1"), make("robot_2", run="another")
     flood = came(said(stranger), {"callerid": "/flooder"})
     for _ in range(int(FASTEST)):
@@ -126,7 +126,7 @@ def test_a_flood_of_another_run_is_braked(make, monkeypatch):
     one._on_message(came(said(make("robot_3"), to="robot_4"), {"callerid": "/flooder"}))
     one._on_message(came(said(make("robot_2"))))
     assert len(one.got) == 1
-    assert braked == [entrance.BRAKE] * 2
+    assert braked == [inbound.BRAKE] * 2
     (kind,) = one.refusals()
     assert kind == ("others (node /flooder)", "too many messages", 2)
 
@@ -166,7 +166,7 @@ def test_a_team_with_a_key_hears_its_own_and_nobody_else(make):
     assert sum(kind.times for kind in one.refusals()) == 5
 
 
-def test_what_one_robot_is_told_is_not_taken_by_another(make):
+def test_what_one_robot_is_reported_is_not_taken_by_another(make):
     one, two, three = (make(robot, key=KEY) for robot in ("robot_1", "robot_2", "robot_3"))
     told = came(said(two, to="robot_3"))
     three._on_message(told)

@@ -41,7 +41,7 @@ def test_a_message_comes_back_from_its_json():
     assert again == pose
 
 
-def test_what_json_cannot_hold_is_told_in_another_way():
+def test_what_json_cannot_hold_is_reported_in_another_way():
     assert json_value(Image(data=b"\x00\xff"))["data"] == [0, 255]
     assert json_value(LaserScan(ranges=[1.5, float("inf"), float("nan")]))["ranges"] == [
         1.5,

@@ -32,7 +32,7 @@ def test_only_sockets_of_a_node_that_has_ended_are_no_news(monkeypatch, error, e
     assert [args.exc_value for args in heard] == ([error] if told else [])
 
 
-def test_a_publisher_that_is_told_of_twice_in_a_moment_is_connected_once(monkeypatch):
+def test_a_publisher_that_is_reported_of_twice_in_a_moment_is_connected_once(monkeypatch):
     """rospy looks whether there is a connection, and then asks the publisher for its address."""
     connected, made, asked = set(), [], threading.Semaphore(0)
     answer = threading.Event()

@@ -12,8 +12,8 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 from gspn_framework_package.ros.operator_client import OperatorClient
 from gspn_framework_package.ros.transport import registration
-from gspn_framework_package.visualizer.lookout import UnreachableError
-from gspn_framework_package.visualizer.ros_watch import RosLookout
+from gspn_framework_package.visualizer.ros_watch import RosConnection
+from gspn_framework_package.visualizer.team_connection import UnreachableError
 from gspn_framework_package.visualizer.team_watch import TeamWatch
 
 
@@ -57,9 +57,9 @@ def test_an_operators_program_says_that_no_master_answers(master):
 
 @pytest.mark.timeout(60)
 def test_an_order_of_the_page_says_it_too(master):
-    watch = TeamWatch(read_plan("plans/patrol"), RosLookout(), "monday")
+    watch = TeamWatch(read_plan("plans/patrol"), RosConnection(), "monday")
     watch._names = {"/robot_1": "robot_1"}
     with pytest.raises(RefusedError, match="the ROS master does not answer"):
         watch.command("stop", {})
     with pytest.raises(UnreachableError, match="the ROS master does not answer"):
-        RosLookout().find()
+        RosConnection().find()

@@ -15,7 +15,7 @@ from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import PlanError, RefusedError
 from gspn_framework_package.team import host as host_module
-from gspn_framework_package.team.agent import PrintedVoice, make_agent
+from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.carrier import Operator, OperatorRequest
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.visualizer.recording import Recording
@@ -103,16 +103,16 @@ class InMemory:
     def refusals(self):
         return self.wire.refused
 
-    def tell_firings(self, firings):
+    def publish_firings(self, firings):
         self.wire.firings += json.loads(json.dumps(firings))
 
     def is_team_watched(self):
         return True
 
-    def tell_team(self, marking, team):
+    def publish_team(self, marking, team):
         self.wire.teams.append((marking, team))
 
-    def tell_activity(self, activity):
+    def publish_activity(self, activity):
         self.wire.activities.append(json.loads(json.dumps(activity)))
 
     def close(self):
@@ -131,7 +131,7 @@ class Team:
     def start(self, plan, *robots):
         for robot in robots:
             options = HostOptions("monday", self.log(robot))
-            host = make_agent(plan, robot, options, PrintedVoice(robot), self.wire.carrier)
+            host = make_agent(plan, robot, options, PrintedReporter(robot), self.wire.carrier)
             self.hosts[robot] = host
             host.start(self.over.put)
 

@@ -215,7 +215,7 @@ def _stranger():
         listening.shutdown(socket.SHUT_RDWR)
 
 
-def test_agents_wait_for_their_router_and_end_when_told(plan, tmp_path):
+def test_agents_wait_for_their_router_and_end_when_asked(plan, tmp_path):
     zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
     hub = zenoh_team.Hub()
     hub.router.close()

@@ -30,7 +30,7 @@ def test_it_waits_until_somebody_listens_and_says_so_once(free):
     assert endpoint in said[0]
 
 
-def test_it_stops_waiting_when_told(free):
+def test_it_stops_waiting_when_asked(free):
     said = []
     await_router([free[0]], said.append, lambda seconds: True)
     assert len(said) == 1

@@ -13,7 +13,7 @@ from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.verifier import verify
-from gspn_framework_package.team.agent import PrintedVoice, make_agent
+from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember
@@ -40,8 +40,8 @@ class RunningTeam:
                 return self.carriers[robot]
 
             options = HostOptions("run", self.logs[-1])
-            voice = PrintedVoice(robot, quiet=True)
-            self.hosts[robot] = make_agent(plan, robot, options, voice, carry)
+            reporter = PrintedReporter(robot, quiet=True)
+            self.hosts[robot] = make_agent(plan, robot, options, reporter, carry)
         for host in self.hosts.values():
             host.start(lambda robot: None)
 

@@ -15,8 +15,8 @@ from zenoh_team import Hub, free_port, make_keys, wait_for
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer
-from gspn_framework_package.team.gate import LARGEST_MESSAGE
 from gspn_framework_package.team.lanes import LANES, PASSED_BY_ROUTER, PAUSE
+from gspn_framework_package.team.message_filter import LARGEST_MESSAGE
 from gspn_framework_package.team.zenoh_carrier import LARGEST_PACK, MOST_WAITING, ZenohCarrier
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
 from gspn_framework_package.team.zenoh_session import key_of, names_in, zenoh_library
@@ -364,7 +364,7 @@ def test_an_order_that_cannot_be_read_is_refused(secure, body):
 
 def test_a_watch_sees_what_fires_and_what_robots_did_before_it_began(hub):
     one = Robot(hub, "robot_1")
-    one.carrier.tell_activity({"robot": "robot_1", "phase": "Executing"})
+    one.carrier.publish_activity({"robot": "robot_1", "phase": "Executing"})
     assert not one.carrier.is_watched()
     fired, done = [], []
     sights = Sights(lambda *seen: fired.append(seen), lambda *seen: done.append(seen))
@@ -372,15 +372,15 @@ def test_a_watch_sees_what_fires_and_what_robots_did_before_it_began(hub):
     wait_for(lambda: watch.ask_activity() or done)
     assert done[0] == ("robot_1", {"robot": "robot_1", "phase": "Executing", "run": "run"})
     wait_for(one.carrier.is_watched)
-    one.carrier.tell_firings([{"slot": 3}])  # the first one, too
+    one.carrier.publish_firings([{"slot": 3}])  # the first one, too
     wait_for(lambda: fired)
     assert fired == [("robot_1", {"slot": 3, "run": "run"})]
     forged = {"slot": 5, "run": "another"}
-    one.carrier.tell_firings([{"slot": 4, "number": n} for n in range(2)] + [forged])
+    one.carrier.publish_firings([{"slot": 4, "number": n} for n in range(2)] + [forged])
     wait_for(lambda: len(fired) == 3)
     assert fired[1:] == [("robot_1", {"slot": 4, "number": n, "run": "run"}) for n in range(2)]
-    one.carrier.tell_activity({"phase": "Forged", "run": "another"})
-    one.carrier.tell_activity({"phase": "Waiting"})
+    one.carrier.publish_activity({"phase": "Forged", "run": "another"})
+    one.carrier.publish_activity({"phase": "Waiting"})
     wait_for(lambda: ("robot_1", {"phase": "Waiting", "run": "run"}) in done)
     assert "Forged" not in [activity["phase"] for _, activity in done]
 
@@ -400,7 +400,7 @@ def test_a_closed_carrier_says_nothing_more(hub):
     connect(one, two)
     one.carrier.close()
     one.send(EVERYBODY, "late")
-    one.carrier.tell_activity({})
+    one.carrier.publish_activity({})
     one.carrier.close()
     assert "late" not in two.numbers()
 

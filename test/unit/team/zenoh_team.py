@@ -15,7 +15,7 @@ from meeting import WORK, meeting_of
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.team import keys, zenoh_session
-from gspn_framework_package.team.agent import PrintedVoice, make_agent
+from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.router import Router
@@ -111,7 +111,11 @@ class Agents:
 
         log = str(self.folder / "logs" / run / (robot + ".jsonl"))
         host = make_agent(
-            self.plan, robot, HostOptions(run, log, stay=True), PrintedVoice(robot, True), carrier
+            self.plan,
+            robot,
+            HostOptions(run, log, stay=True),
+            PrintedReporter(robot, True),
+            carrier,
         )
         self.hosts[robot] = host
         host.start(lambda robot: None)

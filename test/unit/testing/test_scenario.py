@@ -212,7 +212,7 @@ def test_a_check_that_fails_shows_the_course_of_the_run() -> None:
         run.until("Orders >= 2", within=5.0)
 
 
-def test_mistakes_of_a_test_are_told() -> None:
+def test_mistakes_of_a_test_are_reported() -> None:
     run = Scenario(shop())
     with pytest.raises(UsageError, match="has not begun"):
         run.place("a")

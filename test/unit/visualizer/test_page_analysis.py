@@ -117,7 +117,7 @@ def _refusal(monkeypatch, capsys):
     return refusal
 
 
-def test_what_the_program_refuses_is_told(ask):
+def test_what_the_program_refuses_is_reported(ask):
     client = ask(small_net())
     report = ended(client, start(client, simulate={"until": 3}))
     assert (report["state"], report["error"]) == ("failed", "'until' is a condition")
@@ -248,7 +248,7 @@ def test_a_process_that_ends_while_it_is_cancelled_is_no_error(ask, monkeypatch)
     assert gone.called
 
 
-def test_a_process_that_cannot_be_started_is_told(ask, monkeypatch):
+def test_a_process_that_cannot_be_started_is_reported(ask, monkeypatch):
     monkeypatch.setattr(analysis_jobs, "WORKER", ["/nowhere/python3"])
     answer = start(ask(small_net()), structure=True)
     assert answer.status_code == 503 and "cannot do that now" in answer.get_json()["error"]

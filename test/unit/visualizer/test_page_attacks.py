@@ -162,7 +162,7 @@ def test_slow_sockets_streams_and_foreign_requests_leave_the_page_usable(attacke
         ("/", 10, "too large"),
     ],
 )
-def test_what_is_too_large_is_told_with_the_right_size(attacked, path, size, told):
+def test_what_is_too_large_is_reported_with_the_right_size(attacked, path, size, told):
     status, answer = attacked.ask("POST", path, b"x" * size)
     assert status == 413 and told in answer["error"]
 

@@ -138,7 +138,7 @@ def test_a_robot_lost_in_a_witness_goes_from_its_place() -> None:
     assert lost["markings"] == [{"A": 2, "Key": 1}, {"A": 1, "B": 1}, {"A": 1}]
 
 
-def test_what_is_found_inside_a_subnet_is_told_at_its_place() -> None:
+def test_what_is_found_inside_a_subnet_is_reported_at_its_place() -> None:
     document = shipped("warehouse")
     document["plan"]["timeout"]["Deliver.Approach"] = -1
     found = checked(document, "warehouse")
@@ -179,7 +179,7 @@ def test_what_is_found_inside_a_subnet_is_told_at_its_place() -> None:
         (lambda d: d["plan"]["actions"].update(B="actions.no_such_function"), ["place:B"]),
     ],
 )
-def test_an_error_is_told_at_its_element(edit: Any, where: List[str]) -> None:
+def test_an_error_is_reported_at_its_element(edit: Any, where: List[str]) -> None:
     document = a_document()
     assert checked(document)["valid"]
     edit(document)

@@ -457,7 +457,7 @@ def test_a_full_disk_changes_nothing(folder, editor, monkeypatch):
     assert editor.save("patrol", opened).status_code == 200
 
 
-def test_a_folder_that_is_read_only_is_told(folder, editor, monkeypatch):
+def test_a_folder_that_is_read_only_is_reported(folder, editor, monkeypatch):
     opened = editor.open("patrol")
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert "nothing can be written" in editor.open("patrol")["read_only"]

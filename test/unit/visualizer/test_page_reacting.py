@@ -13,15 +13,15 @@ from shop_plan import SLOTS, shop
 
 from gspn_framework_package.cli.status import data_lines
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.displayed_data import (
+    SHOWN_LENGTH,
+    displayed_robot,
+    displayed_team,
+    shown,
+)
 from gspn_framework_package.execution.event_log import EventLogWriter, LogFile, header
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.execution.told_data import (
-    SHOWN_LENGTH,
-    shown,
-    told_of_robot,
-    told_of_team,
-)
 from gspn_framework_package.model.errors import DataError, RefusedError, UsageError
 from gspn_framework_package.model.event import Tasks
 from gspn_framework_package.model.plan import Plan
@@ -64,7 +64,7 @@ def test_data_tasks_and_causes_are_on_the_board():
     assert ["o1", "robot a", "done"] in [move for e in fired for move in e.get("tk", [])]
     held = [r for e in told if e["k"] == "robots" for r in e["r"] if r.get("held")]
     assert [(r["name"], r["held"]) for r in held] == [("b", {"low": "percentage: 0.15"})]
-    assert told_of_team(ledger.state, ledger.game.net)["queues"]["Orders"][0] == [
+    assert displayed_team(ledger.state, ledger.game.net)["queues"]["Orders"][0] == [
         "o4",
         {"pose": [4, 0]},
     ]
@@ -152,8 +152,8 @@ def test_the_status_command_prints_data_tasks_and_held_events():
     _, _, ledger = played(shop())
     net, state = ledger.game.net, ledger.state
     state.robots["b"].held[net.transition_index["low"]] = {"percentage": 0.1}
-    robots = [{"robot": r.name, **told_of_robot(r, net)} for r in state.robots.values()]
-    status = {"robots": robots, "data": told_of_team(state, net)}
+    robots = [{"robot": r.name, **displayed_robot(r, net)} for r in state.robots.values()]
+    status = {"robots": robots, "data": displayed_team(state, net)}
     assert data_lines(json.loads(json.dumps(status))) == [
         "a has task o3",
         "a task.pose: [3, 0]",

@@ -1,7 +1,7 @@
 """Why a transition cannot fire, as the page shows it: by the token game's own rules."""
 
 from page_client import PageClient
-from told_run import ToldRun
+from reported_run import ReportedRun
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
@@ -71,9 +71,9 @@ def test_it_is_answered_for_the_moment_that_is_shown():
     assert ask("t", at=0) == {"transition": "t", "enabled": True, "reasons": [], "at": 0}
 
 
-def test_in_a_run_it_is_told_which_robots_are_awaited():
+def test_in_a_run_it_is_reported_which_robots_are_awaited():
     plan = read_plan("plans/patrol")
-    team = ToldRun(plan)
+    team = ReportedRun(plan)
     _, ask = asking(plan.net, plan, team)
     robot = plan.robots[0]
     t = plan.net.transitions[plan.net.consumers[plan.net.place_index[robot.place]][0]].name
@@ -82,13 +82,13 @@ def test_in_a_run_it_is_told_which_robots_are_awaited():
     assert ask(t)["enabled"] and ask(t)["reasons"] == []
 
 
-def test_an_unknown_transition_or_moment_is_told():
+def test_an_unknown_transition_or_moment_is_reported():
     client, _ = asking(NetBuilder().place("p", 1).exponential("t", inputs="p").build())
     for query in ("", "&transition=nothing", "&transition=t&at=x"):
         assert client.get("/api/reasons?id=net" + query).status_code == 400
 
 
-def test_in_a_run_it_is_told_what_the_policy_says():
+def test_in_a_run_it_is_reported_what_the_policy_says():
     net = NetBuilder().place("here", 1).place("other", 1).place("there").place("light")
     net.immediate("go", inputs="here", outputs="there").immediate("stay", inputs="here")
     net.immediate("leave", inputs="other", outputs="there")
@@ -105,7 +105,7 @@ def test_in_a_run_it_is_told_what_the_policy_says():
             robots=tuple(robots),
             resource_places=frozenset(["light"]),
         ).validate()
-        _, ask = asking(marked, plan, ToldRun(plan))
+        _, ask = asking(marked, plan, ReportedRun(plan))
         asked[here] = [ask(t)["reasons"][-1] for t in ("go", "leave")]
     assert asked[1] == [
         "row 1 of the policy: from here, go (75 %), stay (25 %)",

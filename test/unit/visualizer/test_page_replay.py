@@ -173,7 +173,7 @@ def test_the_clock_is_that_of_the_log(recorded, tmp_path):
     )
 
 
-def test_a_log_that_changes_under_the_page_is_told(recorded, tmp_path, monkeypatch):
+def test_a_log_that_changes_under_the_page_is_reported(recorded, tmp_path, monkeypatch):
     path, _, _ = recorded
     monkeypatch.setattr("gspn_framework_package.visualizer.recording.LINES_BETWEEN", 20)
     copy = tmp_path / "copy.jsonl"
@@ -193,7 +193,7 @@ def test_a_log_that_changes_under_the_page_is_told(recorded, tmp_path, monkeypat
         hub.events(0, n)
 
 
-def test_whatever_breaks_in_the_reading_ends_it_and_is_told(recorded, monkeypatch):
+def test_whatever_breaks_in_the_reading_ends_it_and_is_reported(recorded, monkeypatch):
     path, _, _ = recorded
     count = []
 
@@ -302,7 +302,7 @@ def test_a_bag_says_from_when_on_its_run_follows_another_plan(recorded, tmp_path
     assert "from 1.2 s on the run follows another plan" in board.notes[-1]["text"]
 
 
-def test_firings_that_a_bag_lacks_are_told(recorded, tmp_path):
+def test_firings_that_a_bag_lacks_are_reported(recorded, tmp_path):
     _, firings, state = recorded
     plan = read_plan(PLAN)
     write_bag(tmp_path / "gaps.bag", messages(plan, firings[5:50] + firings[53:]))

@@ -117,7 +117,7 @@ def test_a_run_tells_its_name_and_records_itself_under_it(served, tmp_path):
     assert client.do("stop", session=key).status_code == 409
 
 
-def test_a_full_disk_ends_the_run_and_the_page_is_told(served, monkeypatch):
+def test_a_full_disk_ends_the_run_and_the_page_is_reported(served, monkeypatch):
     client = served()
     fill_the_disk(monkeypatch, after=20_000)
     key, _ = start(client)
@@ -347,7 +347,7 @@ def test_a_run_that_goes_on_is_marked_and_one_that_ended_is_not(served, tmp_path
     assert not [p for p in os.listdir(str(tmp_path / "runs")) if p.endswith(".running")]
 
 
-def test_a_run_that_was_cut_off_is_told_until_somebody_looks(served, tmp_path):
+def test_a_run_that_was_cut_off_is_reported_until_somebody_looks(served, tmp_path):
     runs = tmp_path / "runs"
     served(a="go")
     script = (
@@ -440,10 +440,10 @@ def test_breakpoints_are_set_on_the_page_kept_in_a_file_and_hold_one_agent(serve
     client = served(robots={"r": "a"})
     key, _ = start(client)
     answer = client.do("breakpoints", session=key, names=["b"])
-    assert (answer.status_code, answer.get_json()["message"]) == (200, "agents halt at: b")
+    assert (answer.status_code, answer.get_json()["message"]) == (200, "agents stop at: b")
     wait_for(
         lambda: any(robot.get("paused") for robot in client.board(key)["robots"]),
-        what="the agent to halt",
+        what="the agent to stop",
     )
     assert client.board(key)["marking"][1] == 1
     session = client.project.sessions.get(key)

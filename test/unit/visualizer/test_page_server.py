@@ -117,7 +117,7 @@ def test_a_stalled_viewer_grows_no_memory_and_stops_nobody():
     assert found["reader_gaps"] == 0 and found["events"] >= 80_000
 
 
-def test_a_viewer_far_behind_is_told_everything_or_gets_a_snapshot(serve):
+def test_a_viewer_far_behind_is_reported_everything_or_gets_a_snapshot(serve):
     server = serve()
     _, response = stream(server)
     next_news(response)
@@ -315,7 +315,7 @@ def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(
     assert "at least 16 characters" in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_is_told(serve, capsys):
+def test_a_port_that_is_taken_is_reported(serve, capsys):
     assert main(["serve", "plans", "--port", str(serve().port)]) == 2
     assert "another with --port" in capsys.readouterr().err
 

@@ -158,7 +158,7 @@ def test_two_viewers_see_the_same(client):
     assert marking == client.board()["marking"]
 
 
-def test_unknown_commands_and_sessions_are_told(client):
+def test_unknown_commands_and_sessions_are_reported(client):
     assert client.do("dance").status_code == 400
     assert client.do("stop").status_code == 400
     assert client.do("step", session="nothing").status_code == 400

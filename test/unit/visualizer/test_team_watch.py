@@ -16,19 +16,19 @@ from gspn_framework_package.team.carrier import OperatorAnswer
 from gspn_framework_package.team.deployed_plan import read_deployed
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures
-from gspn_framework_package.visualizer.lookout import UnreachableError
+from gspn_framework_package.visualizer.team_connection import UnreachableError
 from gspn_framework_package.visualizer.team_watch import UNHEARD, TeamWatch
 
 REFUSED = [{"robot": "robot_4", "why": "too large", "times": 3}]
 
 
 class Silence:
-    """A lookout that sees nothing, and a line on which robots say what the test wants."""
+    """A connection that sees nothing, and a line on which robots say what the test wants."""
 
     says, where = "a team", "on this master"
 
     def __init__(self, orders=True):
-        self.orders, self.answers, self.asked, self.told = orders, {}, [], []
+        self.orders, self.answers, self.asked, self.reported = orders, {}, [], []
 
     def open(self, seen):
         pass
@@ -52,11 +52,11 @@ class Silence:
     def why_unheard(self):
         return " anywhere"
 
-    def tell(self, text):
-        self.told.append(text)
+    def report(self, text):
+        self.reported.append(text)
 
-    def tell_departures(self, plan, run, found):
-        self.told.append(run)
+    def report_departures(self, plan, run, found):
+        self.reported.append(run)
 
 
 class Watched:
@@ -65,8 +65,8 @@ class Watched:
     def __init__(self, monkeypatch, run="monday"):
         monkeypatch.setattr(threading.Thread, "start", lambda *_: None)
         self.plan = read_plan("plans/measure")
-        self.lookout = Silence()
-        self.watch = TeamWatch(self.plan, self.lookout, run)
+        self.connection = Silence()
+        self.watch = TeamWatch(self.plan, self.connection, run)
         self.hub = Hub("", self.watch._follower.board({}))
         self.watch.begin(self.hub)
         self.length = 0
@@ -157,7 +157,7 @@ def test_a_prediction_names_the_run_that_was_chosen_later(monkeypatch):
     page = Watched(monkeypatch, run="")
     page.watch._show_run("tuesday")
     page.watch._comparison._listener(Departures([], [], []))
-    assert page.lookout.told == ["tuesday"]
+    assert page.connection.reported == ["tuesday"]
 
 
 def test_the_page_warns_once_of_firings_that_it_does_not_hear(monkeypatch):
@@ -337,16 +337,16 @@ def test_a_plan_that_cannot_be_read_is_none(said):
 def test_an_order_goes_to_the_robot_that_it_concerns_then_to_the_others(monkeypatch):
     page = Watched(monkeypatch)
     page.watch._names = {"/r1": "robot_1", "/r2": "robot_2"}
-    page.lookout.answers = {"/r1": OperatorAnswer(True, "so be it")}
+    page.connection.answers = {"/r1": OperatorAnswer(True, "so be it")}
     assert page.watch.command("retry", {"robot": "robot_2"}) == {"message": "so be it"}
-    assert page.lookout.asked == [("/r2", "retry", ""), ("/r1", "retry", "")]
-    page.lookout.answers = {"/r1": OperatorAnswer(False, "no such task")}
+    assert page.connection.asked == [("/r2", "retry", ""), ("/r1", "retry", "")]
+    page.connection.answers = {"/r1": OperatorAnswer(False, "no such task")}
     with pytest.raises(RefusedError, match="no such task"):
         page.watch.command("retry", {"robot": "robot_1"})
-    page.lookout.answers = {}
+    page.connection.answers = {}
     with pytest.raises(RefusedError, match="no robot of run 'monday' answers"):
         page.watch.command("pause", {})
-    page.lookout.answers = {"/r1": UnreachableError("the wire is cut")}
+    page.connection.answers = {"/r1": UnreachableError("the wire is cut")}
     with pytest.raises(RefusedError, match="the wire is cut"):
         page.watch.command("pause", {})
 
@@ -354,10 +354,10 @@ def test_an_order_goes_to_the_robot_that_it_concerns_then_to_the_others(monkeypa
 def test_breakpoints_go_to_every_robot_and_who_does_not_take_them_is_named(monkeypatch):
     page = Watched(monkeypatch)
     page.watch._names = {"/r1": "robot_1", "/r2": "robot_2"}
-    page.lookout.answers = {name: OperatorAnswer(True, "") for name in ("/r1", "/r2")}
+    page.connection.answers = {name: OperatorAnswer(True, "") for name in ("/r1", "/r2")}
     place = page.plan.robots[0].place
     assert place in page.watch.command("breakpoints", {"names": [place]})["message"]
-    page.lookout.answers = {"/r1": OperatorAnswer(False, "too late")}
+    page.connection.answers = {"/r1": OperatorAnswer(False, "too late")}
     with pytest.raises(RefusedError, match="^r1: too late; r2 does not answer$"):
         page.watch.command("breakpoints", {"names": [place]})
 

@@ -72,7 +72,7 @@ def all_arrived(team, goals):
     return team.physics.contacts.total == 0
 
 
-def test_a_robot_goes_around_a_wall_and_looks_where_it_was_told():
+def test_a_robot_goes_around_a_wall_and_looks_where_it_was_asked():
     where = room(4, 4, (0, -0.5, 0.2, 3))
     robot = DrivingTeam(where, ["r0"], [Pose(-1.0, -1.0, 0.0)])
     robot.navigators["r0"].go(Pose(1.0, -1.0, 1.5), robot.time)

@@ -71,7 +71,7 @@ def test_a_person_goes_on_when_a_robot_stands_on_the_next_point():
     assert walker.at is None and visit[-1][0] - visit[0][0] > PATIENCE
 
 
-def test_a_robot_stops_before_a_person_whatever_it_was_told(monkeypatch):
+def test_a_robot_stops_before_a_person_whatever_it_was_asked(monkeypatch):
     """Driven by hand, straight at somebody who stands."""
     standing = Person(((0.5, 0.0), (0.7, 0.0), (0.5, 0.0)), away_mean=0.001, stands=1000.0)
 

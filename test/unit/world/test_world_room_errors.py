@@ -152,7 +152,7 @@ def test_aliases_that_unfold_into_thousands_of_millions_are_refused():
     assert "more than 200000 elements" in str(refusal(text + "name: x\nwalls: *a9\n"))
 
 
-def test_a_wall_without_a_door_is_told_where_it_cuts_off_the_bay():
+def test_a_wall_without_a_door_is_reported_where_it_cuts_off_the_bay():
     error = refusal(GOOD + "boxes: [{at: [0.4, 0], size: [0.1, 2]}]\n")
     assert "locations.A.bay[0]: no way leads from there to spawn[0]" in str(error)
     assert error.line == 10

@@ -1,7 +1,7 @@
 // The course of a run up to the board shown, for the time line. It is derived from the loaded events; whatever they do
 // not contain is left out.
 
-import { named, told } from "./phases.js";
+import { named, reportOf } from "./phases.js";
 
 const NOWHERE = "";
 
@@ -39,7 +39,7 @@ export function lanesOf(model, begin, end) {
   const lanes = new Map();
   const leave = (lane, t) => {
     const phase = lane.paused ? named.paused : lane.phase; // without one, nothing is known of the robot
-    if (phase && told(phase).shown && lane.place && t > begin && t > lane.at)
+    if (phase && reportOf(phase).shown && lane.place && t > begin && t > lane.at)
       lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
   const change = (name, t, place, phase, paused) => {

@@ -3,7 +3,7 @@
 
 import { h, $, attempt, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
-import { told } from "./phases.js";
+import { reportOf } from "./phases.js";
 import { queueOf, taskLine, waitingFor } from "./reacting.js";
 import { robotCard } from "./robots_panel.js";
 
@@ -193,7 +193,7 @@ export class Inspector extends EventTarget {
     const { scene, board } = this.model;
     const place = scene.places[index];
     const robots = [...board.robots.values()].filter(
-      (robot) => robot.place === index && !told(robot.phase).gone,
+      (robot) => robot.place === index && !reportOf(robot.phase).gone,
     );
     const breakpoint = this.orders.breakpoint(place);
     const kinds = {

@@ -370,7 +370,7 @@ class Page {
     for (const element of document.querySelectorAll("#net .place, #net .transition")) {
       const { place, transition } = element.dataset;
       const node = place === undefined ? transitions[transition] : places[place];
-      element.classList.toggle("halts", names.has(node?.name));
+      element.classList.toggle("breaks", names.has(node?.name));
     }
   }
 

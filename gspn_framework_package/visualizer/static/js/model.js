@@ -38,7 +38,7 @@ export class Model extends EventTarget {
     this.closed = false;
   }
 
-  tell(type, detail = {}) {
+  emit(type, detail = {}) {
     if (!this.closed) this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
@@ -59,7 +59,7 @@ export class Model extends EventTarget {
       .then(() => this.loadScenes(plans, news.snapshot?.epoch))
       .then(
         () => this.takeIn(news),
-        () => this.tell("unread"), // the stream has to begin anew
+        () => this.emit("unread"), // the stream has to begin anew
       )
       .finally(() => {
         this.waiting -= 1;
@@ -93,21 +93,21 @@ export class Model extends EventTarget {
     const scene = this.scenes.get(this.board.plan || 0);
     if (scene === this.scene) return;
     this.scene = scene;
-    this.tell("scene");
+    this.emit("scene");
   }
 
   takeIn(news) {
     if (news.snapshot) this.restart(news.snapshot);
     if (news.head) {
       this.head = news.head;
-      this.tell("head");
+      this.emit("head");
     } // a recording: how much of it has been read
     if (news.events && news.events.length) this.append(news.events);
     const keys = Object.keys(news.latest || {});
     if (keys.length) {
       Object.assign(this.latest, news.latest);
       if (news.latest.info) this.info = news.latest.info;
-      this.tell("latest", { keys });
+      this.emit("latest", { keys });
     }
   }
 
@@ -123,7 +123,7 @@ export class Model extends EventTarget {
     this.lastEvent = snapshot.age === null ? null : performance.now() - snapshot.age * 1000;
     this.clockBase = performance.now() - (snapshot.clock || 0) * 1000;
     if (!another && !this.following) {
-      this.tell("head");
+      this.emit("head");
       return;
     }
     this.events = [];
@@ -132,7 +132,7 @@ export class Model extends EventTarget {
     this.playing = false;
     this.board = this.following ? board : copyOf(board);
     this.showScene();
-    this.tell("reset", { another });
+    this.emit("reset", { another });
     // where the server does not answer, the connection says so, and the next reset asks again
     if (this.mode === "REPLAY") this.show(0).catch(() => {});
     else this.fetchPast();
@@ -147,22 +147,22 @@ export class Model extends EventTarget {
     }
     for (const event of events) applyEvent(this.head, event);
     if (this.following) this.tellEvents(events);
-    else this.tell("head");
+    else this.emit("head");
   }
 
   /** Say that the board shown went on by events; under another plan all of it is drawn anew. */
   tellEvents(events) {
     const { scene } = this;
     this.showScene();
-    if (scene === this.scene) this.tell("events", { events });
-    else this.tell("reset", { another: false });
+    if (scene === this.scene) this.emit("events", { events });
+    else this.emit("reset", { another: false });
   }
 
   /** Note that the server is connected (null), or the time of its last message if it is not. */
   setHeard(lostAt) {
     if (this.lostAt !== null && lostAt !== null) return;
     this.lostAt = lostAt;
-    this.tell("view");
+    this.emit("view");
   }
 
   /** Whether the state shown may be out of date, without the server's news. A recorded run does not change. */
@@ -196,7 +196,7 @@ export class Model extends EventTarget {
     if (this.following && events[events.length - 1].n !== this.board.n) return; // another board arrived meanwhile
     this.events = events;
     this.base = found.base;
-    this.tell("past");
+    this.emit("past");
   }
 
   /** Load events of this epoch, and the board before the first of them; null if there are none. */
@@ -225,7 +225,7 @@ export class Model extends EventTarget {
   pause() {
     if (!this.following) return;
     this.letGo();
-    this.tell("view");
+    this.emit("view");
   }
 
   /** Stop following the latest board. */
@@ -238,7 +238,7 @@ export class Model extends EventTarget {
   async show(n) {
     this.letGo();
     this.wanted = n;
-    this.tell("view");
+    this.emit("view");
     if (this.fetching) return;
     this.fetching = true;
     try {
@@ -250,7 +250,7 @@ export class Model extends EventTarget {
         if (data.epoch !== this.epoch || this.following) return;
         this.board = boardOf(data.board);
         this.showScene();
-        this.tell("reset", { another: false });
+        this.emit("reset", { another: false });
         if (this.wanted === null) await this.fetchAround();
       }
     } finally {
@@ -277,7 +277,7 @@ export class Model extends EventTarget {
     const found = await this.fetchEvents(Math.max(0, n - 2000), to);
     if (!found) return;
     Object.assign(this, found);
-    this.tell("past");
+    this.emit("past");
   }
 
   /** Load more of the events that follow the loaded ones. */
@@ -338,7 +338,7 @@ export class Model extends EventTarget {
         .find(({ k }) => k === "fire" || k === "mark" || k === "plan");
       if (next) this.forward(next.n);
       else if (this.board.n < this.head.n) await this.show(Math.min(this.head.n, this.board.n + 1));
-      this.tell("view");
+      this.emit("view");
       return;
     }
     const before = this.events
@@ -352,7 +352,7 @@ export class Model extends EventTarget {
     if (this.board.n >= this.head.n) return;
     this.playing = true;
     this.playClock = this.board.t;
-    this.tell("view");
+    this.emit("view");
     let before = performance.now();
     const tick = () => {
       if (!this.playing || this.following) return;
@@ -370,7 +370,7 @@ export class Model extends EventTarget {
       this.forward(Infinity, this.playClock);
       if (this.board.n >= this.head.n && !this.info.loading) {
         this.playing = false;
-        this.tell("view");
+        this.emit("view");
         return;
       }
       const short =
@@ -397,7 +397,7 @@ export class Model extends EventTarget {
 
   stopPlaying() {
     this.playing = false;
-    this.tell("view");
+    this.emit("view");
   }
 
   /** Follow again: by the loaded events if they suffice, otherwise in one jump. */
@@ -415,8 +415,8 @@ export class Model extends EventTarget {
     const shown = this.board.n;
     this.board = this.head;
     this.showScene();
-    if (shown !== this.head.n) this.tell("reset", { another: false });
-    this.tell("view");
+    if (shown !== this.head.n) this.emit("reset", { another: false });
+    this.emit("view");
     this.fetchPast();
   }
 }

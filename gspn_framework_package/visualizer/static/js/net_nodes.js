@@ -3,7 +3,7 @@
 import { RADIUS, BAR, dots, discs } from "./geometry.js";
 import { natural, s } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
-import { named, told } from "./phases.js";
+import { named, reportOf } from "./phases.js";
 
 const MOST = 9; // largest number of tokens or robots that are drawn individually
 
@@ -83,7 +83,8 @@ function drawRobots(node, robots) {
     robots
       .sort((a, b) => natural(a.name, b.name))
       .map((robot, i) => {
-        const phase = robot.why && !told(robot.phase).failed ? named.waiting : robot.phase || "";
+        const phase =
+          robot.why && !reportOf(robot.phase).failed ? named.waiting : robot.phase || "";
         const id = shortName(robot.name);
         const text = s("text", { text: id });
         const [high, wide] = square ? [1.5, 3] : [1.15, 2.6];

@@ -18,7 +18,7 @@ import {
 import { KeptPositions } from "./kept_positions.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
-import { told } from "./phases.js";
+import { reportOf } from "./phases.js";
 import { Subnets } from "./subnets.js";
 
 const TILED = 800; // nets with more nodes are drawn in tiles
@@ -216,11 +216,11 @@ export class NetView extends EventTarget {
       if (
         robot.place === undefined ||
         robot.place < 0 ||
-        !told(robot.phase).shown ||
+        !reportOf(robot.phase).shown ||
         this.pendingRobots.has(robot.name)
       )
         continue;
-      const robots = told(robot.phase).gone ? lost : here;
+      const robots = reportOf(robot.phase).gone ? lost : here;
       const place = this.subnets.behind.get(robot.place) ?? robot.place;
       if (!robots.has(place)) robots.set(place, []);
       robots.get(place).push(robot);

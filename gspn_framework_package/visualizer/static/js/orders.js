@@ -2,7 +2,7 @@
 
 import { h, ask, announce, toast } from "./dom.js";
 import { post } from "./api.js";
-import { told } from "./phases.js";
+import { reportOf } from "./phases.js";
 
 export const ONLY_LOOK = "the viewer's token is read-only";
 const KEPT = 6;
@@ -130,7 +130,7 @@ export class Orders extends EventTarget {
   async stop() {
     const { model } = this;
     const robots = [...model.board.robots.values()]
-      .filter(({ phase }) => !told(phase).gone)
+      .filter(({ phase }) => !reportOf(phase).gone)
       .map(({ name }) => name);
     const known = robots.join(", ") || "no robot is known";
     const team = robots.length > 12 ? `${robots.length} robots` : known;
@@ -164,16 +164,16 @@ export class Orders extends EventTarget {
     await this.give("stop", fields, `Stop ${this.runName}`);
   }
 
-  /** The names of the places and transitions at which a robot halts. */
+  /** The names of the places and transitions at which a robot stops. */
   get breakpoints() {
     return this.model.info.breakpoints || [];
   }
 
-  /** The button that sets or removes the breakpoint of a node; null if no robot can halt there. */
+  /** The button that sets or removes the breakpoint of a node; null if no robot can stop there. */
   breakpoint(node) {
     const { breakpoints } = this;
     const has = breakpoints.includes(node.name);
-    if (!node.halts && !has) return null;
+    if (!node.breakable && !has) return null;
     const names = has
       ? breakpoints.filter((name) => name !== node.name)
       : [...breakpoints, node.name];
@@ -182,7 +182,7 @@ export class Orders extends EventTarget {
       says,
       "breakpoints",
       () => this.give("breakpoints", { names }, `${says} at ${node.name}`),
-      { about: node.name, title: "A robot that comes here halts until it is resumed" },
+      { about: node.name, title: "A robot that comes here stops until it is resumed" },
     );
   }
 
@@ -296,7 +296,7 @@ export class Orders extends EventTarget {
     const { model } = this;
     const robot = model.board.robots.get(name);
     const place = model.scene.places[robot?.place]?.name;
-    const { word } = told(robot?.phase);
+    const { word } = reportOf(robot?.phase);
     const sure = await ask(
       `Evict ${name} from the run “${this.runName}”?`,
       h("p", {
@@ -317,7 +317,7 @@ export class Orders extends EventTarget {
 
   /** The buttons on the card of a robot. */
   ofRobot(robot) {
-    const is = told(robot.phase);
+    const is = reportOf(robot.phase);
     if (is.gone || is.at_rest) return [];
     const { name } = robot;
     const simple = (label, command, title, says = `${label} ${name}`, kind = "") =>

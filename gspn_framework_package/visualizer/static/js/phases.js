@@ -14,14 +14,14 @@ export function setPhases(phases) {
 }
 
 /** The word, the tone and the flags of a phase. */
-export const told = (phase) => table[phase] || table[""] || UNHEARD;
+export const reportOf = (phase) => table[phase] || table[""] || UNHEARD;
 
-/** The same for the phase shown for a robot on a board with that status; `told_phase` in Python. */
-export function toldOf(robot, status) {
-  const own = told(robot.phase);
+/** The same for the phase shown for a robot on a board with that status; `reported_phase` in Python. */
+export function robotReport(robot, status) {
+  const own = reportOf(robot.phase);
   if (own.outlasts) return own;
-  if (status.ended) return status.finished && own.at_rest ? own : told(named.stopped);
-  return robot.paused ? told(named.paused) : own;
+  if (status.ended) return status.finished && own.at_rest ? own : reportOf(named.stopped);
+  return robot.paused ? reportOf(named.paused) : own;
 }
 
 /** The phases in which a robot needs the operator, worst first: [[phase, its word, tone and flags], ...]. */

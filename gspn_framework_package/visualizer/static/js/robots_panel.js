@@ -4,13 +4,13 @@
 import { ModelPanel } from "./model_panel.js";
 import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
-import { told, toldOf } from "./phases.js";
+import { reportOf, robotReport } from "./phases.js";
 import { dataLines, robotExtras } from "./reacting.js";
 
 /** How long a robot has been in its phase. */
 function since(model, robot) {
   if (
-    told(robot.phase).gone ||
+    reportOf(robot.phase).gone ||
     (!robot.phase && !robot.paused) ||
     robot.since === undefined ||
     robot.since === null
@@ -22,16 +22,19 @@ function since(model, robot) {
 export function robotCard(model, robot, buttons = []) {
   const place = robot.place >= 0 ? model.scene.places[robot.place] : null;
   const ended = Boolean(model.board.status.ended);
-  const { word, tone } = toldOf(robot, model.board.status);
+  const { word, tone } = robotReport(robot, model.board.status);
   const disc = h("span", { class: "disc", text: shortName(robot.name), "aria-hidden": "true" });
   disc.style.background = colourOf(robot.name);
   const feedback =
-    model.following && !ended && !told(robot.phase).gone ? feedbackOf(model, robot) : null;
+    model.following && !ended && !reportOf(robot.phase).gone ? feedbackOf(model, robot) : null;
   const extras = robotExtras(robot);
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
   return h(
     "div",
-    { class: `robot-card is-${robot.phase} ${told(robot.phase).tone}`, "data-robot": robot.name },
+    {
+      class: `robot-card is-${robot.phase} ${reportOf(robot.phase).tone}`,
+      "data-robot": robot.name,
+    },
     disc,
     h(
       "div",
@@ -47,14 +50,14 @@ export function robotCard(model, robot, buttons = []) {
         { class: "line muted" },
         h("span", {
           text: place
-            ? `${told(robot.phase).gone || ended ? "was in " : ""}${place.name}${attempt}`
+            ? `${reportOf(robot.phase).gone || ended ? "was in " : ""}${place.name}${attempt}`
             : "",
         }),
         h("span", { class: "since", text: ended ? "" : since(model, robot) }),
       ),
     ),
     robot.paused && !ended && place && (model.info.breakpoints || []).includes(place.name)
-      ? h("div", { class: "held", text: "halts at a breakpoint, until it is resumed" })
+      ? h("div", { class: "held", text: "stops at a breakpoint, until it is resumed" })
       : null,
     robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
     robot.refused ? h("div", { class: "why", text: refusedText(robot.refused) }) : null,

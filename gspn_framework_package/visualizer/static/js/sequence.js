@@ -50,7 +50,7 @@ export class FiringSequence extends EventTarget {
 
   stop() {
     this.playing = false;
-    this.tell();
+    this.emit();
   }
 
   async begin() {
@@ -63,16 +63,16 @@ export class FiringSequence extends EventTarget {
   async alone(action) {
     if (this.busy) return false;
     this.busy = true;
-    this.tell();
+    this.emit();
     try {
       return await action();
     } finally {
       this.busy = false;
-      this.tell();
+      this.emit();
     }
   }
 
-  tell() {
+  emit() {
     this.dispatchEvent(new Event("change"));
   }
 }

@@ -4,7 +4,7 @@
 import { $, h, attempt, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 import { courseOf, lanesOf } from "./course.js";
-import { told, toldOf } from "./phases.js";
+import { reportOf, robotReport } from "./phases.js";
 
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
 const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
@@ -265,7 +265,7 @@ export class TimeLine extends EventTarget {
         const a = Math.max(label, x(from)),
           b = x(to);
         const bar = Math.max(2, step - 5);
-        const is = told(phase);
+        const is = reportOf(phase);
         c.globalAlpha = is.waits ? 0.32 : is.at_rest ? 0.18 : 0.85;
         c.fillStyle = is.needs_operator ? ink("--bad") : colour;
         c.fillRect(a, y + 2, Math.max(1, b - a - 1), bar);
@@ -350,7 +350,7 @@ export class TimeLine extends EventTarget {
     const robots = [...board.robots.values()].sort((a, b) => natural(a.name, b.name)).slice(0, 8);
     const does = robots.map(
       (robot) =>
-        `${robot.name} ${toldOf(robot, board.status).word}` +
+        `${robot.name} ${robotReport(robot, board.status).word}` +
         (robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : "") +
         (robot.task ? ` with task ${robot.task[0]}` : ""),
     );

@@ -61,7 +61,7 @@ export class Checks {
     this.check();
   }
 
-  tell(state, text) {
+  showState(state, text) {
     this.state.dataset.state = state;
     this.state.textContent = text;
     this.chip.dataset.state = state;
@@ -74,7 +74,7 @@ export class Checks {
   later() {
     if (this.asked && onlyMoved(this.asked, this.mode.document.state)) return;
     this.revision += 1; // answers that come now are of another state
-    this.tell("checking", "Checking … the findings below are those before the last edit.");
+    this.showState("checking", "Checking … the findings below are those before the last edit.");
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.check(), QUIET);
   }
@@ -86,13 +86,13 @@ export class Checks {
     this.asked = state;
     this.revision += 1;
     const { revision } = this;
-    this.tell("checking", "Checking …");
+    this.showState("checking", "Checking …");
     try {
       const first = await this.ask(state, revision, false);
       if (!first) return;
       this.show(first);
       if (first.decided) return;
-      this.tell(
+      this.showState(
         "checking",
         `${this.verdict(first)} so far, after ${plural(first.states, "marking")}. Checking further …`,
       );
@@ -101,7 +101,7 @@ export class Checks {
     } catch (error) {
       if (revision !== this.revision || this.closed) return;
       this.asked = null;
-      this.tell("unknown", `Not checked: ${error.message}.`);
+      this.showState("unknown", `Not checked: ${error.message}.`);
     }
   }
 
@@ -131,7 +131,7 @@ export class Checks {
     const { valid, doubts, decided, findings } = answer;
     this.mode.findings = findings;
     const wrong = !valid && findings.some(({ level }) => level === "error");
-    this.tell(
+    this.showState(
       wrong ? "invalid" : !valid || !decided ? "undecided" : doubts.length ? "doubtful" : "checked",
       `${this.verdict(answer)}.${decided ? "" : " Not all questions could be decided."}`,
     );

@@ -229,12 +229,12 @@ export class FormPanel {
         if (problem) {
           const base = lens.get();
           this.drafts.set(lens.key, { value, problem, base, read: lens.get });
-          this.tell(lens.key, problem);
+          this.showProblem(lens.key, problem);
           if (!this.typing) this.refresh();
           return false;
         }
         this.drafts.delete(lens.key);
-        this.tell(lens.key, "");
+        this.showProblem(lens.key, "");
         const done = lens.put(value, label, merge);
         if (!done && !this.typing) this.refresh();
         return done;
@@ -256,7 +256,7 @@ export class FormPanel {
     });
   }
 
-  tell(key, problem) {
+  showProblem(key, problem) {
     for (const line of this.element.querySelectorAll("[data-verdict]"))
       if (line.dataset.verdict === key)
         line.textContent = problem && `Not in the plan yet: ${problem}`;

@@ -5,10 +5,10 @@ import json
 import pytest
 
 from gspn_framework_package.model.errors import RefusedError
-from gspn_framework_package.ros import entrance as module
-from gspn_framework_package.ros.entrance import ASKED, Entrance, said
+from gspn_framework_package.ros import inbound as module
+from gspn_framework_package.ros.inbound import ASKED, InboundMessages, said
 from gspn_framework_package.team.carrier import NotTaken, Operator, OperatorRequest
-from gspn_framework_package.team.gate import FASTEST, LARGEST_MESSAGE
+from gspn_framework_package.team.message_filter import FASTEST, LARGEST_MESSAGE
 from gspn_framework_package.team.seal import SEALED, Seal, TeamKey
 
 NODE = {"callerid": "/robot_2/executor"}
@@ -17,17 +17,17 @@ HELLO = json.dumps({"from": "robot_2", "kind": "hello"})
 
 
 @pytest.fixture
-def entrance(monkeypatch):
-    made = Entrance()
+def inbound(monkeypatch):
+    made = InboundMessages()
     made.braked = []
     monkeypatch.setattr(module.time, "sleep", made.braked.append)
     return made
 
 
-def test_a_message_is_taken_from_the_robot_that_it_names(entrance):
-    assert entrance.read(HELLO, NODE, ASKED, "robot_2") == json.loads(HELLO)
-    assert entrance.read(HELLO, NODE, ASKED) == json.loads(HELLO)  # a call that names nobody itself
-    assert not entrance.refusals()
+def test_a_message_is_taken_from_the_robot_that_it_names(inbound):
+    assert inbound.read(HELLO, NODE, ASKED, "robot_2") == json.loads(HELLO)
+    assert inbound.read(HELLO, NODE, ASKED) == json.loads(HELLO)  # a call that names nobody itself
+    assert not inbound.refusals()
 
 
 @pytest.mark.parametrize(
@@ -40,41 +40,41 @@ def test_a_message_is_taken_from_the_robot_that_it_names(entrance):
         ('{"from": 7}', "robot_3", "in the name of another robot"),
     ],
 )
-def test_who_sends_nonsense_is_named(entrance, text, claimed, why):
-    assert entrance.read(text, NODE, ASKED, claimed) is None
+def test_who_sends_nonsense_is_named(inbound, text, claimed, why):
+    assert inbound.read(text, NODE, ASKED, claimed) is None
     named = "%s (node /robot_2/executor)" % claimed
-    assert entrance.refusals() == [NotTaken(named, why, 1)]
+    assert inbound.refusals() == [NotTaken(named, why, 1)]
 
 
-def test_a_sender_without_a_name_is_counted_too(entrance):
-    assert entrance.read("{}", None, ASKED) is None
-    assert [kind.robot for kind in entrance.refusals()] == ["node without a name"]
+def test_a_sender_without_a_name_is_counted_too(inbound):
+    assert inbound.read("{}", None, ASKED) is None
+    assert [kind.robot for kind in inbound.refusals()] == ["node without a name"]
 
 
-def test_a_flood_is_braked_and_hurts_no_other_node(entrance):
+def test_a_flood_is_braked_and_hurts_no_other_node(inbound):
     taken = sum(
-        entrance.read(HELLO, NODE, ASKED, "robot_2") is not None for _ in range(3 * int(FASTEST))
+        inbound.read(HELLO, NODE, ASKED, "robot_2") is not None for _ in range(3 * int(FASTEST))
     )
     assert taken < 2.5 * FASTEST  # it is refilled while this test runs
-    assert set(entrance.braked) == {module.BRAKE}
-    (kind,) = entrance.refusals()
-    assert (kind.why, kind.times) == ("too many messages", len(entrance.braked))
+    assert set(inbound.braked) == {module.BRAKE}
+    (kind,) = inbound.refusals()
+    assert (kind.why, kind.times) == ("too many messages", len(inbound.braked))
     other = HELLO.replace("robot_2", "robot_3")
-    assert entrance.read(other, {"callerid": "/robot_3"}, ASKED, "robot_3") is not None
+    assert inbound.read(other, {"callerid": "/robot_3"}, ASKED, "robot_3") is not None
 
 
 def test_a_team_that_does_not_talk_over_ros_takes_nothing_there():
-    entrance = Entrance(is_open=False)
-    assert entrance.read(HELLO, NODE, ASKED, "robot_2") is None
-    assert entrance.refusals()[0].why == "the team does not talk over ROS"
+    inbound = InboundMessages(is_open=False)
+    assert inbound.read(HELLO, NODE, ASKED, "robot_2") is None
+    assert inbound.refusals()[0].why == "the team does not talk over ROS"
 
 
 def keyed(name, run="run", key=KEY):
-    return Entrance(seal=Seal(key, run, name))
+    return InboundMessages(seal=Seal(key, run, name))
 
 
 @pytest.fixture
-def one(entrance):
+def one(inbound):
     return keyed("robot_1")
 
 
@@ -87,7 +87,7 @@ def test_with_a_key_a_message_is_taken_from_who_has_it(one):
 @pytest.mark.parametrize(
     ("sender", "purpose", "claimed", "why"),
     [
-        (Entrance(), ASKED, "robot_2", "without the key of the team"),
+        (InboundMessages(), ASKED, "robot_2", "without the key of the team"),
         (keyed("robot_2", key=TeamKey(b"x" * 32)), ASKED, "robot_2", "not sealed with the key"),
         (keyed("robot_2", run="other"), ASKED, "robot_2", "not sealed with the key"),
         (keyed("robot_2"), said("/a", "rosrpc://thief:1"), "robot_2", "not sealed with the key"),
@@ -111,9 +111,9 @@ def test_a_message_that_is_played_again_is_refused(one):
     ]
 
 
-def test_without_a_key_a_sealed_message_is_named_as_such(entrance):
-    assert entrance.read(keyed("robot_2").sealed("", HELLO, ASKED), NODE, ASKED) is None
-    assert "which this robot does not have" in entrance.refusals()[0].why
+def test_without_a_key_a_sealed_message_is_named_as_such(inbound):
+    assert inbound.read(keyed("robot_2").sealed("", HELLO, ASKED), NODE, ASKED) is None
+    assert "which this robot does not have" in inbound.refusals()[0].why
 
 
 PAUSE = OperatorRequest("pause", "robot_2", "", "run")
@@ -156,7 +156,7 @@ def test_an_order_is_not_taken_twice(one):
         one.order(order, NODE)
 
 
-def test_a_team_without_a_key_takes_orders_from_everybody(entrance):
-    assert entrance.order(PAUSE, NODE) == (PAUSE, Operator("node /robot_2/executor"))
+def test_a_team_without_a_key_takes_orders_from_everybody(inbound):
+    assert inbound.order(PAUSE, NODE) == (PAUSE, Operator("node /robot_2/executor"))
     with pytest.raises(RefusedError, match="no team key"):
-        entrance.order(sealed_order(PAUSE), NODE)
+        inbound.order(sealed_order(PAUSE), NODE)

@@ -1,6 +1,6 @@
 """What the page needs of the network to watch a team: on ROS
 (:mod:`~gspn_framework_package.visualizer.ros_watch`) and over Zenoh
-(:mod:`~gspn_framework_package.visualizer.zenoh_lookout`)."""
+(:mod:`~gspn_framework_package.visualizer.zenoh_connection`)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class RobotLine(Protocol):
         """Wait for no more answers."""
 
 
-class Lookout(Protocol):
+class TeamConnection(Protocol):
     """What a watch needs of the network. An address is where a robot is reached.
 
     :cvar says: whom the page shows, in words.
@@ -86,10 +86,10 @@ class Lookout(Protocol):
     def why_unheard(self) -> str:
         """Why no firing may be heard although the robots answer."""
 
-    def tell(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Report to whoever runs the server, at most every few seconds."""
 
-    def tell_departures(self, plan: Plan, run: str, found: Departures) -> None:
+    def report_departures(self, plan: Plan, run: str, found: Departures) -> None:
         """Report once a second whether the run goes as predicted; on a thread of its own."""
 
     def close(self) -> None:

@@ -52,7 +52,7 @@ class RunningPlan(NamedTuple):
     files: List[str]
 
 
-class RunDoor:
+class ControlSocket:
     """Lets other processes ask a run to go on under another plan.
 
     :param about: returns the name of the present plan and the files of the plans, as in
@@ -84,7 +84,7 @@ class RunDoor:
             self._socket.shutdown(socket.SHUT_RDWR)  # ends accept(), which close() does not
         self._socket.close()
 
-    def __enter__(self) -> RunDoor:
+    def __enter__(self) -> ControlSocket:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -9,7 +9,7 @@ from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.team.carrier import NotTaken, Operator, OperatorRequest, sender_of
 from gspn_framework_package.team.commands import is_question
-from gspn_framework_package.team.gate import LARGEST_MESSAGE, MessageGate, json_object
+from gspn_framework_package.team.message_filter import LARGEST_MESSAGE, MessageFilter, json_object
 from gspn_framework_package.team.seal import ORDER, SEALED, NotSealedError, Seal, is_sealed
 
 BRAKE = 0.05
@@ -28,8 +28,8 @@ def said(namespace: str, service_uri: str) -> str:
     return "said\n%s\n%s" % (namespace, service_uri)
 
 
-class Entrance:
-    """The entrance of one robot on ROS; may be called on any thread.
+class InboundMessages:
+    """The inbound of one robot on ROS; may be called on any thread.
 
     A sender is named by the robot that it says it is, and by the node on whose connection it came.
 
@@ -40,7 +40,7 @@ class Entrance:
     def __init__(self, is_open: bool = True, seal: Optional[Seal] = None) -> None:
         self._is_open = is_open
         self._seal = seal
-        self._gate = MessageGate(LARGEST_MESSAGE)
+        self._filter = MessageFilter(LARGEST_MESSAGE)
 
     def sealed(self, to: str, body: str, purpose: str) -> str:
         """A message of this robot as it leaves.
@@ -60,12 +60,12 @@ class Entrance:
         :param claimed: the robot that is said to have sent it; "": only the message says so.
         """
         who = _named(claimed, connection)
-        admitted = self._gate.admits(who, len(text), time.monotonic())
+        admitted = self._filter.admits(who, len(text), time.monotonic())
         if admitted:
             try:
                 return self._open(text, purpose, claimed)
             except NotSealedError as error:
-                self._gate.refuse(who, error.why)
+                self._filter.refuse(who, error.why)
         time.sleep(BRAKE)
         return None
 
@@ -76,7 +76,7 @@ class Entrance:
         Call it on the thread that reads the connection.
         """
         who = _named("others", connection)
-        if not self._gate.admits(who, len(text), time.monotonic(), "others"):
+        if not self._filter.admits(who, len(text), time.monotonic(), "others"):
             time.sleep(BRAKE)
 
     def _open(self, text: str, purpose: str, claimed: str) -> Message:
@@ -107,7 +107,7 @@ class Entrance:
         who = _named("", connection)
         if request.command != SEALED:
             if self._seal is not None and not is_question(request):
-                self._gate.refuse(who, "an order without the key of the team")
+                self._filter.refuse(who, "an order without the key of the team")
                 raise RefusedError("this team takes orders with its key only: --team-key-file FILE")
             return request, Operator(who)
         if self._seal is None:
@@ -115,18 +115,18 @@ class Entrance:
         try:
             opened = self._seal.open_order(request.argument, ORDER)
         except NotSealedError as error:
-            self._gate.refuse(who, error.why)
+            self._filter.refuse(who, error.why)
             raise RefusedError("not taken: %s" % error.why) from None
         fields = json_object(opened.body) or {}
         texts = [fields.get(name) for name in OperatorRequest._fields]
         if not all(isinstance(text, str) for text in texts):
-            self._gate.refuse(who, "an order that cannot be read")
+            self._filter.refuse(who, "an order that cannot be read")
             raise RefusedError("not taken: not an order")
         return OperatorRequest(*map(str, texts)), Operator(opened.sender, "team key")
 
     def refusals(self) -> List[NotTaken]:
         """What was not taken so far."""
-        return self._gate.refusals()
+        return self._filter.refusals()
 
 
 def _named(claimed: str, connection: Connection) -> str:

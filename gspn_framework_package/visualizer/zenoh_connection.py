@@ -13,7 +13,7 @@ from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperat
 from gspn_framework_package.team.zenoh_session import TeamAccess, key_of, names_in
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 from gspn_framework_package.visualizer.live_comparison import Departures
-from gspn_framework_package.visualizer.lookout import UnreachableError
+from gspn_framework_package.visualizer.team_connection import UnreachableError
 
 QUIET = 30.0
 """Seconds for which the same line is not printed again."""
@@ -80,9 +80,10 @@ def is_activity(fields: Dict[str, Any]) -> bool:
     )
 
 
-class ZenohLookout:
-    """A :class:`~gspn_framework_package.visualizer.lookout.Lookout` over Zenoh; a robot's address
-    is the beginning of its keys. Without keys, or with those of an operator, the page gives orders.
+class ZenohConnection:
+    """A :class:`~gspn_framework_package.visualizer.team_connection.TeamConnection` over Zenoh;
+    a robot's address is the beginning of its keys. Without keys, or with those of an operator, the
+    page gives orders.
 
     :param access: how to reach the team.
     :param run: the run to watch; "" for all.
@@ -104,15 +105,15 @@ class ZenohLookout:
         self.orders = self._watch.operator.gives_orders
 
     def open(self, seen: Callable[..., None]) -> None:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         self._seen = seen
 
     def close(self) -> None:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         self._watch.close()
 
     def find(self) -> Set[str]:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         if not self._watch.operator.connected:
             raise UnreachableError("%s does not answer; it is tried again" % self._endpoints)
         self._watch.ask_activity()
@@ -120,41 +121,41 @@ class ZenohLookout:
             return set(self._found)
 
     def line(self, seconds: float) -> ZenohLine:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         return ZenohLine(self._watch.operator, seconds)
 
     def label(self, address: str) -> str:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         return _robot_at(address).robot
 
     def why_unheard(self) -> str:
-        """See :class:`Lookout`."""
+        """See :class:`TeamConnection`."""
         return " through %s" % self._endpoints
 
-    def tell(self, text: str) -> None:
-        """See :class:`Lookout`."""
+    def report(self, text: str) -> None:
+        """See :class:`TeamConnection`."""
         now = time.monotonic()
         if now - self._told.get(text, -QUIET) >= QUIET:
             self._told = {t: at for t, at in self._told.items() if now - at < QUIET}
             self._told[text] = now
             print(text, file=sys.stderr, flush=True)
 
-    def tell_departures(self, plan: Plan, run: str, found: Departures) -> None:
-        """See :class:`Lookout`."""
+    def report_departures(self, plan: Plan, run: str, found: Departures) -> None:
+        """See :class:`TeamConnection`."""
         for alarm in found.new:
-            self.tell("the run departs from the plan: %s" % alarm.describe())
+            self.report("the run departs from the plan: %s" % alarm.describe())
 
     def _on_fired(self, robot: str, fields: Dict[str, Any]) -> None:
         fired = read_fired(fields)
         if fired is None:
-            self.tell("the page: a firing of %s cannot be read" % robot)
+            self.report("the page: a firing of %s cannot be read" % robot)
         else:
             self._seen("fired", fired)
 
     def _on_activity(self, robot: str, fields: Dict[str, Any]) -> None:
         if not is_activity(fields) or fields["robot"] != robot:
             if set(fields) != {"run"}:  # a robot that has begun and done nothing yet
-                self.tell("the page: the activity of %s cannot be read" % robot)
+                self.report("the page: the activity of %s cannot be read" % robot)
             return
         address = key_of(fields["run"], robot)
         with self._lock:
@@ -164,7 +165,7 @@ class ZenohLookout:
 
 
 class ZenohLine:
-    """A :class:`~gspn_framework_package.visualizer.lookout.RobotLine` over Zenoh.
+    """A :class:`~gspn_framework_package.visualizer.team_connection.RobotLine` over Zenoh.
 
     :param operator: asks the robots.
     :param seconds: time limit of an answer.

@@ -1,4 +1,4 @@
-"""A robot's voice on ROS: lines on the screen, and ``/diagnostics``."""
+"""A robot's reporter on ROS: lines on the screen, and ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 
-class RosVoice:
-    """The voice of one robot.
+class RosReporter:
+    """The reporter of one robot.
 
     It publishes ``/diagnostics`` (diagnostic_msgs/DiagnosticArray, once a second).
 
@@ -24,26 +24,26 @@ class RosVoice:
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
 
     def say(self, text: str) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         rospy.loginfo("%s: %s", self._robot, text)
 
     def warn(self, text: str) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         rospy.logwarn("%s: %s", self._robot, text)
 
     def error(self, text: str, traceback: bool = False) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         if traceback:
             rospy.logfatal("%s: %s", self._robot, text, exc_info=True)
         else:
             rospy.logerr("%s: %s", self._robot, text)
 
     def is_asked(self) -> bool:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         return bool(self._diagnostics.get_num_connections())
 
     def diagnose(self, level: int, message: str, values: Mapping[str, Any]) -> None:
-        """See :class:`Voice`."""
+        """See :class:`Reporter`."""
         name = "%s: gspn %s, run %s" % (self._namespace, self._robot, self._run)
         self._diagnostics.publish(diagnostic_array(name, self._robot, level, message, values))
 

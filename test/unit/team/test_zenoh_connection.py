@@ -9,8 +9,8 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.visualizer.hub import Hub as PageHub
 from gspn_framework_package.visualizer.team_watch import TeamWatch
-from gspn_framework_package.visualizer.zenoh_lookout import (
-    ZenohLookout,
+from gspn_framework_package.visualizer.zenoh_connection import (
+    ZenohConnection,
     is_activity,
     read_fired,
 )
@@ -49,8 +49,8 @@ class Page:
     """What a page shows that watches with somebody's keys."""
 
     def __init__(self, agents, name, run=""):
-        self.lookout = ZenohLookout(agents.hub.access(name), run)
-        self.watch = TeamWatch(agents.plan, self.lookout, run)
+        self.connection = ZenohConnection(agents.hub.access(name), run)
+        self.watch = TeamWatch(agents.plan, self.connection, run)
         self.hub = PageHub("", self.watch._follower.board({}))
         self.watch.begin(self.hub)
 
@@ -84,7 +84,7 @@ def test_a_page_with_an_operators_keys_shows_a_team_and_gives_orders(agents, pag
     wait_for(lambda: set(shown.phases().values()) == {"doing"}, 30)
     assert shown.status["run"] == "monday" and shown.status["running"]
     assert (
-        "robots halt at: seen" in shown.watch.command("breakpoints", {"names": ["seen"]})["message"]
+        "robots stop at: seen" in shown.watch.command("breakpoints", {"names": ["seen"]})["message"]
     )
     wait_for(lambda: shown.hub.info.get("breakpoints") == ["seen"], 30)
     shown.watch.command("breakpoints", {"names": []})

@@ -25,7 +25,7 @@ _MOST_REASONS = 1000
 _LONGEST_NUMBER = 30
 
 
-class MessageGate:
+class MessageFilter:
     """Lets a message in that has the right size, form and sender, and comes at a bearable rate; may
     be called on any thread.
 

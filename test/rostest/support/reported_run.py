@@ -9,7 +9,7 @@ from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Board
 
 
-class ToldRun(Activity):
+class ReportedRun(Activity):
     """Begins with each robot of the plan in its place, at work; what happens then, the test
     publishes on ``hub``.
 

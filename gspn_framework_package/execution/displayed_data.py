@@ -66,7 +66,7 @@ def cause_text(cause: Mapping[str, Any]) -> str:
     return shown(", ".join("%s: %s" % item for item in shown_values(cause).items()))
 
 
-def told_of_team(state: TeamState, net: Net, brief: bool = False) -> Dict[str, Any]:
+def displayed_team(state: TeamState, net: Net, brief: bool = False) -> Dict[str, Any]:
     """The data of the team, the tasks in its queues, and those that wait outside.
 
     :param brief: shortened, for people.
@@ -76,19 +76,19 @@ def told_of_team(state: TeamState, net: Net, brief: bool = False) -> Dict[str, A
     outside = state.submitted[:SHOWN_TASKS] if brief else state.submitted
     return {
         "team": shown_values(state.data) if brief else dict(state.data),
-        "queues": {net.places[p].name: told_queue(q, brief) for p, q in state.queues.items()},
+        "queues": {net.places[p].name: displayed_queue(q, brief) for p, q in state.queues.items()},
         "waiting": [[net.transitions[t].name, task.id] for t, task in outside],
     }
 
 
-def told_queue(tasks: Sequence[Task], brief: bool = False) -> List[List[Any]]:
+def displayed_queue(tasks: Sequence[Task], brief: bool = False) -> List[List[Any]]:
     """The tasks of a queue, the next one first."""
     if not brief:
         return [task.to_json() for task in tasks]
     return [[task.id, shown_values(task.data)] for task in tasks[:SHOWN_TASKS]]
 
 
-def told_of_robot(robot: RobotState, net: Net, brief: bool = False) -> Dict[str, Any]:
+def displayed_robot(robot: RobotState, net: Net, brief: bool = False) -> Dict[str, Any]:
     """The data of a robot, the task that it carries, and the events that it holds.
 
     :returns: ``data``: name -> value; ``task``: [id, data] or None; ``held``: transition -> cause;
@@ -97,7 +97,7 @@ def told_of_robot(robot: RobotState, net: Net, brief: bool = False) -> Dict[str,
     task = robot.task
     return {
         "data": shown_values(robot.data) if brief else dict(robot.data),
-        "task": told_queue([task], brief)[0] if task is not None else None,
+        "task": displayed_queue([task], brief)[0] if task is not None else None,
         "held": {
             net.transitions[t].name: cause_text(cause) if brief else dict(cause)
             for t, cause in robot.held.items()
