@@ -19,7 +19,6 @@ import threading
 import weakref
 from typing import Any, Callable, MutableMapping, Optional, Tuple
 
-import netifaces  # noqa: F401
 import rosgraph
 import rospkg
 import rospy
