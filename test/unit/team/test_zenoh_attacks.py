@@ -12,6 +12,7 @@ from benchmarks.plans import ring_plan
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.agreement.messages import VERSION
 from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
@@ -72,6 +73,7 @@ def hub(tmp_path):
 
 @pytest.fixture
 def team(hub, tmp_path):
+    allow_modules(["benchmarks.load"])
     running = RunningTeam(hub, tmp_path)
     try:
         running.goes_on()
@@ -79,6 +81,7 @@ def team(hub, tmp_path):
         running.goes_on()
     finally:
         running.close()
+        allow_modules(())
     logs = [read_log(path) for path in running.logs]
     assert verify(logs).violation is None
     origins = {
