@@ -8,6 +8,7 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FailureKind, Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
 
 
 class RobotFlow(NamedTuple):
@@ -126,6 +127,22 @@ def timeless_transitions(plan: Plan) -> List[int]:
         if timeless:
             found.append(t)
     return found
+
+
+def predicted_timeless(plan: Plan) -> List[int]:
+    """Numbers of the transitions that can follow another one at once in a prediction, which takes
+    the times of actions from the plan: those of :func:`timeless_transitions`, and those that leave
+    only places whose action takes no time there (``PlanTiming``)."""
+    net, timing = plan.net, PlanTiming(plan)
+    idle = idle_places(plan)
+    at_once = {p for p, its in timing.places.items() if its.duration.mean == 0 or p in idle}
+    found = set(timeless_transitions(plan))
+    for t, transition in enumerate(net.transitions):
+        movers = [p for p, _ in net.inputs[t] if p in timing.places]
+        event = transition.name in plan.events
+        if movers and not event and at_once.issuperset(movers):
+            found.add(t)
+    return sorted(found)
 
 
 def find_cycle(net: Net, transitions: List[int]) -> List[str]:

@@ -10,7 +10,9 @@ from gspn_framework_package.analysis.plan.structure import (
     always_leavable,
     find_cycle,
     fires_alone,
+    idle_places,
     only_written,
+    predicted_timeless,
     robot_flows,
     terminal_places,
     timeless_transitions,
@@ -47,6 +49,7 @@ class StructureChecks:
         """Answer what the structure can answer, and record what is open."""
         self._look_at_flows()
         self._look_at_cycles()
+        self._look_at_predictions()
         self._look_at_servers_of_transitions()
         self._look_at_resources()
         self._look_at_dead_ends()
@@ -107,6 +110,27 @@ class StructureChecks:
         else:
             self.open.append("timeless_cycle")
             self.cycle = cycle
+
+    def _look_at_predictions(self) -> None:
+        """Warn of a cycle that takes time in a run but none in a prediction."""
+        cycle = find_cycle(self.net, predicted_timeless(self.plan))
+        idle = idle_places(self.plan, everybody=True)
+        acting = [
+            node
+            for node in dict.fromkeys(cycle)
+            if node in self.plan.action_places and self.net.place_number(node) not in idle
+        ]
+        if acting:
+            self._list.add(
+                "durations",
+                Severity.WARNING,
+                "by the plan, the actions of %s take no time, and robots may go round without any "
+                "(%s): a run takes the time that the actions take, but the simulation and the "
+                "analysis may refuse the plan; give these places 'durations'"
+                % (names(acting), " -> ".join(cycle)),
+                cycle=cycle,
+                places=acting,
+            )
 
     def _look_at_servers_of_transitions(self) -> None:
         if (

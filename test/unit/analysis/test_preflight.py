@@ -9,10 +9,12 @@ import pytest
 
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import CancelledError, PlanError
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.errors import CancelledError, PlanError, RefusedError
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
@@ -426,6 +428,21 @@ def test_servers_of_transitions_and_places_that_decide():
     assert (item.details["transitions"], item.severity) == (["go"], Severity.WARNING)
     assert check(make_plan(choice())).of("decision_actions")[0].details["places"] == ["d"]
     assert not check(make_plan(choice(), idle=["d"])).of("decision_actions")
+
+
+def test_what_a_prediction_takes_for_a_cycle_without_time():
+    builder = NetBuilder("round").place("a", tokens=1).place("b")
+    builder.immediate("on", inputs="a", outputs="b").immediate("back", inputs="b", outputs="a")
+    plan = make_plan(builder)
+    report = check(plan)
+    (item,) = report.of("durations")
+    assert (item.severity, item.details["places"]) == (Severity.WARNING, ["a", "b"])
+    assert not report.refused  # a run takes the time that the actions take
+    with pytest.raises(RefusedError, match="without time"):
+        simulate(plan, time=1.0, replications=1)
+    timed = replace(plan, durations={"b": Duration.exponential(1.0)})
+    assert not check(timed).of("durations")
+    assert simulate(timed, time=1.0, replications=1).time == 1.0
 
 
 def test_nobody_asks_for_one_of_several_exponential_transitions():
