@@ -48,10 +48,10 @@ def main() -> int:
         def every(plan):
             try:
                 answers(plan, Path(folder) / "logs", told)
-            except AssertionError as error:
+            except Exception as error:
                 told["DIFFERENT"] += 1
                 text = json.dumps(plan_to_short_json(plan))
-                kind = str(error).split(":")[0].split("\n")[0]
+                kind = "%s: %s" % (type(error).__name__, str(error).split(":")[0].split("\n")[0])
                 different[kind] = min(different.get(kind, text), text, key=len)
 
         every()

@@ -1,17 +1,20 @@
 """Random small plans for Hypothesis, with everything that a run knows: durations of every kind,
 outcomes, failures and their rules, timeouts, policies with wildcards, priorities, weights,
 inhibitor arcs, capacities, resources, an environment, routing, actions of single robots, agents
-that come and go, events."""
+that come and go, events, subnets, tasks."""
 
 from dataclasses import replace
 
 from generated_nets import split
 from hypothesis import strategies as st
 
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
+from gspn_framework_package.formats.subnets import expand, fill_parameters
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.net import Arc, Net, Transition
 from gspn_framework_package.model.plan import (
     FailureKind,
@@ -222,3 +225,52 @@ def any_event():
 def plain_event():
     """Events that come at a rate and are not held."""
     return st.just(EventSource("sensor", "std_msgs/Empty"))
+
+
+@st.composite
+def with_subnet(draw, plans):
+    """One of ``plans`` in which another one stands for a place, with its resources (marked ones
+    too, some of them shared) and a parameter."""
+    plan, inner = draw(plans), plan_to_json(draw(plans))
+    place = draw(st.sampled_from(plan.action_places))
+    outer = plan_to_json(plan)
+    for key in ("timeout", "on_failure", "durations", "outcomes", "failures"):
+        outer.get(key, {}).pop(place, None)
+    for robot in outer["robots"] if isinstance(outer["robots"], list) else ():
+        robot.get("actions", {}).pop(place, None)
+    if place in plan.policy.places:
+        outer.pop("policy")
+    if place in outer.get("until", ""):
+        outer.pop("until")
+    inner.pop("policy", None)  # it may not speak of what leaves the exit
+    inner["parameters"] = {"speed": 1}
+    for action in filter(None, inner["actions"].values()):
+        action["settings"] = {"speed": "${speed}"}
+    spec = {key: draw(st.sampled_from(sorted(inner["actions"]))) for key in ("entry", "exit")}
+    share = {r: r for r in inner["resource_places"] if r in plan.resource_places}
+    if share and draw(st.booleans()):
+        spec["share"] = share
+    outer["actions"][place] = {"plan": "inner", "with": {"speed": 2}, **spec}
+    try:
+        data, net, parts = expand(
+            outer, plan.net, ".", lambda _, given: plan_from_json(fill_parameters(inner, given))
+        )
+    except PlanError:  # the arcs of the place are not those of several places
+        return plan
+    return plan_from_json(data, net, parts=parts, checked=True).validate()
+
+
+@st.composite
+def with_tasks(draw, plan):
+    """The plan with tasks that come into one of its resource places, if it has any."""
+    if not plan.resource_places:
+        return plan
+    net, queue = plan.net, draw(st.sampled_from(sorted(plan.resource_places)))
+    order = Transition("order", timed=True, rate=1.0)
+    arcs = [Arc("order", queue), Arc(queue, "order", 3, True)]
+    done = draw(st.lists(st.sampled_from([t.name for t in net.transitions]), max_size=2))
+    return replace(
+        plan,
+        net=Net(net.places, [*net.transitions, order], [*net.arcs, *arcs], net.name),
+        tasks=Tasks((queue,), tuple(dict.fromkeys(done))),
+    ).validate()
