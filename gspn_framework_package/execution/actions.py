@@ -226,13 +226,6 @@ class PythonFunction:
         self.name = name
         self._settings = settings
         element = "%s '%s'" % (self.role, name)
-        reserved = sorted(set(settings).intersection(self.known))
-        if reserved:
-            raise PlanError(
-                "the setting '%s' has the name of what the run itself gives" % reserved[0],
-                element=element,
-                hint="call it otherwise; taken are: %s" % ", ".join(self.known),
-            )
         self._class = function if inspect.isclass(function) else None
         self._names: FrozenSet[str]
         self._init_names: FrozenSet[str] = frozenset()
@@ -252,8 +245,8 @@ class PythonFunction:
                 self._init_names = self._parameters(
                     self._class.__init__, element, settings, bound=True
                 )
-            elif settings:
-                raise _no_parameter(element, settings)
+            else:
+                self.asked_of([], element, settings)
             self._objects: Dict[str, Any] = {}
             self._lock = threading.Lock()
 
@@ -302,9 +295,17 @@ class PythonFunction:
     ) -> FrozenSet[str]:
         """The :attr:`known` names among the parameters of a function, apart from its settings.
 
-        :raises PlanError: a parameter is neither known nor a setting, a setting has no parameter,
-            or its value does not fit the default or the annotation of the parameter.
+        :raises PlanError: a parameter is neither known nor a setting, a setting has no parameter or
+            the name of a known one, or its value does not fit the default or the annotation of the
+            parameter.
         """
+        reserved = sorted(set(settings).intersection(cls.known))
+        if reserved:
+            raise PlanError(
+                "the setting '%s' has the name of what the run itself gives" % reserved[0],
+                element=element,
+                hint="call it otherwise; taken are: %s" % ", ".join(cls.known),
+            )
         names: Set[str] = set()
         unused = set(settings)
         missing = inspect.Parameter.empty

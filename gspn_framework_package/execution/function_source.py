@@ -49,7 +49,10 @@ def why_not_callable(
     parameters = _parameters(tree, function)
     if parameters is not None:
         try:
+            called = _method_to_call(tree, function)
             kind.asked_of(parameters, "", settings)
+            if called is not None:
+                kind.asked_of(called, "")
         except PlanError as error:
             return error.message
     return ""
@@ -103,6 +106,23 @@ def _parameters(tree: ast.Module, name: str) -> Optional[List[inspect.Parameter]
     if not isinstance(node, ast.FunctionDef) or not all(map(_is_ours, node.decorator_list)):
         return None
     return _listed(node, bound=False)
+
+
+def _method_to_call(tree: ast.Module, name: str) -> Optional[List[inspect.Parameter]]:
+    """The parameters of ``__call__`` of a class that :func:`_parameters` knows; None for a
+    function, or if the source does not show them for certain.
+
+    :raises PlanError: the class has no such method.
+    """
+    (node,) = (node for node in tree.body if getattr(node, "name", "") == name)
+    if not isinstance(node, ast.ClassDef):
+        return None
+    call = method_of(node, "__call__", tree)
+    if call is not None:
+        return _listed(call, bound=True)
+    if not node.bases and "__call__" not in ast.dump(node):
+        raise PlanError("the class has no method __call__")
+    return None
 
 
 def _is_ours(decorator: ast.expr) -> bool:
