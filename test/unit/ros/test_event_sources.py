@@ -348,7 +348,7 @@ def check(tmp_path, capsys, **event):
                 {"from": "Orders", "to": "take"},
             ],
         },
-        "actions": {"Work": None},
+        "actions": {"Work": {"server": "work"}},
         "resource_places": ["Orders"],
         "robots": {"robot_1": "Work"},
         "events": {"go": event},
