@@ -21,7 +21,7 @@ from gspn_framework_package.team.addressing import (
     robots_of_run,
     whom_to_order,
 )
-from gspn_framework_package.team.commands import ORDER_TIME
+from gspn_framework_package.team.commands import ADOPT_TIME, order_time
 from gspn_framework_package.team.seal import TeamKey
 
 
@@ -87,7 +87,7 @@ class OperatorClient:
     def __init__(self, key: Optional[TeamKey] = None) -> None:
         self._orders = TeamOrders(key)
         self.nodes = self._find()  # before rospy calls the master, which has no time limit
-        self._calls = ServiceCalls(deadline=ORDER_TIME + PATIENCE)
+        self._calls = ServiceCalls(deadline=ADOPT_TIME + PATIENCE)
         if not rospy.core.is_initialized():
             rospy.init_node(
                 "gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True
@@ -190,7 +190,7 @@ class OperatorClient:
         request = self._orders.request(asked["robot"], command, robot, argument, asked["run"])
         self._send(node, request, answers)
         try:
-            answer = answers.get(timeout=ORDER_TIME + PATIENCE)
+            answer = answers.get(timeout=order_time(command) + PATIENCE)
         except queue.Empty:
             raise ExecutionError("%s does not answer" % node.namespace) from None
         return answer.success, answer.message

@@ -20,9 +20,17 @@ ANSWER_TIME = 2.0
 ORDER_TIME = 5.0
 """Seconds that an operator's order waits to get into the log."""
 
+ADOPT_TIME = 20.0
+"""The same for an order to adopt a plan, which is checked first, in a process of its own."""
+
 
 NOBODY = Operator()
 """An operator of whom nothing is known."""
+
+
+def order_time(command: str) -> float:
+    """Seconds within which a robot answers an order."""
+    return ADOPT_TIME if command == "adopt" else ORDER_TIME
 
 
 def is_question(request: OperatorRequest) -> bool:
@@ -88,10 +96,11 @@ class Commands:
         """Give an order to the replica, and wait until it is in the log."""
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._worker.enqueue(self._worker.order, entry, results.put)
+        seconds = order_time("adopt" if isinstance(entry, log_entries.Adopt) else "")
         try:
-            result = results.get(timeout=ORDER_TIME)
+            result = results.get(timeout=seconds)
         except queue.Empty:
-            text = "not in the log after %g s; it may still get there (see status)" % ORDER_TIME
+            text = "not in the log after %g s; it may still get there (see status)" % seconds
             return OperatorAnswer(False, text)
         return OperatorAnswer(result.ok, result.text)
 

@@ -16,7 +16,7 @@ from gspn_framework_package.team.addressing import (
     whom_to_order,
 )
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.commands import ORDER_TIME
+from gspn_framework_package.team.commands import order_time
 from gspn_framework_package.team.message_filter import json_object
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
@@ -131,7 +131,7 @@ class ZenohOperator:
                 hint="use those of an operator",
             )
         request = {"command": command, "robot": robot, "argument": argument}
-        return self._ask(self._key(at, command), request, ORDER_TIME + PATIENCE).get(at)
+        return self._ask(self._key(at, command), request, order_time(command) + PATIENCE).get(at)
 
     def _key(self, at: RobotAddress, command: str) -> str:
         """Where a robot takes a question or an order."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Callable, Optional, Protocol, Set, Tuple
 
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.commands import ADOPT_TIME
 from gspn_framework_package.visualizer.live_comparison import Departures
 
 if TYPE_CHECKING:
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 ANSWER_TIME = 1.5
 """Seconds within which a robot must report the team's state."""
 
-ORDER_TIME = 6.0
-"""Time limit of an order in seconds; a robot allows 5 s for its entry into the log."""
+ORDER_TIME = ADOPT_TIME + 1.0
+"""Time limit of an order in seconds; a robot answers within the time of the longest."""
 
 
 class UnreachableError(Exception):
