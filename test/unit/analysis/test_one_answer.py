@@ -15,7 +15,7 @@ from gspn_framework_package.testing import Scenario
 
 @pytest.mark.long
 @settings(
-    max_examples=150,
+    max_examples=80,
     deadline=None,
     derandomize=True,
     phases=[Phase.generate],
@@ -66,7 +66,7 @@ SETTINGS = st.dictionaries(
 )
 
 
-@settings(max_examples=200, deadline=None, derandomize=True, phases=[Phase.generate])
+@settings(max_examples=100, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(
     name=st.sampled_from(
         ["nothing", "some", "needed", "any_of", "Kind", "Plain", "Asking", "missing"]
