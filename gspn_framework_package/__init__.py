@@ -16,6 +16,8 @@ The layers, inner to outer (an inner one never imports an outer one):
     the page, the simulated world, the command line.
 
 The inner four need no ROS.
+
+Also here: ``fleet``, ``making``, ``team``, ``testing``.
 """
 
 from pkgutil import extend_path

@@ -16,4 +16,7 @@ Behind it, each folder builds on those before it:
 
 All of them share ``limits`` (how far a search goes), ``watch`` (progress, cancelling), ``graph``
 (graph algorithms) and ``compiling`` (numba).
+
+Also here: ``arrays``, ``decisions``, ``executors``, ``fitting``, ``monitoring``, ``on_disk``,
+``quantiles``, ``sweeps``, ``symmetry``.
 """

@@ -1,1 +1,11 @@
-"""The command line: one module per verb, started by :mod:`gspn_framework_package.cli.main`."""
+"""The command line: one module per verb, started by :mod:`gspn_framework_package.cli.main`.
+
+Modules: ``against``, ``agent``, ``aims``, ``analyse``, ``analysis_text``, ``breakpoints``,
+``build``, ``check``, ``compare``, ``continued``, ``convert``, ``demo``, ``deploy``, ``diff``,
+``draw``, ``explain``, ``export``, ``film``, ``fit``, ``history``, ``interrupts``, ``keys``,
+``limits``, ``main``, ``mcp``, ``mcp_server``, ``mcp_tools``, ``memory``, ``modules``,
+``net_input``, ``new``, ``numbers``, ``on``, ``optimise``, ``orders``, ``plan_output``, ``plot``,
+``progress``, ``replay``, ``router``, ``run``, ``serve``, ``simulate``, ``simulated_runs``,
+``status``, ``subject``, ``submit``, ``sweep``, ``sweep_figure``, ``sweep_store``, ``table``,
+``team_client``, ``trust``, ``verify``, ``virtual_log``.
+"""

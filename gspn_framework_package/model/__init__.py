@@ -1,1 +1,7 @@
-"""The model: net, marking, policy, plan, errors. Immutable values, no I/O, no ROS."""
+"""The model: net, marking, policy, plan, errors. Immutable values, no I/O, no ROS.
+
+Modules: ``action``, ``builder``, ``capacity``, ``compact_json``, ``composition``, ``condition``,
+``constants``, ``data``, ``duration``, ``errors``, ``event``, ``expression``, ``kept``,
+``message_condition``, ``net``, ``plan``, ``plan_timing``, ``policy``, ``robot_colours``,
+``subnet``.
+"""

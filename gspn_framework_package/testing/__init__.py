@@ -17,6 +17,8 @@
 (['got_it'], True)
 
 ``docs/testing_plans.md`` has the whole.
+
+Modules: ``coverage``, ``scenario``.
 """
 
 from gspn_framework_package.testing.coverage import Coverage

@@ -2,4 +2,12 @@
 
 Each open net has one hub (:mod:`.hub`), which takes events from one source: the offline simulator,
 the standalone executor, the reader of recorded runs or the ROS subscriber. Browsers follow the hub.
+
+Modules: ``activity``, ``analysis_jobs``, ``analysis_worker``, ``app``, ``bag_replay``, ``board``,
+``connections``, ``deploying``, ``documents``, ``editing``, ``feedback``, ``fired_follower``,
+``fleet_page``, ``fleet_routes``, ``guard``, ``hub``, ``layout``, ``live_comparison``,
+``openapi``, ``optimise_form``, ``optimised``, ``page_orders``, ``project``, ``reasons``,
+``recording``, ``replay``, ``ros_node``, ``ros_prediction``, ``ros_watch``, ``run_marks``,
+``scene``, ``serving``, ``session``, ``simulation``, ``simulation_form``, ``standalone_run``,
+``submissions``, ``team_connection``, ``team_events``, ``team_watch``, ``zenoh_connection``.
 """

@@ -23,7 +23,7 @@ _MOST_ROBOTS = 10_000
 
 class FiredFields(NamedTuple):
     """A firing as a robot publishes it (see
-    :func:`~gspn_framework_package.team.carrier.firing_fields`); a
+    :func:`~gspn_framework_package.execution.team_messages.firing_fields`); a
     :class:`~gspn_framework_package.visualizer.fired_follower.FiredMessage`."""
 
     plan: str

@@ -14,4 +14,6 @@
     the world as a ROS node, and plan actions on it.
 ``camera``, ``recording``, ``film``, ``window``
     pictures of it.
+
+Also here: ``parameters``, ``parking``, ``people``, ``shop``, ``shop_node``.
 """

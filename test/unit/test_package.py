@@ -198,6 +198,75 @@ def test_the_layer_check_lets_inward_imports_pass(module, line):
     assert outward_imports(PACKAGE / module, line) == []
 
 
+@pytest.mark.parametrize(
+    "folder", sorted({path.parent for path in MODULES}), ids=lambda p: str(p.relative_to(ROOT))
+)
+def test_the_docstring_of_a_folder_names_what_is_in_it(folder):
+    said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8")))
+    there = {path.stem for path in folder.glob("*.py")} - {"__init__", "__main__"}
+    there |= {path.parent.name for path in folder.glob("*/__init__.py")}
+    assert there <= set(re.findall(r"``(\w+)``", said))
+
+
+REFERENCE = re.compile(r":(?:mod|class|func|meth|data|attr|exc):`~?([^`<]+)`")
+
+
+@lru_cache(maxsize=1)
+def defined():
+    """Module -> the names that it defines or imports, those in classes as CLASS.NAME too."""
+    found = {}
+    for path in MODULES:
+        names = found.setdefault(name_of(path), set())
+        owners = [("", ast.parse(path.read_text("utf-8")))]
+        while owners:
+            owner, tree = owners.pop()
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ClassDef) and node is not tree:
+                    owners.append((node.name + ".", node))
+                if isinstance(node, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+                    names.update({node.name, owner + node.name})
+                elif isinstance(node, (ast.Import, ast.ImportFrom)):
+                    names.update((a.asname or a.name).split(".")[0] for a in node.names)
+                elif isinstance(getattr(node, "ctx", None), ast.Store):
+                    name = getattr(node, "id", None) or getattr(node, "attr", "")
+                    names.update({name, owner + name})
+    return found
+
+
+def is_defined(reference, module):
+    """Whether a reference in a docstring of a module leads somewhere: relative to the module or its
+    package, absolute, by the end of a module's name after a dot, or to a class, whose name is
+    unique."""
+    known, name = defined(), reference.strip().rstrip("()").lstrip(".")
+    if name in known[module] or any(
+        name.split(".")[0][:1].isupper() and name in names for names in known.values()
+    ):
+        return True
+    parts = name.split(".")
+    for cut in range(1, len(parts) + 1):
+        begin, rest = ".".join(parts[:cut]), ".".join(parts[cut:])
+        package = module.rpartition(".")[0]
+        for other in (begin, package + "." + begin, module + "." + begin):
+            if other in known and (not rest or rest in known[other]):
+                return True
+        if reference.startswith("."):
+            ends = [m for m in known if m.endswith("." + begin)]
+            if any(not rest or rest in known[m] for m in ends):
+                return True
+    return False
+
+
+@pytest.mark.long
+def test_references_in_docstrings_lead_somewhere():
+    lost = [
+        "%s: %s" % (name_of(path), reference)
+        for path in MODULES
+        for reference in REFERENCE.findall(path.read_text("utf-8"))
+        if not is_defined(reference, name_of(path))
+    ]
+    assert lost == []
+
+
 @pytest.mark.long
 def test_no_two_classes_have_the_same_name():
     homes = {}

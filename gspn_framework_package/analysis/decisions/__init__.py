@@ -1,2 +1,7 @@
 """Policies that are computed: from a plan to its decision problem, the best policy for an aim with
-certified bounds, and back to a table in the plan's own format."""
+certified bounds, and back to a table in the plan's own format.
+
+Modules: ``aims``, ``automaton``, ``building``, ``decisions``, ``export``, ``grouping``,
+``optimise``, ``playing``, ``problem``, ``report``, ``rolling``, ``rollout``, ``run_net``,
+``safety``, ``solving``, ``who_decides``.
+"""

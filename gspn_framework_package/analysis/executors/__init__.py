@@ -2,6 +2,8 @@
 
 The result does not depend on it: work is cut into the same tasks everywhere, each task draws random
 numbers of its own, and whoever asked adds the results up in the order of the tasks.
+
+Modules: ``choosing``, ``dask_cluster``, ``executor``, ``processes``, ``remote``.
 """
 
 from gspn_framework_package.analysis.executors.choosing import FORMS, open_executor

@@ -1,4 +1,7 @@
-"""What runs teach about a plan: how long its actions take, and how they end."""
+"""What runs teach about a plan: how long its actions take, and how they end.
+
+Modules: ``durations``, ``learning``, ``testing``.
+"""
 
 from gspn_framework_package.analysis.fitting.durations import DurationFit, Sample, fit_duration
 from gspn_framework_package.analysis.fitting.learning import (

@@ -1,2 +1,6 @@
 """Predicted against observed: what a run of a plan will show, and the alarm when it shows something
-else."""
+else.
+
+Modules: ``choices``, ``comparison``, ``cusum``, ``hazard``, ``monitor``, ``playing``,
+``prediction``.
+"""

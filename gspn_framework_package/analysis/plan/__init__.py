@@ -1,1 +1,5 @@
-"""What a plan adds to its net: the policy, the robots' own behaviour, places that only count."""
+"""What a plan adds to its net: the policy, the robots' own behaviour, places that only count.
+
+Modules: ``completion``, ``markings``, ``phases``, ``reading``, ``rules``, ``run_rules``,
+``space``, ``structure``, ``subnets``, ``witness``.
+"""

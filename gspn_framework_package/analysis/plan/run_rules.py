@@ -137,7 +137,7 @@ class RunRules:
     :param plan: a validated plan.
     :param timing: its durations and outcomes.
     :param phases: whether durations get their phases. If not, each is exponential with its mean:
-        far fewer states, from which :meth:`expected_states` computes how many there would be.
+        far fewer states, from which :meth:`states_with_phases` computes how many there would be.
     :ivar net: the plan's net without the counters that nothing reads (``counters``).
     :ivar timing: number of each action place -> its timing, the same for every robot.
     :ivar begin: the states that a run begins in: pairs (state, probability).

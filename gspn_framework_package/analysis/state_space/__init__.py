@@ -1,5 +1,9 @@
 """The reachable markings of a net, the engines that find them, and the properties of their
-graph."""
+graph.
+
+Modules: ``coverability``, ``exploration``, ``marking_store``, ``numba_engine``, ``numpy_engine``,
+``packing``, ``properties``, ``rated_graph``, ``space``, ``sparse_engine``, ``window``.
+"""
 
 from gspn_framework_package.analysis.state_space.space import (
     ENGINES,

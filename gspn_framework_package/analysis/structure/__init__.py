@@ -1,1 +1,4 @@
-"""Structural properties of a net: invariants, siphons, traps, classes, conflicts."""
+"""Structural properties of a net: invariants, siphons, traps, classes, conflicts.
+
+Modules: ``incidence``, ``invariants``, ``net_structure``, ``siphons``.
+"""

@@ -1,1 +1,4 @@
-"""Sweeps: the measures of a net or plan for a grid of variations."""
+"""Sweeps: the measures of a net or plan for a grid of variations.
+
+Modules: ``sweep``, ``variation``.
+"""

@@ -36,4 +36,6 @@ part's module says what it owns and whom it calls:
 - ``local_robot``: goals, local transitions; ``orders``: operators' orders; ``status``: answers for
   people;
 - ``quorum``, ``peers``, ``recent_slots``, ``local_transitions``: the building blocks of these.
+
+Also here: ``deployment``, ``reactions``.
 """

@@ -2,6 +2,8 @@
 
 :func:`verify` uses only the logs. It checks the invariants of ``docs/agreement.md`` and the
 protocol's own rules, and shares no code with the token game or the protocol.
+
+Modules: ``cargo``, ``logged_team``, ``merge``, ``robots``, ``slot_check``, ``stages``, ``votes``.
 """
 
 from __future__ import annotations

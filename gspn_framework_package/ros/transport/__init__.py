@@ -63,4 +63,6 @@ that it is no longer needed. To remove a module, put rospy's own code back and r
     ``set()``; roslaunch and ``gspn_team`` send two signals at once.
     *Touches:* nothing in rospy: the nodes run with ``disable_signals=True``.
     *No longer needed when* ``test/unit/ros/test_ending.py`` passes with ``threading.Event``.
+
+Also here: ``service_call``.
 """

@@ -1,4 +1,8 @@
-"""Numeric methods for the decision problem of a plan. Each returns certified bounds."""
+"""Numeric methods for the decision problem of a plan. Each returns certified bounds.
+
+Modules: ``constraints``, ``evaluation``, ``fixed_point``, ``graphs``, ``layers``, ``model``,
+``numba_sweeps``, ``optima``, ``robustness``, ``sensitivity``.
+"""
 
 from gspn_framework_package.analysis.decisions.solving.constraints import Constrained, constrained
 from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate, follow
