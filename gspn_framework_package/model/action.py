@@ -51,8 +51,8 @@ class ServerAction(NamedTuple):
     An ``ExecGSPNAction`` names its transition itself. For any other type, ``goal`` holds the goal's
     fields (nested maps, which may refer to data), and ``outcomes`` maps an outcome (``succeeded``,
     ``aborted``, ``rejected``, ``preempted``) to a transition; "" lets the policy decide. An outcome
-    that is not listed is a failure, except that an unlisted success lets the policy decide. ``keep`` maps names of data to fields of the result
-    (``error.code``) that are written to them.
+    that is not listed is a failure, except that an unlisted success lets the policy decide.
+    ``keep`` maps names of data to fields of the result (``error.code``) that are written to them.
     """
 
     type: str
