@@ -513,8 +513,9 @@ class Scenario:
             )
 
         def observe() -> None:
+            if robot:
+                self._robot(robot)
             for name in [robot] if robot else [r.name for r in self._team]:
-                self._robot(name)
                 self._watch(name).observe(transition, holds, cause)
                 self._look(name)
 
@@ -531,8 +532,8 @@ class Scenario:
             self._run.order(event)
 
     def _visit(self, name: str) -> Optional[Visit]:
-        robot = self._robot(name)
-        if robot.phase.gone:
+        robot = self._run.state.robots.get(name)
+        if robot is None or robot.phase.gone:  # what moved another one may have ended this one
             return None
         return Visit(self._name(robot), robot.incarnation, robot.visit)
 

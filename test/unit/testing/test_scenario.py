@@ -336,3 +336,29 @@ def test_coverage_is_counted_over_runs() -> None:
     run.order(log_entries.Fire("key"), at=1.0)
     assert run.to_end().finished
     coverage.check()
+
+
+def test_an_event_to_all_may_end_another_agent():
+    net = (
+        NetBuilder("two")
+        .place("a", tokens=1)
+        .place("b")
+        .place("c", tokens=1)
+        .place("rung")
+        .exponential("bell", inputs="a", outputs=["b", "rung"])
+        .immediate("end", inputs=["c", "rung"], outputs=[])
+        .build()
+    )
+    plan = Plan(
+        net,
+        actions={"a": FunctionAction("actions.work", "work"), "b": None, "c": None},
+        robots=(RobotSpec("r1", "a"), RobotSpec("r2", "c")),
+        events={"bell": EventSource("bell", "std_msgs/Empty")},
+        resource_places=frozenset(["rung"]),
+    ).validate()
+    with Scenario(plan) as scenario:
+        scenario.action("a", seconds=math.inf)
+        scenario.event("bell", at=1.0)
+        scenario.advance(2.0)
+        assert scenario.fired == ["bell", "end"]
+        assert scenario.marking == {"b": 1}
