@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
+import numpy as np
+
+from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FailureKind, Plan
@@ -182,6 +185,17 @@ def find_cycle(net: Net, transitions: List[int]) -> List[str]:
                 way.append((q, through))
                 left.append(list(leaving[q]))
     return []
+
+
+def places_in_cycles(net: Net, transitions: List[int]) -> Set[int]:
+    """Numbers of the places that lie on a cycle of places and ``transitions``."""
+    pairs = {(p, q) for t in transitions for p, _ in net.inputs[t] for q, _ in net.outputs[t]}
+    if not pairs:
+        return set()
+    sources, targets = np.array(sorted(pairs)).T
+    of = components(len(net.places), sources, targets).of
+    size = np.bincount(of)
+    return {p for p in range(len(net.places)) if size[of[p]] > 1 or (p, p) in pairs}
 
 
 class PolicyCover:

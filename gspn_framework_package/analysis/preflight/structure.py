@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.plan.structure import (
     fires_alone,
     idle_places,
     only_written,
+    places_in_cycles,
     predicted_timeless,
     robot_flows,
     terminal_places,
@@ -113,22 +114,16 @@ class StructureChecks:
 
     def _look_at_predictions(self) -> None:
         """Warn of a cycle that takes time in a run but none in a prediction."""
-        cycle = find_cycle(self.net, predicted_timeless(self.plan))
         idle = idle_places(self.plan, everybody=True)
-        acting = [
-            node
-            for node in dict.fromkeys(cycle)
-            if node in self.plan.action_places and self.net.place_number(node) not in idle
-        ]
+        cyclic = places_in_cycles(self.net, predicted_timeless(self.plan)) - idle
+        acting = [p for p in self.plan.action_places if self.net.place_number(p) in cyclic]
         if acting:
             self._list.add(
-                "durations",
+                "predictions",
                 Severity.WARNING,
-                "by the plan, the actions of %s take no time, and robots may go round without any "
-                "(%s): a run takes the time that the actions take, but the simulation and the "
-                "analysis may refuse the plan; give these places 'durations'"
-                % (names(acting), " -> ".join(cycle)),
-                cycle=cycle,
+                "by the plan, the actions of %s take no time, and robots may go round there "
+                "without any: a run takes the time that the actions take, but the simulation and "
+                "the analysis may refuse the plan; give these places 'durations'" % names(acting),
                 places=acting,
             )
 

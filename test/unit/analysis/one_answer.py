@@ -108,7 +108,7 @@ def _answers(plan, folder, told):
     _unstuck(plan, report, runs, decided, told)
     _never(plan, report, runs, decided)
     short = max(0.01, min(run.now for run, _ in runs))  # agents may multiply
-    foreseen = cycle or any(i.details.get("cycle") for i in report.of("durations"))
+    foreseen = cycle or bool(report.of("predictions"))
     told["predictions may be refused"] += foreseen and not cycle
     _simulated(plan, short, report, decided, foreseen, told)
     _analysed(plan, decided, foreseen, told)

@@ -433,15 +433,17 @@ def test_servers_of_transitions_and_places_that_decide():
 def test_what_a_prediction_takes_for_a_cycle_without_time():
     builder = NetBuilder("round").place("a", tokens=1).place("b")
     builder.immediate("on", inputs="a", outputs="b").immediate("back", inputs="b", outputs="a")
-    plan = make_plan(builder)
+    builder.place("c", tokens=1).immediate("stay", inputs="c", outputs="c", inhibitors={"a": 1})
+    plan = make_plan(builder, idle=["c"])  # the cycle of c is another matter
     report = check(plan)
-    (item,) = report.of("durations")
+    (item,) = report.of("predictions")
     assert (item.severity, item.details["places"]) == (Severity.WARNING, ["a", "b"])
-    assert not report.refused  # a run takes the time that the actions take
+    plan = replace(plan, actions={**plan.actions, "c": DO})
+    assert not check(plan).refused  # a run takes the time that the actions take
     with pytest.raises(RefusedError, match="without time"):
         simulate(plan, time=1.0, replications=1)
-    timed = replace(plan, durations={"b": Duration.exponential(1.0)})
-    assert not check(timed).of("durations")
+    timed = replace(plan, durations={p: Duration.exponential(1.0) for p in "bc"})
+    assert not check(timed).of("predictions")
     assert simulate(timed, time=1.0, replications=1).time == 1.0
 
 
