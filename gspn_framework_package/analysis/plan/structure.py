@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
-import numpy as np
-
-from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FailureKind, Plan
@@ -190,8 +187,18 @@ def find_cycle(net: Net, transitions: List[int]) -> List[str]:
 def places_in_cycles(net: Net, transitions: List[int]) -> Set[int]:
     """Numbers of the places that lie on a cycle of places and ``transitions``."""
     pairs = {(p, q) for t in transitions for p, _ in net.inputs[t] for q, _ in net.outputs[t]}
+    while True:  # an arc that leads nowhere, or to whose begin nothing leads, is on no cycle
+        begins, reached = {p for p, _ in pairs}, {q for _, q in pairs}
+        on_none = {(p, q) for p, q in pairs if p not in reached or q not in begins}
+        if not on_none:
+            break
+        pairs -= on_none
     if not pairs:
         return set()
+    import numpy as np  # most checks do without
+
+    from gspn_framework_package.analysis.graph import components
+
     sources, targets = np.array(sorted(pairs)).T
     of = components(len(net.places), sources, targets).of
     size = np.bincount(of)
