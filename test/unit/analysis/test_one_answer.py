@@ -15,7 +15,7 @@ from gspn_framework_package.testing import Scenario
 
 @pytest.mark.long
 @settings(
-    max_examples=80,
+    max_examples=50,
     deadline=None,
     derandomize=True,
     phases=[Phase.generate],
