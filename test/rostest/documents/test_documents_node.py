@@ -28,9 +28,9 @@ PACKAGE = "gspn_framework_package"
 WITHOUT_END = ("rostopic echo", "rostopic hz")
 """They print until they are stopped: what counts is that they print."""
 
-ORDERS_TRIED_ELSEWHERE = ("evict", "force-evict", "leave", "stop")
-"""They would end the team that the other commands need: test/rostest/services and faults try
-them."""
+ORDERS_TRIED_ELSEWHERE = ("deploy", "evict", "force-evict", "leave", "retry", "stop")
+"""They would end the team that the other commands need, or need a robot that failed, or a plan of
+one's own: test/rostest/deploy, services, failures and faults try them."""
 
 
 class Documents(unittest.TestCase):
@@ -80,6 +80,7 @@ class Documents(unittest.TestCase):
             if command.words[3] not in ORDERS_TRIED_ELSEWHERE:
                 with self.subTest(str(command)):
                     self.run_to_the_end(command.line)
+        self.run_to_the_end("rosrun %s gspn resume" % PACKAGE)  # one of them pauses the team
 
     def test_launch_files(self):
         """Their nodes are named, which evaluates every argument and every included file."""

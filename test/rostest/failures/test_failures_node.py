@@ -207,7 +207,7 @@ class FailuresTest(RobotTestCase):
         wide = chain(["P1", "P2"])
         wide["arcs"][1]["weight"] = 2
         for change, code, message in (
-            ({"actions": {"P1": "actions.no_such_function", "P2": None}}, 2, "no_such_function"),
+            ({"actions": {"P1": "actions.no_such_function", "P2": None}}, 1, "no_such_function"),
             ({"robots": {"robot_2": "P1"}}, 2, "no robot 'robot_1'"),
             ({"robots": {"robot_1": "P9"}}, 2, "P9"),
             ({"net": wide}, 1, "robots cannot be created or destroyed"),

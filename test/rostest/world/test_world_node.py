@@ -152,11 +152,14 @@ class TestWorld(unittest.TestCase):
         odometry.wait(lambda m: m.twist.twist.angular.z == 0.0)
 
     def test_6_the_team_is_shown_in_the_map_and_its_net_as_a_picture(self):
+        def frames(found):
+            return {m.header.frame_id for m in found.markers if m.ns == "robots"}
+
+        # it shows a robot as soon as it hears it
         drawn = Latest("/gspn_markers", MarkerArray).wait(
-            lambda found: {"goals", "robots"} <= {marker.ns for marker in found.markers}
+            lambda found: len(frames(found)) == 2 and "goals" in {m.ns for m in found.markers}
         )
-        frames = {m.header.frame_id for m in drawn.markers if m.ns == "robots"}
-        self.assertEqual(frames, {"robot_1/base_footprint", "robot_2/base_footprint"})
+        self.assertEqual(frames(drawn), {"robot_1/base_footprint", "robot_2/base_footprint"})
         places = [m for m in drawn.markers if m.ns == "places"]
         self.assertEqual([m.header.frame_id for m in places], ["map"] * 4)
         self.assertEqual({m.action for m in drawn.markers}, {Marker.ADD})
