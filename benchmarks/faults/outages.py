@@ -6,7 +6,7 @@ once, after which every log is cut somewhere behind what had been synced. In tur
 
 - the team rests, and ends in order: it goes on where it was;
 - the team rests, its logs are synced, and the power fails: it goes on where it was;
-- the power fails while it works: what was synced is there, and it goes on;
+- the power fails while it works: it goes on from what was synced;
 - the power fails, and one machine stays off: the others wait and say so, until the operator has
   them go on; then the last one comes back.
 """
@@ -18,16 +18,22 @@ import os
 import random
 import signal
 from collections import Counter
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
 
 from agreement.world import changes_members
 from benchmarks.faults.team import LaunchedTeam, require
 from benchmarks.log_tail import LogTail
-from gspn_framework_package.execution.event_log import BOOT_ID, read_log
+from gspn_framework_package.execution.event_log import BOOT_ID, EventLog, read_log
+from gspn_framework_package.execution.verifier.merge import Merged
+from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError
+from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Synchronisation
 
 MOVES = 3
 """Moves of each robot that show that the team goes on."""
+
+Position = Tuple[int, str]
+"""The number of a slot, and its hash, which covers all slots up to it."""
 
 
 class Outages:
@@ -153,14 +159,11 @@ class Outages:
         team.wait_until(lambda: team.order("resume", ""), "the team to resume")
         team.wait_for_moves(team.first, MOVES)
 
-    def _goes_on(self, kept: Dict[str, str], robots: Sequence[str] = ()) -> None:
-        """Check that robots go on, and that the logs hold every slot that was synced."""
-        self.team.wait_for_moves(robots or self.team.first, MOVES)
-        for name in robots or self.team.first:
-            log = read_log(self.team.log_file(name))
-            held = {r["hash"] for r in log.records if r["kind"] == "slot"}
-            for other, last in kept.items():
-                require(last in held, "%s lacks a slot that %s had synced" % (name, other))
+    def _goes_on(self, kept: Mapping[str, Position], robots: Sequence[str] = ()) -> None:
+        """Check that robots go on, and from every slot that was synced."""
+        robots = robots or self.team.first
+        self.team.wait_for_moves(robots, MOVES)
+        check_kept([read_log(self.team.log_file(name)) for name in robots], kept)
 
     def _signal_all(self, number: int) -> None:
         for name in self.team.first:
@@ -173,13 +176,13 @@ class Outages:
         for name in names:
             self.team.start(name)
 
-    def _fail(self) -> Dict[str, str]:
-        """The power fails; returns the hash of the last slot that each robot had synced."""
+    def _fail(self) -> Dict[str, Position]:
+        """The power fails; returns the last slot that each robot had synced, if any."""
         self._signal_all(signal.SIGKILL)
-        return {name: last for name in self.team.first for last in [self._lose_end(name)] if last}
+        return {name: last for name in self.team.first for last in self._lose_end(name)}
 
-    def _lose_end(self, name: str) -> str:
-        """Cut a log somewhere behind what was synced; returns the hash of the last synced slot."""
+    def _lose_end(self, name: str) -> List[Position]:
+        """Cut a log somewhere behind what was synced; returns the last synced slot, if any."""
         path = self.team.log_file(name)
         with open(path, "rb+") as file:
             data = file.read()
@@ -187,7 +190,27 @@ class Outages:
             file.truncate(self._random.choice([synced, self._random.randint(synced, len(data))]))
         self.team.logs[name] = LogTail(path)
         kept = [json.loads(line) for line in data[:synced].splitlines()]
-        return next((str(r["hash"]) for r in reversed(kept) if r["kind"] == "slot"), "")
+        return [(r["slot"], r["hash"]) for r in kept if r["kind"] == "slot"][-1:]
+
+
+def check_kept(logs: Sequence[EventLog], kept: Mapping[str, Position]) -> None:
+    """Check that logs go on from slots that were synced before an outage. A log holds a slot itself
+    or, where its robot was behind and took a snapshot, a later point of the same hash chain.
+
+    :param kept: robot -> the slot that it had synced.
+    :raises ExecutionError: a log ends before such a slot, or the logs have another one or none in
+        its place, or contradict each other.
+    """
+    try:
+        agreed = Merged(logs).slots
+    except BrokenRuleError as error:
+        raise ExecutionError("rule %d: %s" % (error.rule, error.text)) from None
+    for other, (slot, last) in kept.items():
+        what = "slot %d, which %s had synced" % (slot, other)
+        require(slot in agreed and agreed[slot]["hash"] == last, "the logs lack " + what)
+        for log in logs:
+            ends = [r["slot"] for r in log.records if r["kind"] in ("slot", "snapshot")]
+            require(ends[-1:] >= [slot], "%s lacks %s" % (log.robot, what))
 
 
 ALWAYS_SYNCED = ("header", "life", "outage", "reset", "peer", "forced", "closed")
