@@ -62,7 +62,7 @@ class Outages:
         os.environ[BOOT_ID] = "boot %d of %d" % (self._boots, os.getpid())
 
     def run(self) -> None:
-        """Restart the machines.
+        """Restart the machines, then wait until the team is at rest.
 
         :raises ExecutionError: the team does not go on, or lacks what was synced.
         """
@@ -75,6 +75,7 @@ class Outages:
                 what = step()
                 self._tell(what)
                 self.injected[what] += 1
+        self.team.rest()
         del os.environ[BOOT_ID]
 
     # -- what happens ------------------------------------------------------------------------------

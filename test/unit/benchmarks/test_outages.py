@@ -10,8 +10,9 @@ from agreement.plans import make_plan
 from agreement.world import World
 from benchmarks.faults import outages
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits
-from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.event_log import BOOT_ID, EventLog
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import Synchronisation
 
 
 def slots(log: EventLog) -> List[outages.Position]:
@@ -62,3 +63,24 @@ def test_a_synced_slot_that_is_lost_is_found(after_outage: Any) -> None:
     cut = EventLog("", logs[1].header, before)
     with pytest.raises(ExecutionError, match="%s lacks slot %d" % (cut.robot, slot)):
         outages.check_kept([logs[0], cut, logs[2]], {"r1": (slot, last)})
+
+
+def test_the_team_is_at_rest_when_it_is_verified(monkeypatch: Any) -> None:
+    done: List[str] = []
+
+    class Team:
+        first = ("r1", "r2")
+
+        def __init__(self, *_: Any) -> None:
+            pass
+
+        def wait_for_moves(self, *_: Any) -> None:
+            done.append("moves")
+
+        def rest(self) -> None:
+            done.append("rest")
+
+    monkeypatch.setattr(outages, "LaunchedTeam", Team)
+    monkeypatch.setenv(BOOT_ID, "")
+    outages.Outages(2, Synchronisation.FULL, 0, 1, print).run()
+    assert done == ["moves", "rest"]
