@@ -148,7 +148,7 @@ def test_new_plans_are_written_where_that_is_allowed(plans):
     drafted = call(tools, "draft_plan", document=document, output="drafted")
     assert drafted["check"]["accepted"], drafted
     assert call(tools, "check", plan="drafted")["accepted"]
-    assert "there already" in refused(tools, "draft_plan", document=document, output="drafted")
+    assert "already exists" in refused(tools, "draft_plan", document=document, output="drafted")
     for path in ("../drafted", "way_out/drafted", "..", "/tmp/drafted", ".hidden", "no/such/dir"):
         assert refused(tools, "draft_plan", document=document, output=path)
     call(tools, "optimise", plan="rendezvous", reward=["Fetched=1"], output="rendezvous/best.json")
