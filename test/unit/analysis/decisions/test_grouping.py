@@ -122,7 +122,7 @@ def check_generated(plan, reading, names):
         assume(decisions.deciders)
         found, asked = solved(decisions, objective)
         grouped = group(team, found, *asked)
-        policy = policy_of(plan, grouped.decided)
+        policy = plan.policy if grouped.kept else policy_of(plan, grouped.decided)
         measures = Analysis(plan.with_policy(policy), timing=reading).measures
     except (RefusedError, LimitError):
         assume(False)
@@ -159,7 +159,7 @@ def check_passage(plan, reading, place, aim):
         assume(decisions.deciders)
         found, asked = solved(decisions, objective)
         grouped = group(team, found, *asked)
-        policy = policy_of(plan, grouped.decided)
+        policy = plan.policy if grouped.kept else policy_of(plan, grouped.decided)
         passage = Analysis(plan.with_policy(policy), timing=reading).first_passage(goal)
     except (RefusedError, LimitError):
         assume(False)
