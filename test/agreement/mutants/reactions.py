@@ -334,7 +334,7 @@ MUTANTS: List[Mutant] = [
         "a robot that forgot its log drops tasks that came by a plan that it has yet to learn",
         _drops_tasks_of_later_plans,
         kinds=("deploy-stand-in",),
-        seeds=("111028062:3:full:deploy-stand-in",),
+        # not found by its old schedule: a second process of a name waits now
     ),
     *(
         _reacting(
