@@ -96,7 +96,7 @@ class Commands:
         """Give an order to the replica, and wait until it is in the log."""
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._worker.enqueue(self._worker.order, entry, results.put)
-        seconds = order_time("adopt" if isinstance(entry, log_entries.Adopt) else "")
+        seconds = ADOPT_TIME if isinstance(entry, log_entries.Adopt) else ORDER_TIME
         try:
             result = results.get(timeout=seconds)
         except queue.Empty:
