@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from typing import Any, List, Mapping, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.errors import closest
 
 _TYPES = {
     "object": "an object",
@@ -62,10 +63,7 @@ class SchemaWords:
         if not isinstance(value, dict) or "properties" not in form:
             return 0.1
         known = list(form["properties"])
-        return sum(
-            1.0 if key in known else 0.5 if difflib.get_close_matches(key, known, 1) else 0.0
-            for key in value
-        )
+        return sum(1.0 if key in known else 0.5 if closest(key, known) else 0.0 for key in value)
 
     def message(self, error: Any) -> Tuple[str, Optional[str]]:
         """Return what is wrong, and a hint."""
@@ -133,5 +131,5 @@ def _shown(value: Any) -> str:
 
 
 def _meant(word: Any, known: Sequence[Any]) -> str:
-    close = difflib.get_close_matches(str(word), [str(one) for one in known], 1)
-    return "did you mean '%s'? " % close[0] if close else ""
+    meant = closest(word, known)
+    return "did you mean '%s'? " % meant if meant else ""

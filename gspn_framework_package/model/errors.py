@@ -8,7 +8,7 @@ is "no" or a plan must not run, 2 when the input or the usage is wrong.
 from __future__ import annotations
 
 import sys
-from typing import Optional
+from typing import Iterable, Optional
 
 
 class GspnError(Exception):
@@ -140,3 +140,11 @@ def missing_library(error: ModuleNotFoundError) -> str:
         "Install it, or use the Python that ./run_demo prepares in a checkout: "
         ".workspace/venv/bin/python3"
     ) % (sys.executable, error.name)
+
+
+def closest(word: object, known: Iterable[object]) -> str:
+    """Return the known word that was probably meant; "" if none is close."""
+    import difflib  # only where something is wrong
+
+    close = difflib.get_close_matches(str(word), [str(one) for one in known], 1)
+    return close[0] if close else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import glob
 import io
 import math
@@ -16,7 +15,7 @@ import roslib.message
 import rospy
 
 from gspn_framework_package.model.data import is_reference
-from gspn_framework_package.model.errors import ExpressionError, PlanError
+from gspn_framework_package.model.errors import ExpressionError, PlanError, closest
 from gspn_framework_package.model.message_condition import MessageCondition, field_name
 
 Path = Tuple[Union[str, int], ...]
@@ -83,10 +82,10 @@ def _unknown(owner: Any, fields: Mapping[str, Any], path: str = "") -> str:
     types = dict(zip(owner.__slots__, getattr(owner, "_slot_types", ())))
     for name, value in fields.items():
         if name not in types:
-            close = difflib.get_close_matches(str(name), list(types), 1)
+            meant = closest(name, types)
             hint = (
-                "did you mean '%s%s'?" % (path, close[0])
-                if close
+                "did you mean '%s%s'?" % (path, meant)
+                if meant
                 else "it has %s" % (", ".join(types) or "no fields")
             )
             return "there is no field '%s%s'; %s" % (path, name, hint)

@@ -6,7 +6,6 @@ plans/patrol/critical_room.yaml.
 
 from __future__ import annotations
 
-import difflib
 import math
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
@@ -15,7 +14,7 @@ import jsonschema
 
 from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.errors import InputError, closest
 from gspn_framework_package.world.room import (
     Area,
     Box,
@@ -187,8 +186,8 @@ def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
         known = list(problem.schema["properties"])
         key = next(name for name in problem.instance if name not in known)
         message = "there is no key '%s' here" % key
-        close = difflib.get_close_matches(str(key), known, 1)
-        hint = "did you mean '%s'?" % close[0] if close else "the keys are %s" % ", ".join(known)
+        meant = closest(key, known)
+        hint = "did you mean '%s'?" % meant if meant else "the keys are %s" % ", ".join(known)
     elif problem.validator == "required":
         missing = next(name for name in rule if name not in problem.instance)
         message = "the key '%s' is missing" % missing
