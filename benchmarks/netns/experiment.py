@@ -13,13 +13,13 @@ from benchmarks.netns.gateways import Gateways
 from benchmarks.netns.logs import AgreedHistory, check_history
 from benchmarks.netns.network import Network
 from benchmarks.netns.rules import Cuts, one_way, partition
-from benchmarks.netns.team import MASTER, TEAMS, NamespaceTeam
+from benchmarks.netns.team import MASTER, TEAMS, WORK_MODULE, NamespaceTeam
 from benchmarks.plans import tokens_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan, Synchronisation, Timing
 
-WORK = "benchmarks.netns.work.work"
+WORK = WORK_MODULE + ".work"
 
 SETTLE = 0.5
 """Seconds after a cut in which pending records may still be written."""

@@ -14,7 +14,7 @@ from benchmarks.log_tail import LogTail
 from benchmarks.netns.network import Network, inside
 from gspn_framework_package.model.errors import ExecutionError
 
-ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
+ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
 
 LAST_WORDS = 5.0
 """Seconds that a program has to end when it is asked to."""

@@ -28,6 +28,9 @@ ROS_MASTER = ("rosmaster", "--core", "-p", str(MASTER_PORT))
 ROUTER_PORT = 7447
 RUN = "lab"
 OPERATOR = "ann"
+WORK_MODULE = "benchmarks.netns.work"
+"""Where the functions of the robots' actions are."""
+
 _PACKAGE = "gspn_framework_package"
 NODE = """
 from gspn_framework_package.ros import node_main
@@ -131,8 +134,8 @@ class MasterTeam(NamespaceTeam):
 
     def start_robot(self, robot: str) -> None:
         """See :class:`NamespaceTeam`."""
-        told = {"plan": self._folder, "robot": robot, "run": RUN, "log_dir": self._folder}
-        words = node_words(robot, told)
+        parameters = {"plan": self._folder, "robot": robot, "run": RUN, "log_dir": self._folder}
+        words = node_words(robot, {**parameters, "modules": WORK_MODULE})
         self.programs.start(robot, words, "", self.environment(robot))
 
     def order(self, robot: str, command: str) -> str:
@@ -193,8 +196,9 @@ class RouterTeam(NamespaceTeam):
 
     def start_robot(self, robot: str) -> None:
         """See :class:`NamespaceTeam`."""
-        words = ["agent", self._folder, "--robot", robot, "--run", RUN, "--log"]
-        self.programs.start(robot, [*GSPN, *words, self.logs[robot].path, *self._way(robot)])
+        words = ["agent", self._folder, "--robot", robot, "--run", RUN, "--modules", WORK_MODULE]
+        log = ["--log", self.logs[robot].path]
+        self.programs.start(robot, [*GSPN, *words, *log, *self._way(robot)])
 
     def order(self, robot: str, command: str) -> str:
         """See :class:`NamespaceTeam`; the operator is where the router is."""

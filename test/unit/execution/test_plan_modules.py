@@ -47,7 +47,7 @@ def folder(tmp_path):
     (inside / "plan.json").write_text(json.dumps(plan_of("actions.go")))
     (inside / "actions.py").write_text(
         "import functools\nimport subprocess\nfrom subprocess import getoutput\n"
-        "from {} import mine\nfrom gspn_framework_package.world import parking\n"
+        "from {} import mine\nfrom gspn_framework_package.world import room\n"
         "made = functools.partial(subprocess.getoutput, 'true')\n"
         "def go():\n    pass\nclass Act:\n    def __call__(self):\n        pass\n"
         "part = functools.partial(go)\n".format(inner)
