@@ -277,16 +277,45 @@ def test_no_two_classes_have_the_same_name():
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
 
 
+def cycles(imported):
+    """Return those that import themselves, in one or more steps. ``imported``: of each."""
+    reached = {name: set(names) for name, names in imported.items()}
+    for between in imported:  # Warshall's algorithm
+        for name in imported:
+            if between in reached[name]:
+                reached[name] |= reached[between]
+    return [name for name in imported if name in reached[name]]
+
+
 @pytest.mark.long
 def test_no_two_modules_import_each_other():
     modules = {name_of(path): path for path in MODULES if path.name != "__init__.py"}
     imported = {name: modules.keys() & set(imports_of(path)) for name, path in modules.items()}
-    reached = {name: set(names) for name, names in imported.items()}
-    for between in modules:  # Warshall's algorithm
-        for name in modules:
-            if between in reached[name]:
-                reached[name] |= reached[between]
-    assert [name for name in modules if name in reached[name]] == []
+    assert cycles(imported) == []
+
+
+PAGE = PACKAGE / "visualizer" / "static" / "js"
+SCRIPTS_OF_THE_PAGE = sorted(PAGE.rglob("*.js"))
+
+
+def test_no_two_scripts_of_the_page_import_each_other():
+    imports = re.compile(r"""^(?:import|export)\b[^;]*?["'](\.[^"']+)["'];""", re.MULTILINE)
+    imported = {
+        path: {(path.parent / name).resolve() for name in imports.findall(path.read_text("utf-8"))}
+        for path in SCRIPTS_OF_THE_PAGE
+    }
+    assert imported[PAGE / "edit" / "plan_panel.js"] == {
+        PAGE / "edit" / "property_panel.js",
+        PAGE / "edit" / "schema_form.js",
+    }
+    assert cycles(imported) == []
+
+
+def test_the_page_preloads_each_of_its_scripts():
+    text = (PACKAGE / "visualizer" / "static" / "index.html").read_text("utf-8")
+    preloaded = re.findall(r'<link rel="modulepreload" href="/static/js/([^"]+)">', text)
+    there = [path.relative_to(PAGE).as_posix() for path in SCRIPTS_OF_THE_PAGE]
+    assert sorted(preloaded) == sorted(set(there) - {"main.js"})
 
 
 def test_every_folder_of_the_package_is_a_layer():

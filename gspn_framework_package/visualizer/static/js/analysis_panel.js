@@ -1,7 +1,8 @@
 // The analysis panel: sends questions to the server, shows the progress, and highlights the results on the net.
 
 import { $, h, number, plural, toast } from "./dom.js";
-import { AnswerViews } from "./analysis_views.js";
+import { AnswerPieces } from "./answer_pieces.js";
+import { answersTo } from "./answers.js";
 import { BackgroundJob } from "./jobs.js";
 import { sweepFields, sweepOf } from "./sweep.js";
 
@@ -36,7 +37,7 @@ export class AnalysisPanel extends EventTarget {
     this.stageFrom = stageFrom;
     this.refusal = refusal;
     this.panel = $("analysis");
-    this.views = new AnswerViews(model, view, (detail) =>
+    this.pieces = new AnswerPieces(model, view, (detail) =>
       this.dispatchEvent(new CustomEvent("choose", { detail })),
     );
     this.build();
@@ -263,7 +264,7 @@ export class AnalysisPanel extends EventTarget {
       toast("an analysis is running: wait, or cancel it", true);
       return;
     }
-    this.views.unpaint();
+    this.pieces.unpaint();
     this.shownText = "";
     this.asked = h("p", { class: "asked" }, h("strong", { text: label }));
     this.answers.replaceChildren(this.asked);
@@ -329,7 +330,8 @@ export class AnalysisPanel extends EventTarget {
     const text = JSON.stringify(result);
     if (text === this.shownText) return;
     this.shownText = text;
-    this.answers.replaceChildren(this.asked, ...this.views.all(result, request, body, stage));
+    this.pieces.stage = stage;
+    this.answers.replaceChildren(this.asked, ...answersTo(this.pieces, result, request, body));
   }
 
   close() {

@@ -151,6 +151,9 @@ export function seconds(t) {
     : `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
 }
 
+/** The time of day of a Date. */
+export const clock = (time) => time.toLocaleTimeString([], { hour12: false });
+
 /** A word with "a" or "an" before it. */
 export const withArticle = (word) => `${/^[aeiou]/i.test(word) ? "an" : "a"} ${word}`;
 

@@ -1,6 +1,6 @@
 // The page: opens a net, follows its hub, and keeps all views on the same board.
 
-import { $, h, ask, attempt, announce, announceNow, plural, seconds } from "./dom.js";
+import { $, h, ask, attempt, announce, clock } from "./dom.js";
 import { get, post, NewsStream } from "./api.js";
 import { Model } from "./model.js";
 import { NetView } from "./net_view.js";
@@ -16,10 +16,13 @@ import { Room } from "./room.js";
 import { TABS, bindKeys, showHelp } from "./keys.js";
 import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
+import { login } from "./login.js";
 import { HISTORY, hideHistory, showHistory } from "./fleet_history.js";
 import { setPalette } from "./colours.js";
-import { alarming, setPhases } from "./phases.js";
-import { notice, closeNotice } from "./notice.js";
+import { Alarms } from "./alarms.js";
+import { Connection } from "./connection.js";
+import { setPhases } from "./phases.js";
+import { closeNotice } from "./notice.js";
 import { Orders, ONLY_LOOK } from "./orders.js";
 import { Editor } from "./edit/editor.js";
 
@@ -28,29 +31,27 @@ const MODE_SAYS = {
   REPLAY: "a recorded run",
   SIMULATE: "the token game; nothing moves in the world",
 };
-const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which no news arrives
-const clock = (time) => time.toLocaleTimeString([], { hour12: false });
 
 class Page {
   constructor() {
     this.showEnabled = true;
     this.selection = null;
-    this.connection = "waiting";
     this.theme(localStorage.getItem("gspn-theme"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
       this.theme(localStorage.getItem("gspn-theme")),
     );
     this.panels = new Panels(() => this.room?.shown && this.room.update());
     this.editor = new Editor(this);
+    this.connection = new Connection(this);
+    this.alarms = new Alarms((tab) => this.showTab(tab));
     this.bind();
     bindKeys(this);
-    setInterval(() => this.showConnection(), 500);
   }
 
   // -- opening -------------------------------------------------------------------------------------
 
   async boot() {
-    await this.login();
+    await login();
     this.hello = await attempt(() => get("hello"));
     if (!this.hello) {
       $("connection").dataset.state = "lost";
@@ -64,29 +65,7 @@ class Page {
     await this.route();
   }
 
-  /** The part of the address after # is the key of the open net. A token given there is used and removed. */
-  async login() {
-    const found = /[#&]token=([^&]+)/.exec(location.hash);
-    if (found) {
-      history.replaceState(null, "", location.pathname);
-      await attempt(() => post("login", { token: decodeURIComponent(found[1]) }));
-      return;
-    }
-    try {
-      await get("hello");
-    } catch (error) {
-      if (error.status !== 401) return;
-      const field = h("input", { type: "password", "aria-label": "Token", autocomplete: "off" });
-      await ask(
-        "This page needs a token",
-        [h("p", { class: "muted", text: "It was printed where the server was started." }), field],
-        [["Continue", "go", "primary"]],
-      );
-      await attempt(() => post("login", { token: field.value }));
-      await this.login();
-    }
-  }
-
+  /** The part of the address after # is the key of the open net. */
   async route() {
     const [coded, word] = location.hash.slice(1).split("&");
     const key = decodeURIComponent(coded);
@@ -191,11 +170,11 @@ class Page {
     this.editor.showButtons();
     this.stream = new NewsStream(
       key,
-      (news) => this.takeNews(news),
-      (state, heard, why) => this.setConnection(state, heard, why),
+      (news) => this.connection.take(news),
+      (state, heard, why) => this.connection.change(state, heard, why),
     );
-    const cut = this.cutOff(this.hello, key);
-    if (cut) this.tellCut("The last run of this plan was cut off.", cut);
+    const cut = this.connection.cutOff(this.hello, key);
+    if (cut) this.connection.tellCut("The last run of this plan was cut off.", cut);
   }
 
   /** Make what shows the scene of the model. */
@@ -255,80 +234,6 @@ class Page {
     announce(`The team goes on under the plan ${model.scene.name}`);
   }
 
-  // -- losing the server, and reconnecting -----------------------------------------------------------
-
-  setConnection(state, heard, why) {
-    const lost = NOT_HEARD.includes(state);
-    const back = !lost && this.model.lostAt !== null;
-    this.connection = state;
-    if (lost && this.model.lostAt === null)
-      this.lostSince = new Date(Date.now() - (performance.now() - heard));
-    this.model.setHeard(lost ? heard : null);
-    this.showRun();
-    this.showConnection();
-    if (back) this.askWhoIsThere();
-    if (state === "gone")
-      notice(`This net is no longer open on the server: ${why}.`, [
-        ["Open it again", () => this.openAgain()],
-      ]);
-  }
-
-  async openAgain() {
-    const { id } = this.model.session;
-    if (id.startsWith("file-"))
-      await attempt(() => post("open", { path: id.slice("file-".length) }));
-    await this.open(id);
-  }
-
-  takeNews(news) {
-    const { model } = this;
-    const ran =
-      model.mode === "LIVE" && model.head.status.running
-        ? { epoch: model.epoch, name: model.head.status.run || "" }
-        : null;
-    model.take(news);
-    if (ran && model.lostAt !== null && model.epoch !== ran.epoch) this.ranBefore = ran;
-  }
-
-  /** After a lost connection: find out whether it is the same server, and what became of the run. */
-  async askWhoIsThere() {
-    const { model } = this;
-    const before = this.hello;
-    const hello = await get("hello").catch(() => null);
-    if (!hello || this.model !== model) return;
-    this.hello = hello;
-    const ran = this.ranBefore;
-    this.ranBefore = null;
-    if (hello.server === before.server && !ran) return;
-    const cut = this.cutOff(hello, model.session.id);
-    const again = `The server was restarted (no contact since ${clock(this.lostSince)}).`;
-    if (cut || (ran && !model.head.status.running))
-      this.tellCut(`${again} The run ${ran?.name ? `“${ran.name}” ` : ""}was cut off.`, cut);
-    else notice(again);
-  }
-
-  /** The run of this plan that was cut off when the server ended, if any. */
-  cutOff(hello, key) {
-    return (hello.cut || []).find(({ path }) => key === `file-${path}`);
-  }
-
-  tellCut(says, cut) {
-    const offers = cut?.log
-      ? [
-          [
-            "Replay its log",
-            () => attempt(async () => this.go((await post("open", { path: cut.log })).id)),
-          ],
-        ]
-      : [];
-    if (cut) {
-      const place = cut.log ? "its log" : "its log, outside the served folder";
-      const verb = cut.events === 1 ? "is" : "are";
-      says = `${says} ${plural(cut.events, "event")} of it ${verb} in ${place}.`;
-    }
-    notice(says, offers);
-  }
-
   closeNet() {
     delete document.body.dataset.ready;
     this.stream?.close();
@@ -351,9 +256,9 @@ class Page {
     this.paused = false;
     delete document.body.dataset.stale;
     delete document.body.dataset.fault;
-    this.ranBefore = null;
+    this.connection.ranBefore = null;
     closeNotice();
-    $("alarms").replaceChildren();
+    this.alarms.clear();
     $("legend").hidden = true;
     $("room").hidden = true;
     $("execution").hidden = true;
@@ -437,7 +342,7 @@ class Page {
       this.tools?.refresh();
       this.line.later();
       this.showRun();
-      this.showConnection();
+      this.connection.show();
     });
   }
 
@@ -549,7 +454,7 @@ class Page {
     $("mode").textContent = mode;
     const says = info.says || MODE_SAYS[mode] || "";
     announce(`${mode}: ${says}`);
-    this.showConnection();
+    this.connection.show();
     if (mode !== "SIMULATE" && this.model.scene.plan) this.openTab("robots");
   }
 
@@ -565,50 +470,10 @@ class Page {
     if (model.unheard)
       says = "no robot of the team has been heard yet; this is the initial marking of the plan";
     if (model.info.loading) says += ", still being read";
-    if (model.stale) says = `as of ${clock(this.lostSince)}; no contact since`;
+    if (model.stale) says = `as of ${clock(this.connection.lostSince)}; no contact since`;
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
     this.showOrders(status);
-    const alarms = [];
-    const robots = [...(model.mode === "REPLAY" ? model.board : model.head).robots.values()];
-    const alarm = (text, kind = "") =>
-      alarms.push(
-        h(
-          "button",
-          {
-            class: `alarm ${kind}`,
-            title: text,
-            onclick: (event) => this.showAlarm(event.currentTarget),
-          },
-          h("span", { text }),
-        ),
-      );
-    for (const [phase, { word }] of alarming()) {
-      const names = robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
-      if (names.length) alarm(`${word[0].toUpperCase()}${word.slice(1)}: ${names.join(", ")}`);
-    }
-    if (status.stalled) alarm(`Stalled: ${status.stalled}`);
-    if (status.unreachable) alarm(`Cut off: ${status.unreachable}`);
-    if (model.mode === "LIVE")
-      for (const text of model.latest.model?.alarms || []) alarm(text, "warning");
-    if (status.paused) alarm("The team is paused", "warning");
-    if (status.ended)
-      alarm(
-        `${status.fault ? "Failed" : status.finished ? "Finished" : "Ended"}: ${status.ended}`,
-        status.fault ? "" : status.finished ? "good" : "warning",
-      );
-    const shown = alarms.map((element) => element.textContent).join("\n");
-    if (shown !== this.alarmsShown) {
-      this.alarmsShown = shown;
-      $("alarms").replaceChildren(...alarms);
-    }
-  }
-
-  /** Show the robots, and the full text of an alarm that had to be shortened. */
-  showAlarm(element) {
-    this.showTab("robots");
-    const text = element.firstChild;
-    if (text.scrollHeight > text.clientHeight + 2)
-      ask("Alarm", h("p", { class: "whole", text: text.textContent }), [["Close", "", "primary"]]);
+    this.alarms.show(model, status);
   }
 
   /** Show what can be started, stopped and ordered now, and otherwise why not. */
@@ -632,40 +497,6 @@ class Page {
     }
     this.robots.later();
     this.inspector.later();
-  }
-
-  showConnection() {
-    const pill = $("connection");
-    if (!this.model) {
-      pill.hidden = true;
-      return;
-    }
-    pill.hidden = false;
-    const since = this.lostSince ? ` since ${clock(this.lostSince)}` : "";
-    const words = {
-      waiting: "connecting",
-      open: "connected",
-      polling: "connected (polling)",
-      lost: `connection lost${since}, reconnecting`,
-      gone: "no longer open on the server",
-      locked: "the server needs a token",
-    };
-    pill.dataset.state =
-      this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;
-    let text = words[this.connection];
-    if (pill.dataset.state === "lost" && this.announced !== this.connection) announceNow(text);
-    else if (this.announced && pill.dataset.state !== "lost" && this.connection !== "waiting")
-      announceNow(text);
-    this.announced = pill.dataset.state === "lost" ? this.connection : null;
-    if (
-      this.model.mode === "LIVE" &&
-      this.model.lastEvent !== null &&
-      (this.connection === "open" || this.connection === "polling")
-    ) {
-      text = `last event ${seconds((performance.now() - this.model.lastEvent) / 1000)} ago`;
-    }
-    if (!this.model.following && this.model.mode === "LIVE") text = `view paused · ${text}`;
-    pill.querySelector("span").textContent = text;
   }
 
   theme(chosen) {

@@ -87,8 +87,8 @@ export function sweepCurves(names, points, { measure, name }) {
   return [...curves].map(([title, line]) => ({ name: title || name, points: line }));
 }
 
-/** The answer so far. `section(title, ...content)` and `key(names)` are those of the other answers. */
-export function sweepAnswer(found, section, key) {
+/** The answer so far. `show`: the pieces of the other answers. */
+export function sweepAnswer(show, found) {
   if (!found) return null;
   const names = found.vary.map(({ name }) => name);
   const { measures } = found;
@@ -97,10 +97,10 @@ export function sweepAnswer(found, section, key) {
     return [
       h("h3", { text: titleOf(measure) }),
       curves.length > 0 && curvePlot(curves, names[0]),
-      names.length > 1 && key(curves.map(({ name }) => name).slice(0, CURVES.length)),
+      names.length > 1 && show.key(curves.map(({ name }) => name).slice(0, CURVES.length)),
     ];
   });
-  return section(
+  return show.section(
     "Points of the sweep",
     h("p", { class: "muted", text: `${found.points.length} of ${found.of} points` }),
     plots,

@@ -1,11 +1,12 @@
 // What a robot does in a place: chosen from the kinds of action that there are, with what each of them needs.
 
 import { h } from "../dom.js";
-import { valueField } from "./data_form.js";
+import { problemOfData, valueField } from "./data_form.js";
 import { messageHint, messagesOf, pathsOf } from "./message_form.js";
 import { nodeKey } from "./net_edits.js";
 import { problemOf } from "./schema.js";
-import { NAMES, actionHints, group, objectForm } from "./schema_form.js";
+import { NAMES } from "./names.js";
+import { group, objectForm } from "./schema_form.js";
 
 const TITLES = {
   none: "nothing: done at once",
@@ -238,5 +239,28 @@ function functionHelp(form, value) {
     known.doc || "The function has no docstring.",
     known.parameters?.length > 0 &&
       ` Parameters: ${known.parameters.map(parameterName).join(", ")}.`,
+  );
+}
+
+/** The hints of `keep` and `outcomes` of an action in a place. */
+const actionHints = (place) => ({
+  outcomes: {
+    keys: () => ["succeeded", "aborted", "rejected", "preempted"],
+    start: () => "",
+    each: { draw: (form, lens, title) => outcome(form, lens, title, place) },
+  },
+  keep: {
+    nameCheck: problemOfData,
+    each: {},
+  },
+});
+
+function outcome(form, lens, title, place) {
+  return form.labelled(
+    title,
+    form.choice(lens, title, [
+      ["", "the policy decides"],
+      ...NAMES.leaving(form.state, place).map((name) => [name, name]),
+    ]),
   );
 }

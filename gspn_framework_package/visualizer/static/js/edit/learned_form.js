@@ -10,7 +10,7 @@ const without = (value) => changed(value, { of: undefined });
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
 /** A lens at a value that may say what it was learned from: if something else of it is changed, that goes. */
-export function learned(lens) {
+function learned(lens) {
   return lens.as(
     (value) => value,
     (value, before) => {
@@ -137,8 +137,23 @@ export function durationForm(form, lens, title, schema) {
   ];
 }
 
+/** A form of an object that may say what it was learned from. `check`: what may be wrong with it beyond its schema. */
+export const learnedForm =
+  (check = () => "") =>
+  (form, lens, title, schema) => {
+    const whole = form.whole(
+      learned(lens),
+      (value) => problemOf(schema, value, form.schema) || check(value),
+    );
+    return [
+      objectForm(form, schema, whole, title, { without: ["of"] }),
+      form.verdict(whole),
+      evidence(form, schema, whole, title),
+    ];
+  };
+
 /** What the value was learned from: in words, and as a form. */
-export function evidence(form, schema, lens, title) {
+function evidence(form, schema, lens, title) {
   const of = lens.at("of");
   const part = resolved(schema.properties.of, form.schema);
   return [

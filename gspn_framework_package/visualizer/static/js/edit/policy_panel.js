@@ -1,12 +1,11 @@
 // The policy as a table: a column for each place that the rows speak of, a row for each marking, and the transitions
-// that it chooses. Beside it, the rows that the optimiser proposes.
+// that it chooses.
 
 import { h, plural } from "../dom.js";
-import { get } from "../api.js";
-import { PlanForm } from "./property_panel.js";
 import { Lens } from "./form.js";
-import { choiceText } from "../policy_table.js";
-import { NAMES } from "./schema_form.js";
+import { NAMES } from "./names.js";
+import { PlanForm } from "./property_panel.js";
+import { ProposedRows } from "./proposed_rows.js";
 
 const ROWS = 20; // on one page of the table
 const TOLERANCE = 1e-6; // as in model/policy.py
@@ -54,7 +53,7 @@ export class PolicyPanel extends PlanForm {
   constructor(mode) {
     super(mode, "policy", "Policy");
     this.first = 0; // the first row on the page of the table
-    this.proposed = null;
+    this.proposed = new ProposedRows(this);
     this.listen(mode, "findings");
   }
 
@@ -117,7 +116,7 @@ export class PolicyPanel extends PlanForm {
       ),
       this.general(),
       this.section("policy proposed", "Rows that the optimiser proposes", false, () =>
-        this.proposals(),
+        this.proposed.content(),
       ),
     ];
   }
@@ -475,183 +474,6 @@ export class PolicyPanel extends PlanForm {
       ),
     ];
   }
-
-  // -- what the optimiser proposes -------------------------------------------------------------------
-
-  proposals() {
-    const shown = this.proposed;
-    return [
-      h("p", {
-        class: "muted",
-        text: "A policy that was computed for the file, on the tab Optimise, beside the rows here.",
-      }),
-      this.button("policy look", "Look for a computed policy", () => this.look()),
-      h(
-        "div",
-        { role: "status" },
-        shown && (shown.text ? h("p", { text: shown.text }) : this.proposedRows(shown)),
-      ),
-    ];
-  }
-
-  async look(start = 0) {
-    try {
-      const { job } = await get("optimised", { id: this.mode.id });
-      if (!job) this.proposed = { text: "None was computed for this file yet." };
-      else {
-        const page = await get(`analysis/${job}/rows`, { from: start, limit: ROWS });
-        this.proposed = { job, start, ...page };
-      }
-    } catch (error) {
-      this.proposed = { text: error.message };
-    }
-    this.refresh();
-  }
-
-  proposedRows({ places, rows, total, changed, start }) {
-    const same = places.join("\n") === this.policy.places.join("\n");
-    return [
-      h("p", {
-        class: "muted",
-        text: `${changed} of ${plural(total, "row")} choose differently; they come first.`,
-      }),
-      h(
-        "div",
-        { class: "scroll", tabindex: "0", role: "region", "aria-label": "Proposed rows" },
-        h(
-          "table",
-          { class: "ed-policy" },
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              ["Marking", "Now", "Proposed", "Take"].map((text) => h("th", { scope: "col", text })),
-            ),
-          ),
-          h(
-            "tbody",
-            {},
-            rows.map((row) => {
-              const now = same ? this.present(row.marking) : null;
-              return h(
-                "tr",
-                {},
-                h("td", { text: markingText(places, row.marking) }),
-                h("td", { text: now ? choiceText(now.choose) : "no such row" }),
-                h(
-                  "td",
-                  {},
-                  Object.keys(row.choose).length ? choiceText(row.choose) : "wait",
-                  " ",
-                  row.differs === true && h("span", { class: "badge warn", text: "differs" }),
-                ),
-                h(
-                  "td",
-                  {},
-                  this.button(`take ${row.number}`, "Take over", () => this.take(places, [row]), {
-                    "aria-label": `Take over the proposed row ${row.number}`,
-                  }),
-                ),
-              );
-            }),
-          ),
-        ),
-      ),
-      h(
-        "div",
-        { class: "buttons" },
-        this.button("take all", "Take over the whole policy", () => this.takeAll()),
-        start > 0 && this.button("proposed earlier", "Earlier rows", () => this.look(start - ROWS)),
-        start + rows.length < total &&
-          this.button("proposed later", "More rows", () => this.look(start + ROWS)),
-      ),
-    ];
-  }
-
-  present(marking) {
-    return this.policy.rows.find(
-      (row) => row.marking.map(String).join() === marking.map(String).join(),
-    );
-  }
-
-  /** Take proposed rows over: each replaces the row of the same marking, or comes before those with more wildcards. */
-  take(places, taken) {
-    const unknown = [...new Set(taken.flatMap(({ choose }) => Object.keys(choose)))].find(
-      (name) => !this.immediate.includes(name),
-    );
-    if (unknown !== undefined) {
-      this.mode.say(`The net here has no immediate transition '${unknown}' any more.`);
-      return;
-    }
-    let { policy } = this;
-    const missing = places.filter((name) => !policy.places.includes(name));
-    if (missing.some((name) => !NAMES.places(this.state).includes(name))) {
-      this.mode.say(`The net here has no place '${missing[0]}' any more.`);
-      return;
-    }
-    policy = {
-      ...policy,
-      places: [...policy.places, ...missing],
-      rows: policy.rows.map((row) => ({
-        ...row,
-        marking: [...row.marking, ...missing.map(() => "-")],
-      })),
-    };
-    for (const { marking, choose } of taken) {
-      const cells = policy.places.map((name) =>
-        places.includes(name) ? marking[places.indexOf(name)] : "-",
-      );
-      const key = cells.map(String).join();
-      const at = policy.rows.findIndex((row) => row.marking.map(String).join() === key);
-      const row = { marking: cells, choose };
-      policy.rows =
-        at < 0
-          ? [...policy.rows, row]
-          : policy.rows.map((it, i) => (i === at ? { ...it, choose } : it));
-    }
-    this.drafts.clear();
-    this.put(
-      this.lens(),
-      policy,
-      taken.length === 1 ? "Take over a proposed row" : "Take over the proposed policy",
-    );
-  }
-
-  async takeAll() {
-    try {
-      const { job } = this.proposed;
-      const rows = [];
-      let page;
-      do {
-        page = await get(`analysis/${job}/rows`, { from: rows.length, limit: 500 });
-        rows.push(...page.rows);
-      } while (page.rows.length && rows.length < page.total);
-      rows.sort((a, b) => a.number - b.number);
-      const names = new Set(NAMES.places(this.state));
-      const foreign = page.places.find((name) => !names.has(name));
-      const unknown = rows
-        .flatMap(({ choose }) => Object.keys(choose))
-        .find((it) => !this.immediate.includes(it));
-      if (foreign ?? unknown) {
-        this.mode.say(`The net here has no '${foreign ?? unknown}' any more.`);
-        return;
-      }
-      this.drafts.clear();
-      this.put(
-        this.lens(),
-        {
-          ...this.policy,
-          places: page.places,
-          rows: rows.map(({ marking, choose }) => ({ marking, choose })),
-        },
-        "Take over the proposed policy",
-      );
-    } catch (error) {
-      this.mode.say(error.message);
-    }
-  }
 }
 
 /** A policy without a column. */
@@ -674,10 +496,3 @@ function fitted(choose) {
     ]),
   );
 }
-
-const markingText = (places, marking) =>
-  places
-    .map((name, i) => [name, marking[i]])
-    .filter(([, cell]) => !wild(cell))
-    .map(([name, cell]) => `${name}: ${cell}`)
-    .join(", ") || "any marking";

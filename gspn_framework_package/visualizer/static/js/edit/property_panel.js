@@ -4,18 +4,21 @@
 import { h, natural, plural } from "../dom.js";
 import { get } from "../api.js";
 import { FormPanel, Lens, MIXED } from "./form.js";
+import { NAMES } from "./names.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 import { changed } from "./plan_document.js";
+import { HINTS } from "./plan_hints.js";
 import { problemOfName, renamed } from "./rename.js";
 import { addRobot, robotRow, robotsLens, robotsOf } from "./robots_form.js";
 import { planSchema, problemOf } from "./schema.js";
-import { HINTS, NAMES, schemaField, wordOf } from "./schema_form.js";
+import { schemaField, wordOf } from "./schema_form.js";
 
 /** What all forms of plans need: the schema, and the palette of what exists. */
 export class PlanForm extends FormPanel {
   constructor(mode, name, title) {
     super(mode, name, title);
     this.schema = null;
+    this.hints = HINTS;
     this.palette = null;
     this.load();
   }

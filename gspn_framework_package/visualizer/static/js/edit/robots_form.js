@@ -1,7 +1,8 @@
 // The robots of a plan: their names, where they start, and actions of their own.
 
 import { h } from "../dom.js";
-import { NAMES, group, schemaField } from "./schema_form.js";
+import { NAMES } from "./names.js";
+import { group, schemaField } from "./schema_form.js";
 
 /** The robots of a plan as a list of {name, place, actions}; those that it does not name are given by its tokens. */
 export function robotsOf({ plan, net }) {

@@ -1,41 +1,9 @@
-// Forms made from the schema of plan files, so that no key of a plan is without one. HINTS say what the schema
-// cannot: which names belong where, what a new entry begins with, and which form is drawn by hand.
+// Forms made from the schema of plan files, so that no key of a plan is without one. The hints of a form (`form.hints`)
+// say what the schema cannot: pattern of a lens -> hint, as plan_hints.js has them.
 
-import { h, natural } from "../dom.js";
-import { changedCondition } from "./rename.js";
-import { changed } from "./plan_document.js";
-import { problemOf, resolved, typeOf } from "./schema.js";
-import { fields, problemOfData, valueField } from "./data_form.js";
-import { durationForm, evidence, learned } from "./learned_form.js";
-import { robotsForm } from "./robots_form.js";
-import { actionField } from "./action_form.js";
-
-const sorted = new WeakMap(); // list of nodes -> its names: forms ask for them again and again
-
-function names(nodes) {
-  if (!sorted.has(nodes)) sorted.set(nodes, nodes.map(({ name }) => name).sort(natural));
-  return [...sorted.get(nodes)];
-}
-
-/** The names that belong somewhere: (state, name of the entry) -> list. */
-export const NAMES = {
-  places: ({ net }) => names(net.places),
-  placesAndAll: ({ net }) => ["*", ...names(net.places)],
-  resources: ({ plan }) => [...(plan.resource_places ?? [])].sort(natural),
-  actionPlaces({ net, plan }) {
-    const resources = new Set(plan.resource_places);
-    return names(net.places).filter((name) => !resources.has(name));
-  },
-  transitions: ({ net }) => names(net.transitions),
-  timed: ({ net }) => names(net.transitions.filter(({ timed }) => timed)),
-  immediate: ({ net }) => names(net.transitions.filter(({ timed }) => !timed)),
-  leaving: ({ net }, place) =>
-    [
-      ...new Set(
-        net.arcs.filter(({ from, inhibitor }) => from === place && !inhibitor).map(({ to }) => to),
-      ),
-    ].sort(natural),
-};
+import { h } from "../dom.js";
+import { problemOf, resolved } from "./schema.js";
+import { fields, valueField } from "./data_form.js";
 
 const WORDS = {
   plan: "Name of the plan",
@@ -72,116 +40,18 @@ const WORDS = {
 export const wordOf = (key) =>
   WORDS[key] ?? (key[0].toUpperCase() + key.slice(1)).replaceAll("_", " ");
 
-const placeCondition = (text, state) => {
-  const known = new Set(state.net.places.map(({ name }) => name));
-  let foreign = null;
-  changedCondition(text, (name) => {
-    if (
-      !known.has(name) &&
-      !/^(and|or|not|true|false|min|max|floor|ceil|round|abs|sqrt|exp|log|ln|pow|mod|e\d*)$/i.test(
-        name,
-      )
-    )
-      foreign ??= name;
-    return name;
-  });
-  if (foreign) return `there is no place '${foreign}'`;
-  if (!/[<>=!]|true|false/i.test(text)) return "a comparison is needed, such as p1 >= 1";
-  const quotes = text.replace(/"[^"]*"|'[^']*'/g, "");
-  if (/["']/.test(quotes)) return "a quote is opened and not closed";
-  let depth = 0;
-  for (const sign of quotes) {
-    depth += sign === "(" ? 1 : sign === ")" ? -1 : 0;
-    if (depth < 0) break;
-  }
-  return depth ? "the parentheses do not match" : "";
-};
-
-/** pattern of a lens -> {keys: names of the entries of a map, items: names of a list or a text, start: value of a new
- * entry, draw: a form of its own, check: what else may be wrong, open: names beside these are allowed, title: what the
- * key is called here}. */
-export const HINTS = {
-  "plan.resource_places": { items: NAMES.places },
-  "plan.spawn": { items: NAMES.actionPlaces, twice: true },
-  "plan.chance": { items: NAMES.actionPlaces },
-  "plan.until": { check: placeCondition, placeholder: "Sorted >= 100" },
-  "plan.actions": { keys: NAMES.actionPlaces, start: () => null, keepEmpty: true },
-  "plan.actions.*": { draw: actionField },
-  "plan.on_failure": { keys: NAMES.placesAndAll, start: () => "wait" },
-  "plan.on_failure.*": { draw: failureRule },
-  "plan.timeout": { keys: NAMES.placesAndAll, start: () => 60 },
-  "plan.routing": { keys: NAMES.transitions, start: () => ({}), keepEmpty: true },
-  "plan.routing.*": { keys: NAMES.actionPlaces, start: (_, name) => name },
-  "plan.routing.*.*": { items: NAMES.actionPlaces },
-  "plan.on_evict": { keys: NAMES.actionPlaces, start: () => ({}), keepEmpty: true },
-  "plan.on_evict.*": { keys: NAMES.resources, start: () => 1 },
-  "plan.durations": { keys: NAMES.actionPlaces, start: () => ({ mean: 1 }) },
-  "plan.durations.*": { draw: durationForm },
-  "plan.outcomes": {
-    keys: NAMES.actionPlaces,
-    start: (state, place) => {
-      const leaving = NAMES.leaving(state, place);
-      const share = 1 / (leaving.length || 1);
-      return {
-        probabilities: Object.fromEntries((leaving.length ? leaving : [""]).map((t) => [t, share])),
-      };
-    },
-  },
-  "plan.outcomes.*": { learned: true, check: sumsToOne },
-  "plan.outcomes.*.probabilities": {
-    keys: (state) => ["", ...NAMES.transitions(state)],
-    start: () => 0,
-  },
-  "plan.failures": { keys: NAMES.actionPlaces, start: () => ({ probability: 0.1 }) },
-  "plan.failures.*": { learned: true },
-  "plan.rates": {
-    keys: NAMES.timed,
-    start: (state, name) => ({
-      rate: state.net.transitions.find((it) => it.name === name)?.rate ?? 1,
-    }),
-  },
-  "plan.rates.*": { learned: true },
-  "plan.events": { keys: NAMES.timed, start: () => ({}), keepEmpty: true },
-  "plan.events.*": { whole: true },
-  "plan.events.*.settings": { data: true },
-  "plan.tasks.queues": { items: NAMES.resources },
-  "plan.tasks.done": { items: NAMES.transitions },
-  "plan.parameters": { data: true },
-  "plan.robots": { draw: robotsForm },
-  "plan.on_lost": { draw: lostRule },
-  "plan.subnets": {
-    draw: () =>
-      h("p", { class: "muted", text: "Written by the package; opening a subnet edits it." }),
-  },
-};
-
-function sumsToOne(value) {
-  const sum = Object.values(value?.probabilities ?? {}).reduce((total, it) => total + it, 0);
-  return Math.abs(sum - 1) <= 1e-6
-    ? ""
-    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not to 1`;
-}
-
-const hintOf = (lens, given) => ({ ...HINTS[lens.pattern], ...given });
+const hintOf = (form, lens, given) => ({ ...form.hints[lens.pattern], ...given });
 
 /** The controls of a value that a schema describes. `given`: hints for this place; `required`: it cannot be left
  * out; `title`: what it is called. */
 export function schemaField(form, part, lens, title, given = {}, required = false) {
   const root = form.schema;
   const schema = resolved(part, root);
-  const hint = hintOf(lens, given);
+  const hint = hintOf(form, lens, given);
   if (hint.draw) return hint.draw(form, lens, title, schema, required);
-  if (hint.whole || (hint.check && schema.type === "object") || hint.learned) {
-    const inner = hint.learned ? learned(lens) : lens;
-    const whole = form.whole(
-      inner,
-      (value) => problemOf(schema, value, root) || hint.check?.(value, form.state) || "",
-    );
-    return [
-      objectForm(form, schema, whole, title, hint.learned ? { ...hint, without: ["of"] } : hint),
-      form.verdict(whole),
-      hint.learned && evidence(form, schema, whole, title),
-    ];
+  if (hint.whole) {
+    const whole = form.whole(lens, (value) => problemOf(schema, value, root));
+    return [objectForm(form, schema, whole, title, hint), form.verdict(whole)];
   }
   if (schema.enum) {
     const options = schema.enum.map((value) => [value, value]);
@@ -470,139 +340,3 @@ function addChoice(form, lens, title, offered, called, add) {
   const texts = new Map(offered.map((name) => [called(name), name]));
   return form.adder(lens.key, `Add to ${title}`, [...texts.keys()], (text) => add(texts.get(text)));
 }
-
-// -- forms of their own ------------------------------------------------------------------------------
-
-/** wait, stop, retry N, fire T, {retry, delay}. */
-function failureRule(form, lens, title) {
-  const value = lens.get();
-  const place = lens.name;
-  const kind = typeOf(value) === "object" ? "retry" : String(value).split(" ")[0];
-  const leaving = place === "*" ? NAMES.transitions(form.state) : NAMES.leaving(form.state, place);
-  const START = { wait: "wait", stop: "stop", retry: "retry 3", fire: `fire ${leaving[0] ?? ""}` };
-  const kinds = [
-    ["wait", "wait for the operator"],
-    ["stop", "stop the team"],
-    ["retry", "try again"],
-    ...(leaving.length || kind === "fire" ? [["fire", "fire a transition"]] : []),
-  ];
-  const times = lens.as(
-    (it) => (typeOf(it) === "object" ? it.retry : Number(String(it).split(" ")[1])),
-    (n, it) => (typeOf(it) === "object" ? { ...it, retry: n } : `retry ${n}`),
-    "retry",
-  );
-  const delay = lens.as(
-    (it) => (typeOf(it) === "object" ? it.delay : undefined),
-    (seconds, it) => {
-      const retry = typeOf(it) === "object" ? it.retry : Number(String(it).split(" ")[1]);
-      return seconds === undefined ? `retry ${retry}` : { retry, delay: seconds };
-    },
-    "delay",
-  );
-  const rule = resolved(
-    form.schema.properties.on_failure.additionalProperties.oneOf[1],
-    form.schema,
-  );
-  return [
-    form.labelled(
-      "The robot",
-      form.choice(
-        lens.as(
-          () => kind,
-          (chosen) => START[chosen],
-        ),
-        title,
-        kinds,
-        { what: title },
-      ),
-    ),
-    kind === "retry" && [
-      form.labelled(
-        "Times",
-        form.number(times, `${title}: times`, {
-          whole: true,
-          check: (n) => problemOf(rule.properties.retry, n, form.schema),
-        }),
-      ),
-      form.labelled(
-        "Delay (s)",
-        form.number(delay, `${title}: delay`, {
-          blank: { value: undefined },
-          check: (n) => problemOf(rule.properties.delay, n, form.schema),
-        }),
-      ),
-    ],
-    kind === "fire" && fired(form, lens, title, leaving),
-  ];
-}
-
-function fired(form, lens, title, offered) {
-  const which = lens.as(
-    (it) => String(it).slice(5),
-    (name) => `fire ${name}`,
-    "fire",
-  );
-  return form.labelled(
-    "Transition",
-    form.choice(
-      which,
-      title,
-      offered.map((name) => [name, name]),
-      { what: title },
-    ),
-  );
-}
-
-/** hold, stop, fire T. */
-function lostRule(form, lens, title, schema) {
-  const value = lens.get();
-  const kind = value?.split(" ")[0];
-  const offered = NAMES.transitions(form.state);
-  return [
-    form.labelled(
-      title,
-      form.choice(
-        lens.as(
-          () => kind,
-          (chosen) => (chosen === "fire" ? `fire ${offered[0]}` : chosen),
-        ),
-        title,
-        [
-          [undefined, "as by default (hold)"],
-          ["hold", "hold: the others wait"],
-          ["stop", "stop the team"],
-          ...(offered.length ? [["fire", "fire a transition"]] : []),
-        ],
-      ),
-      schema.description,
-    ),
-    kind === "fire" && fired(form, lens, title, offered),
-  ];
-}
-
-/** The hints of `keep` and `outcomes` of an action in a place. */
-export const actionHints = (place) => ({
-  outcomes: {
-    keys: () => ["succeeded", "aborted", "rejected", "preempted"],
-    start: () => "",
-    each: { draw: (form, lens, title) => outcome(form, lens, title, place) },
-  },
-  keep: {
-    nameCheck: problemOfData,
-    each: {},
-  },
-});
-
-function outcome(form, lens, title, place) {
-  return form.labelled(
-    title,
-    form.choice(lens, title, [
-      ["", "the policy decides"],
-      ...NAMES.leaving(form.state, place).map((name) => [name, name]),
-    ]),
-  );
-}
-
-/** An object without some keys. */
-export const less = (object, ...keys) =>
-  changed(object, Object.fromEntries(keys.map((key) => [key, undefined])));

@@ -1,0 +1,30 @@
+// The names of nodes that belong in a field of a plan.
+
+import { natural } from "../dom.js";
+
+const sorted = new WeakMap(); // list of nodes -> its names: forms ask for them again and again
+
+function names(nodes) {
+  if (!sorted.has(nodes)) sorted.set(nodes, nodes.map(({ name }) => name).sort(natural));
+  return [...sorted.get(nodes)];
+}
+
+/** The names that belong somewhere: (state, name of the entry) -> list. */
+export const NAMES = {
+  places: ({ net }) => names(net.places),
+  placesAndAll: ({ net }) => ["*", ...names(net.places)],
+  resources: ({ plan }) => [...(plan.resource_places ?? [])].sort(natural),
+  actionPlaces({ net, plan }) {
+    const resources = new Set(plan.resource_places);
+    return names(net.places).filter((name) => !resources.has(name));
+  },
+  transitions: ({ net }) => names(net.transitions),
+  timed: ({ net }) => names(net.transitions.filter(({ timed }) => timed)),
+  immediate: ({ net }) => names(net.transitions.filter(({ timed }) => !timed)),
+  leaving: ({ net }, place) =>
+    [
+      ...new Set(
+        net.arcs.filter(({ from, inhibitor }) => from === place && !inhibitor).map(({ to }) => to),
+      ),
+    ].sort(natural),
+};
