@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Collection, Dict, List, Mapping, Optional
 
 from gspn_framework_package.model.errors import NetError
-from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+from gspn_framework_package.model.net import Arc, Net, Place, Position
 
 
 def expand_place(
@@ -68,41 +68,55 @@ def expand_place(
     inner_names.update(shared)
     shift = _shift(replaced.position, subnet.place(entry).position)
 
-    inner_places = []
+    inner_places = _inner_places(subnet, replaced, entry, inner_names, shared)
+    places: List[Place] = []
+    for outer in net.places:
+        places += inner_places if outer.name == place else [outer]
+
+    transitions = list(net.transitions)
+    transitions += [
+        inner._replace(name=inner_names[inner.name], position=_moved(inner.position, shift))
+        for inner in subnet.transitions
+    ]
+    occupied = [inner_names[p.name] for p in subnet.places if p.name not in resources]
+    arcs = _joined(net, place, inner_names[entry], inner_names[exit], occupied)
+    arcs += [
+        arc._replace(source=inner_names[arc.source], target=inner_names[arc.target])
+        for arc in subnet.arcs
+    ]
+    return Net(places, transitions, arcs, net.name)
+
+
+def _inner_places(
+    subnet: Net, replaced: Place, entry: str, names: Mapping[str, str], shared: Mapping[str, str]
+) -> List[Place]:
+    """The places of a subnet as the net has them; its entry holds the tokens of the place."""
+    shift = _shift(replaced.position, subnet.place(entry).position)
+    places = []
     for inner in subnet.places:
         if inner.name in shared:
             continue
         tokens, position = inner.tokens, _moved(inner.position, shift)
         if inner.name == entry:
             tokens, position = tokens + replaced.tokens, replaced.position
-        inner_places.append(
-            inner._replace(name=inner_names[inner.name], tokens=tokens, position=position)
-        )
-    places: List[Place] = []
-    for outer in net.places:
-        places += inner_places if outer.name == place else [outer]
+        places.append(inner._replace(name=names[inner.name], tokens=tokens, position=position))
+    return places
 
-    transitions: List[Transition] = list(net.transitions)
-    for transition in subnet.transitions:
-        name = inner_names[transition.name]
-        transitions.append(
-            transition._replace(name=name, position=_moved(transition.position, shift))
-        )
 
-    occupied = [inner_names[p.name] for p in subnet.places if p.name not in resources]
+def _joined(net: Net, place: str, entry: str, exit: str, occupied: List[str]) -> List[Arc]:
+    """The arcs of a net, those of a place now at the entry, the exit and the occupied places of
+    what replaces it."""
     arcs: List[Arc] = []
     for arc in net.arcs:
         if arc.inhibitor and arc.source == place:
             arcs += [arc._replace(source=name) for name in occupied]
         elif arc.source == place:
-            arcs.append(arc._replace(source=inner_names[exit]))
+            arcs.append(arc._replace(source=exit))
         elif arc.target == place:
-            arcs.append(arc._replace(target=inner_names[entry]))
+            arcs.append(arc._replace(target=entry))
         else:
             arcs.append(arc)
-    for arc in subnet.arcs:
-        arcs.append(arc._replace(source=inner_names[arc.source], target=inner_names[arc.target]))
-    return Net(places, transitions, arcs, net.name)
+    return arcs
 
 
 def _check(

@@ -65,6 +65,22 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     streams = Streams(viewers)
     app.extensions.update(gspn_jobs=jobs, gspn_streams=streams)
 
+    _guard(app, project, guard)
+    _explain_errors(app, project)
+    _add_page(app, project, guard)
+    _add_opening(app, project)
+    _add_session(app, project, streams)
+    _add_analysis(app, project, jobs)
+    _add_optimised(app, project, jobs)
+    editing.add_routes(app, project, _body)
+    deploying.add_routes(app, project, jobs, _body)
+    fleet_routes.add_routes(app, project)
+    return app
+
+
+def _guard(app: flask.Flask, project: Project, guard: Guard) -> None:
+    """Let only requests in that are allowed."""
+
     @app.before_request
     def check() -> Optional[Answer]:
         verdict = guard.check(
@@ -86,6 +102,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         if request.path.startswith("/api/"):
             response.headers["Cache-Control"] = "no-store"
         return response
+
+
+def _explain_errors(app: flask.Flask, project: Project) -> None:
+    """Answer each error with its message."""
 
     @app.errorhandler(GspnError)
     def explain(error: GspnError) -> Answer:
@@ -121,7 +141,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         app.logger.exception("a request failed")
         return {"error": "a fault of this program: %s" % type(error).__name__}, 500
 
-    # -- the page ----------------------------------------------------------------------------------
+
+def _add_page(app: flask.Flask, project: Project, guard: Guard) -> None:
+    """Add the routes of the page itself, and of who may see it."""
 
     @app.route("/")
     def page() -> Response:
@@ -156,7 +178,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         offer = editing.offer(project, role)
         return {"version": __version__, "role": role, **offer, **project.to_json()}
 
-    # -- opening -----------------------------------------------------------------------------------
+
+def _add_opening(app: flask.Flask, project: Project) -> None:
+    """Add the routes that open a net."""
 
     @app.route("/api/open", methods=["POST"])
     def open_file() -> Dict[str, Any]:
@@ -171,14 +195,13 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         key = "upload-" + secrets.token_hex(6)
         return {"id": project.sessions.get_or_open(key, lambda: Session(key, document)).key}
 
-    # -- one open net ------------------------------------------------------------------------------
 
-    def session() -> Session:
-        return project.session(request.args.get("id", ""), room=request.method == "POST")
+def _add_session(app: flask.Flask, project: Project, streams: Streams) -> None:
+    """Add the routes of an open net: what it shows, its commands and its events."""
 
     @app.route("/api/session")
     def describe() -> Dict[str, Any]:
-        return session().to_json()
+        return _session(project).to_json()
 
     @app.route("/api/do", methods=["POST"])
     def command() -> Dict[str, Any]:
@@ -186,31 +209,31 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         name = fields.pop("command", None)
         if not isinstance(name, str):
             raise UsageError("'command' is missing")
-        return session().command(name, fields)
+        return _session(project).command(name, fields)
 
     @app.route("/api/state")
     def state_at() -> Dict[str, Any]:
-        hub = session().hub
+        hub = _session(project).hub
         return {"epoch": hub.epoch, "board": hub.board_at(_number("at")).to_json()}
 
     @app.route("/api/scene")
     def scene() -> Dict[str, Any]:
-        shown = session()
+        shown = _session(project)
         return {"epoch": shown.hub.epoch, "scene": shown.scene_at(_number("plan"))}
 
     @app.route("/api/reasons")
     def why() -> Dict[str, Any]:
         at = _number("at") if request.args.get("at") else None
-        return reasons_in(session(), request.args.get("transition", ""), at)
+        return reasons_in(_session(project), request.args.get("transition", ""), at)
 
     @app.route("/api/slot")
     def after_slot() -> Dict[str, Any]:
-        shown = session()
+        shown = _session(project)
         return {"epoch": shown.hub.epoch, "event": shown.activity.after_slot(_number("slot"))}
 
     @app.route("/api/events")
     def past_events() -> Dict[str, Any]:
-        hub = session().hub
+        hub = _session(project).hub
         return {
             "epoch": hub.epoch,
             "events": hub.events(_number("after"), _number("to"), _number("limit", 5000)),
@@ -218,13 +241,13 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/poll")
     def poll() -> Response:
-        hub = session().hub
+        hub = _session(project).hub
         news = hub.news(Cursor.parse(request.args.get("since")))
         return Response(news.text, mimetype="application/json")
 
     @app.route("/api/stream")
     def stream() -> Union[Answer, Response]:
-        hub = session().hub
+        hub = _session(project).hub
         if not streams.take(_peer()):
             return {"error": "enough viewers are served already; this one polls"}, 503
         cursor = Cursor.parse(request.headers.get("Last-Event-ID") or request.args.get("since"))
@@ -232,11 +255,13 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         response.headers["X-Accel-Buffering"] = "no"
         return response
 
-    # -- analysis ----------------------------------------------------------------------------------
+
+def _add_analysis(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> None:
+    """Add the routes that analyse an open net."""
 
     @app.route("/api/analysis", methods=["POST"])
     def analyse() -> Dict[str, Any]:
-        opened, fields = session(), _body()
+        opened, fields = _session(project), _body()
         hub = opened.hub
         board = (
             hub.board_at(whole_number(fields, "event", 0, 0, 10**15))
@@ -257,11 +282,13 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         jobs.cancel(job)
         return {}
 
-    # -- computed policies -------------------------------------------------------------------------
+
+def _add_optimised(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> None:
+    """Add the routes of computed policies."""
 
     @app.route("/api/optimised")
     def latest_policy() -> Dict[str, Any]:
-        return {"job": jobs.latest(session().key)}
+        return {"job": jobs.latest(_session(project).key)}
 
     @app.route("/api/analysis/<job>/rows")
     def policy_rows(job: str) -> Dict[str, Any]:
@@ -269,7 +296,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/analysis/<job>/choices")
     def choices_at(job: str) -> Dict[str, Any]:
-        shown = session()
+        shown = _session(project)
         board = shown.hub.board_at(_number("at"))
         marking = shown.document_at(board.plan).net.named(board.marking)
         return {"at": board.n, "choices": jobs.optimised(job).choices(marking)}
@@ -285,11 +312,6 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         fields = _body()
         path = jobs.save(job, fields.get("name"), fields.get("overwrite") is True)
         return {"name": os.path.basename(path), "path": project.path_of(path)}
-
-    editing.add_routes(app, project, _body)
-    deploying.add_routes(app, project, jobs, _body)
-    fleet_routes.add_routes(app, project)
-    return app
 
 
 def body_limit(path: str) -> int:
@@ -314,6 +336,11 @@ def too_large_text(path: str) -> str:
             editing.DOCUMENT_BYTES // 1_000_000
         )
     return "that is too large: a command has up to %d MB" % (COMMAND_BYTES // 1_000_000)
+
+
+def _session(project: Project) -> Session:
+    """The session that a request names."""
+    return project.session(request.args.get("id", ""), room=request.method == "POST")
 
 
 def _peer() -> str:

@@ -275,9 +275,40 @@ def _hash(keys: Words, row: int, words: int) -> np.uint64:
 
 
 @lru_cache(maxsize=None)
-def _enter_for(words: int) -> Function:
-    """Compile ``enter`` for markings of this many words: a constant, so that the compiler unrolls
+def _find_for(words: int) -> Function:
+    """Compile ``find`` for markings of this many words: a constant, so that the compiler unrolls
     the loops over it."""
+
+    def find(
+        table: Words, states: Words, keys: Words, row: int, value: np.uint64, shift: np.uint64
+    ) -> Tuple[np.uint64, np.int64]:
+        """Look a row of ``keys`` with this hash up; returns its slot and the number of the state,
+        or a free slot and -1."""
+        mask = np.uint64(len(table) - 1)
+        slot = value >> shift
+        high = value & ~_LOW
+        while True:
+            entry = table[slot]
+            if entry == _ZERO:
+                return slot, np.int64(-1)
+            if entry & ~_LOW == high:
+                number = np.int64(entry & _LOW) - 1
+                same = True
+                for w in range(words):
+                    if states[number, w] != keys[row, w]:
+                        same = False
+                        break
+                if same:
+                    return slot, number
+            slot = (slot + _ONE) & mask
+
+    return compiled(find, allocates=False)
+
+
+@lru_cache(maxsize=None)
+def _enter_for(words: int) -> Function:
+    """Compile ``enter`` for markings of this many words."""
+    find = _find_for(words)
 
     @compiled
     def enter(
@@ -291,7 +322,7 @@ def _enter_for(words: int) -> Function:
         """Number the states ``keys`` that are not known yet, from ``known`` on, and store the
         targets of ``arcs``; returns the number of states then known. The keys are entered even if
         there are no arcs."""
-        shift, mask = _shift(table), np.uint64(len(table) - 1)
+        shift = _shift(table)
         hashes = np.empty(_BLOCK, np.uint64)
         for begin in range(0, len(keys), _BLOCK):
             stop = min(begin + _BLOCK, len(keys))
@@ -299,27 +330,13 @@ def _enter_for(words: int) -> Function:
                 hashes[i - begin] = _hash(keys, i, words)
             for i in range(begin, stop):
                 value = hashes[i - begin]
-                slot = value >> shift
-                high = value & ~_LOW
-                while True:
-                    entry = table[slot]
-                    if entry == _ZERO:
-                        for w in range(words):
-                            states[known, w] = keys[i, w]
-                        number = known
-                        known += 1
-                        table[slot] = high | np.uint64(known)
-                        break
-                    if entry & ~_LOW == high:
-                        number = np.int64(entry & _LOW) - 1
-                        same = True
-                        for w in range(words):
-                            if states[number, w] != keys[i, w]:
-                                same = False
-                                break
-                        if same:
-                            break
-                    slot = (slot + _ONE) & mask
+                slot, number = find(table, states, keys, i, value, shift)
+                if number < 0:
+                    for w in range(words):
+                        states[known, w] = keys[i, w]
+                    number = known
+                    known += 1
+                    table[slot] = (value & ~_LOW) | np.uint64(known)
                 if len(arcs):
                     targets[arcs[i]] = number
         return known
@@ -330,6 +347,7 @@ def _enter_for(words: int) -> Function:
 @lru_cache(maxsize=None)
 def _expand_for(words: int) -> Function:
     """Compile ``expand`` for markings of this many words."""
+    find = _find_for(words)
 
     @compiled
     def expand(
@@ -345,7 +363,7 @@ def _expand_for(words: int) -> Function:
         targets, labels, ends, keys, key_arcs, overflow = found
         begin, end = share
         transitions = need.shape[0]
-        shift, mask = _shift(table), np.uint64(len(table) - 1)
+        shift = _shift(table)
         batch = np.empty((_BLOCK * transitions, words), np.uint64)
         hashes = np.empty(_BLOCK * transitions, np.uint64)
         # a local array, since the caller's may share a cache line with another core's
@@ -392,25 +410,7 @@ def _expand_for(words: int) -> Function:
                 if entry != _ZERO:
                     touched ^= states[np.int64(entry & _LOW) - 1, 0]
             for i in range(n):
-                value = hashes[i]
-                slot = value >> shift
-                high = value & ~_LOW
-                number = np.int64(-1)
-                while True:
-                    entry = table[slot]
-                    if entry == _ZERO:
-                        break
-                    if entry & ~_LOW == high:
-                        known = np.int64(entry & _LOW) - 1
-                        same = True
-                        for w in range(words):
-                            if states[known, w] != batch[i, w]:
-                                same = False
-                                break
-                        if same:
-                            number = known
-                            break
-                    slot = (slot + _ONE) & mask
+                _, number = find(table, states, batch, i, hashes[i], shift)
                 targets[arcs + i] = number
                 if number < 0:
                     for w in range(words):

@@ -57,20 +57,11 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
             **{name: fields.get(name) for name in names},
         }
 
-    def told(found: Dict[str, Any]) -> Dict[str, Any]:
-        """What a worker has answered. :raises RefusedError: it could not."""
-        if "error" in found:
-            raise RefusedError(found["error"])
-        if "answer" in found:
-            answered: Dict[str, Any] = found["answer"]
-            return answered
-        return {"cancelled": True}
-
     @app.route("/api/edit/check", methods=["POST"])
     def check_document() -> Response:
         fields = body()
         full = fields.get("full") is True
-        found = told(
+        found = _answered(
             workers.ask(
                 "check %s %s" % (key(), str(fields.get("page", ""))[:80]),
                 "check",
@@ -88,22 +79,18 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
     def choices_at_marking() -> Response:
         fields = body()
         name = "choices %s %s" % (key(), str(fields.get("page", ""))[:80])
-        return answer(told(workers.ask(name, "choices", QUICK_SECONDS, **asked(fields, "marking"))))
+        return answer(
+            _answered(workers.ask(name, "choices", QUICK_SECONDS, **asked(fields, "marking")))
+        )
 
     @app.route("/api/edit/diff", methods=["POST"])
     def difference_of_documents() -> Response:
         fields = body()
         new, old = _document(fields, "to"), fields.get("from")
         if old == "running":
-            session = project.session(key())
-            plan = session.document_at(session.hub.board().plan).plan
-            if plan is None:
-                raise InputError("what runs there is not a plan")
-            given = asked({"document": new})
-            name = "running %s" % key()
-            running = plan_to_json(plan)
+            given = {**asked({"document": new}), "running": _running(project, key())}
             return answer(
-                told(workers.ask(name, "running", FULL_SECONDS, **given, running=running))
+                _answered(workers.ask("running %s" % key(), "running", FULL_SECONDS, **given))
             )
         if old == "saved":
             old = open_document(folder, path_in(folder, key())).document
@@ -114,23 +101,7 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
 
     @app.route("/api/edit/layout", methods=["POST"])
     def layout_of_document() -> Response:
-        net = _drawable(_document(body(), "document"))
-        if not laying_out.acquire(timeout=QUICK_SECONDS):
-            raise RefusedError("another net is being laid out", hint="try again")
-        try:
-            positions = lay_out(net, anew=True).positions
-        finally:
-            laying_out.release()
-        listed: Tuple[Tuple[str, Any], ...] = (
-            ("places", net.places),
-            ("transitions", net.transitions),
-        )
-        return answer(
-            {
-                kind: {node.name: [round(v, 1) for v in positions[node.name]] for node in nodes}
-                for kind, nodes in listed
-            }
-        )
+        return answer(_layout(_drawable(_document(body(), "document")), laying_out))
 
     @app.route("/api/edit/palette")
     def palette_of_plan() -> Response:
@@ -141,6 +112,43 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
     def fields_of_messages() -> Response:
         asked_for = request.args.get("kind", ""), request.args.get("type", "")
         return answer(message_fields(*asked_for))
+
+
+def _running(project: Project, key: str) -> Dict[str, Any]:
+    """The plan that runs in a session, as JSON. :raises InputError: it is a net."""
+    session = project.session(key)
+    plan = session.document_at(session.hub.board().plan).plan
+    if plan is None:
+        raise InputError("what runs there is not a plan")
+    return plan_to_json(plan)
+
+
+def _answered(found: Dict[str, Any]) -> Dict[str, Any]:
+    """What a worker has answered. :raises RefusedError: it could not."""
+    if "error" in found:
+        raise RefusedError(found["error"])
+    if "answer" in found:
+        answered: Dict[str, Any] = found["answer"]
+        return answered
+    return {"cancelled": True}
+
+
+def _layout(net: Net, laying_out: threading.Lock) -> Dict[str, Any]:
+    """The positions of the nodes of a net, for the page. One net is laid out at a time."""
+    if not laying_out.acquire(timeout=QUICK_SECONDS):
+        raise RefusedError("another net is being laid out", hint="try again")
+    try:
+        positions = lay_out(net, anew=True).positions
+    finally:
+        laying_out.release()
+    listed: Tuple[Tuple[str, Any], ...] = (
+        ("places", net.places),
+        ("transitions", net.transitions),
+    )
+    return {
+        kind: {node.name: [round(v, 1) for v in positions[node.name]] for node in nodes}
+        for kind, nodes in listed
+    }
 
 
 def path_in(folder: Folder, key: str) -> str:

@@ -330,6 +330,21 @@ class Model:
         return other
 
 
+def _taken(
+    rows: Indices, arrows: Arrows, values: Floats
+) -> Tuple[Indices, Indices, Floats, Indices]:
+    """The arcs of some rows: where those of each row begin, their targets and their values, and
+    how many each row has."""
+    lengths = np.asarray(np.diff(arrows.arcs))
+    if len(rows) == len(lengths) and (np.diff(rows) == 1).all():
+        return arrows.arcs, arrows.targets, values, lengths
+    lengths = lengths[rows]
+    starts = np.cumsum(lengths) - lengths
+    entries = np.repeat(arrows.arcs[rows] - starts, lengths) + np.arange(int(lengths.sum()))
+    arcs = np.concatenate([[0], np.cumsum(lengths)])
+    return arcs, arrows.targets[entries], values[entries], lengths
+
+
 def made(
     tangible: Booleans,
     arrows: Arrows,
@@ -356,16 +371,7 @@ def made(
     kept = np.flatnonzero(rows)
     if (np.diff(owners[kept]) < 0).any():
         kept = kept[np.argsort(owners[kept], kind="stable")]
-    lengths = np.diff(arrows.arcs)
-    if len(kept) == len(rows) and (np.diff(kept) == 1).all():
-        arcs, targets, data = arrows.arcs, arrows.targets, values
-        lengths = np.asarray(lengths)
-    else:
-        lengths = lengths[kept]
-        starts = np.cumsum(lengths) - lengths
-        entries = np.repeat(arrows.arcs[kept] - starts, lengths) + np.arange(int(lengths.sum()))
-        arcs = np.concatenate([[0], np.cumsum(lengths)])
-        targets, data = arrows.targets[entries], values[entries]
+    arcs, targets, data, lengths = _taken(kept, arrows, values)
     owners = owners[kept]
     new_constant = constant[kept].astype(np.float64)
     inside = number >= 0
