@@ -27,8 +27,9 @@ from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.analysis.simulation.estimates import mean
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.observation import RunObserver
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan

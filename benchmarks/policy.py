@@ -29,8 +29,10 @@ from benchmarks.plans import INSTANT
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution.event_log import header, read_log
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.verifier import verify

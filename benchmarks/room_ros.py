@@ -15,7 +15,8 @@ from typing import Any, Dict, List, Optional, Tuple
 from benchmarks.processes import cost_of, descendants
 from benchmarks.room_report import figures
 from benchmarks.team_run import Master, need_ros
-from gspn_framework_package.execution.event_log import EventLog, log_files, read_log, replay
+from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan

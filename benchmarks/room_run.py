@@ -13,9 +13,10 @@ from typing import Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import ActionFailed
-from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import CancelAction, Ended, StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.plan import Plan

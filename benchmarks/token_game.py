@@ -22,8 +22,9 @@ from typing import Any, Deque, Dict, List, Optional, Sequence
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.plans import tokens_plan
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Firing, StartAction
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame

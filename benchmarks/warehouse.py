@@ -25,7 +25,8 @@ from benchmarks.machine import describe_machine, machine_line
 from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.room_ros import end_launch, last_lines
 from benchmarks.team_run import Master, need_ros
-from gspn_framework_package.execution.event_log import EventLog, log_files, read_log, replay
+from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import ExecutionError

@@ -21,7 +21,8 @@ import signal
 import sys
 from typing import Any, BinaryIO, List, Optional, Sequence
 
-from gspn_framework_package.execution.event_log import EventLogWriter, Record
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.log_writer import EventLogWriter
 
 CUT, UNSENT = signal.SIGUSR1, signal.SIGUSR2
 

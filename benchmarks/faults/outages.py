@@ -23,7 +23,8 @@ from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
 from agreement.world import changes_members
 from benchmarks.faults.team import LaunchedTeam, require
 from benchmarks.log_tail import LogTail
-from gspn_framework_package.execution.event_log import BOOT_ID, EventLog, read_log
+from gspn_framework_package.execution.event_log import EventLog, read_log
+from gspn_framework_package.execution.log_damage import BOOT_ID
 from gspn_framework_package.execution.verifier.merge import Merged
 from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError
 from gspn_framework_package.model.errors import ExecutionError

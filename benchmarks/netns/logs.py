@@ -11,7 +11,8 @@ import subprocess
 import sys
 from typing import Dict, List, NamedTuple, Sequence
 
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.model.errors import ExecutionError
 
 

@@ -16,9 +16,10 @@ from typing import Any, Dict, List, Optional
 import psutil
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import Record, header, line_of
+from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_writer import line_of
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError

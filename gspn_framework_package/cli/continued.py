@@ -13,8 +13,9 @@ import numpy as np
 from gspn_framework_package.analysis.simulation import Simulation, estimates
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.execution.event_log import Record, read_log, replay
+from gspn_framework_package.execution.event_log import Record, read_log
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.condition import either

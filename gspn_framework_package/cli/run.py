@@ -23,10 +23,11 @@ from gspn_framework_package.cli.interrupts import wait_for
 from gspn_framework_package.cli.modules import add_modules
 from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.control_socket import ControlSocket, DeployRequest
-from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.local_kinds import ALLOW, refuse_commands
 from gspn_framework_package.execution.log_entries import Entry
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.plan_file import read_plan

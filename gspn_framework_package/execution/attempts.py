@@ -31,15 +31,10 @@ from typing import (
 )
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import (
-    LogClock,
-    LogFile,
-    Record,
-    Replayed,
-    Replayer,
-)
+from gspn_framework_package.execution.event_log import LogClock, LogFile, Record
 from gspn_framework_package.execution.firing import CancelAction, StartAction
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.replayer import Replayed, Replayer
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.turn import ASKS_POLICY

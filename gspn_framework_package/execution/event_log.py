@@ -47,7 +47,8 @@ seconds, comparable between the processes of one host). Kinds:
 ==============  ====================================================================================
 
 ``kill -9`` may truncate the last line. Nothing that depends on that line has left the process, so a
-reader drops it, and a writer that resumes the file first removes it.
+reader drops it, and a writer that resumes the file first removes it. What is in this file reads
+logs; ``log_writer`` writes them, ``log_damage`` looks for what a loss of power took.
 
 The last field of every line, ``sum``, is a running hash of this line and all lines before it. It
 reveals a line that was changed, dropped or inserted. (Logs of version 1 have none. Version 3 is
@@ -57,19 +58,13 @@ version 2 with the policy in a file of its own.)
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 import os
-import platform
 import re
-import shutil
-import threading
-import time
 from typing import (
     Any,
     BinaryIO,
-    Callable,
     Dict,
     Iterator,
     List,
@@ -79,22 +74,16 @@ from typing import (
     Tuple,
 )
 
-from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.firing import Command, Firing, firing_from_json
 from gspn_framework_package.execution.stored_policy import (
     hash_of,
     read_stored,
-    stored_separately,
     with_policies,
-    without_large_policies,
 )
-from gspn_framework_package.execution.team_state import TeamState
-from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.json_file import MAX_DEPTH, is_too_deep
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.formats.source import open_file
-from gspn_framework_package.model.compact_json import compact, compact_sorted
-from gspn_framework_package.model.errors import GspnError, LogError, NetError
+from gspn_framework_package.model.compact_json import compact_sorted
+from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
 
 FORMAT = "gspn event log"
@@ -110,8 +99,7 @@ origin of the entry in the agreed log says which robot that is."""
 
 Record = Dict[str, Any]
 
-_WITH_PLANS = ("slot", "snapshot", "accepted", "invoked")
-_HOLDS_PLAN = '"plan":{'
+KINDS_WITH_PLANS = ("slot", "snapshot", "accepted", "invoked")
 """The kinds of records that can hold a plan that was staged."""
 
 
@@ -167,146 +155,6 @@ def next_hash(
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-class EventLogWriter:
-    """Appends records to a log. When :meth:`append` returns, every record has reached the operating
-    system, so it survives the process.
-
-    :param path: the file; its folder is made if necessary. An existing file is resumed: a partial
-        last line is removed, and the header must be of the same run, robot and plan.
-    :param first: the header for a new file (see :func:`header`).
-    :param fsync: wait until durable records are on the disk, so that they also survive a power
-        failure.
-    :param clocks: returns the wall clock and the monotonic clock (s).
-    :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
-    """
-
-    def __init__(
-        self,
-        path: str,
-        first: Record,
-        *,
-        fsync: bool = False,
-        clocks: Callable[[], Tuple[float, float]] = lambda: (time.time(), time.monotonic()),
-    ) -> None:
-        self.path = path
-        self._clocks = clocks
-        self._fsync = fsync
-        self._sum: Optional[str] = ""
-        self._host = _host()
-        self._lock = threading.Lock()  # another thread may sync
-        self._news = False
-        self._slots = self.synced_length = 0
-        try:
-            os.makedirs(os.path.dirname(os.path.abspath(path)), exist_ok=True)
-            known = _repair(path)
-            plan = stored_separately(first["plan"], path, fsync)
-            if plan is not first["plan"]:
-                first = {**first, "version": POLICY_APART, "plan": plan}
-            if known is not None:
-                for key in ("run", "robot", "plan_hash"):
-                    if known.get(key) != first[key]:
-                        raise LogError(
-                            "the log is of %s '%s', not '%s'" % (key, known.get(key), first[key]),
-                            file=path,
-                            hint="give the run another name, or move the file away",
-                        )
-                self._sum = None if known["version"] == UNSUMMED else _last_sum(path)
-            self._file: BinaryIO = open(path, "ab", buffering=0)  # noqa: SIM115
-        except OSError as error:
-            raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
-        if known is None:
-            try:
-                self.append({**first, "host": first.get("host") or self._host}, durable=True)
-                if self._fsync:
-                    sync_folder(os.path.dirname(os.path.abspath(path)))
-            except LogError:
-                self._file.close()
-                raise
-
-    def append(self, *records: Record, durable: bool = True, synced: bool = False) -> None:
-        """Write the records, each with the current time.
-
-        :param durable: if the log is synced (``fsync``), wait until these and all earlier records
-            are on the disk.
-        :param synced: wait for that in any case.
-        :raises LogError: the file cannot be written.
-        """
-        with self._lock:
-            try:
-                self._write(records)
-                if synced or (self._fsync and durable):
-                    os.fdatasync(self._file.fileno())
-                    self._news, self.synced_length = False, self._slots
-            except OSError as error:
-                raise LogError("cannot be written (%s)" % error.strerror, file=self.path) from None
-
-    def _write(self, records: Sequence[Record]) -> None:
-        wall, mono = self._clocks()
-        clocks = {"wall": round(wall, 6), "mono": round(mono, 6)}
-        data = "".join(self._line({**r, **clocks}) for r in records).encode()
-        for record in records:
-            if record["kind"] in ("slot", "snapshot"):
-                self._slots = record.get("slot", -1) + 1
-        self._news = True
-        while data:
-            data = data[self._file.write(data) :]
-
-    def sync(self) -> None:
-        """Bring what was written to the disk, on any thread, and note in the log how much that is.
-        Nobody who appends waits for it.
-
-        :raises OSError: the disk does not take it.
-        """
-        with self._lock:
-            if not self._news:
-                return
-            self._news = False
-            length, size = self._slots, os.fstat(self._file.fileno()).st_size
-        os.fdatasync(self._file.fileno())
-        with self._lock:
-            news, self.synced_length = self._news, length
-            self._write([{"kind": "synced", "bytes": size, "length": length}])
-            self._news = news
-
-    def _line(self, record: Record) -> str:
-        if record["kind"] == "life":
-            record = {**record, "host": self._host, "fsync": self._fsync}
-        text = compact(record)
-        if _HOLDS_PLAN in text and record["kind"] in _WITH_PLANS:
-            text = compact(without_large_policies(record, self.path, self._fsync))
-        if self._sum is None:
-            return text + "\n"
-        text, self._sum = _summed(text, self._sum)
-        return text
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def close_whole(self) -> None:
-        """Mark the log as whole, on the disk, and close the file: nothing was sent that is not in
-        it. If the mark cannot be written, the log is closed without it."""
-        try:
-            self.append({"kind": "closed"}, synced=True)
-        except LogError:
-            pass
-        finally:
-            self.close()
-
-
-def line_of(record: Record, previous: str) -> Tuple[str, str]:
-    """The line of a record, and the running hash after it.
-
-    :param previous: the running hash before it ("" for the first line).
-    """
-    return _summed(compact(record), previous)
-
-
-def _summed(text: str, previous: str) -> Tuple[str, str]:
-    chain = next_sum(previous, text.encode())
-    return '%s,"sum":"%s"}\n' % (text[:-1], chain), chain
-
-
 def next_sum(previous: str, line: bytes) -> str:
     """The running hash of a log after a line.
 
@@ -316,195 +164,16 @@ def next_sum(previous: str, line: bytes) -> str:
     return hashlib.sha256(previous.encode() + line).hexdigest()[:16]
 
 
-_SUM = re.compile(rb',"sum":"([0-9a-f]{16})"}\n?$')
+SUM = re.compile(rb',"sum":"([0-9a-f]{16})"}\n?$')
+"""The end of a line: its running hash."""
 
 
 def _without_sum(line: bytes) -> Tuple[bytes, str]:
     """A line without its running hash, and that hash ("" if the line has none)."""
-    found = _SUM.search(line)
+    found = SUM.search(line)
     if found is None:
         return line, ""
     return line[: found.start()] + b"}", found.group(1).decode()
-
-
-def _last_sum(path: str) -> str:
-    """The running hash of the last line. :raises LogError: the line has none."""
-    with open(path, "rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - 64))
-        found = _SUM.search(file.read())
-    if found is None:
-        raise LogError("the last line has no running hash", file=path, hint=DAMAGED)
-    return found.group(1).decode()
-
-
-def sync_folder(path: str) -> None:
-    """Sync a folder, so that the name of a new file in it survives a power failure."""
-    folder = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
-def end_is_there(event_log: EventLog) -> bool:
-    """Whether the log certainly has all records that were written to it, whatever happened to the
-    machine: its process ended in order, it was synced to the disk, or the machine has not restarted
-    since its last node started."""
-    if event_log.records and event_log.records[-1]["kind"] == "closed":
-        return True
-    newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
-    return bool(newest.get("fsync")) or not _is_of_an_earlier_boot(newest, event_log.header)
-
-
-def _is_of_an_earlier_boot(record: Record, head: Record) -> bool:
-    """Whether the machine has restarted since a record that names its boot."""
-    return bool(record.get("host", head.get("host")) != _host())
-
-
-BOOT_ID = "GSPN_BOOT_ID"
-"""The environment variable that replaces the id of the machine's boot, for tests."""
-
-
-def _host() -> str:
-    """An id of this machine's current boot, to which the monotonic clock belongs."""
-    if os.environ.get(BOOT_ID):
-        return os.environ[BOOT_ID]
-    try:
-        with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as file:
-            return file.read().strip()
-    except OSError:
-        return platform.node()
-
-
-def drop_torn_end(path: str) -> bool:
-    """Cut off the damaged end that a loss of power may leave in a log: lines beyond what is known
-    to have reached the disk, of an earlier boot of the machine.
-
-    :returns: whether that was the damage; otherwise nothing changes.
-    :raises LogError: the file cannot be read or changed.
-    """
-    try:
-        with open(path, "rb+") as file:
-            whole = _whole_part(file, path)
-            if not whole.damaged or whole.size < whole.safe or not whole.earlier_boot:
-                return False
-            file.truncate(whole.size)
-            return True
-    except OSError as error:
-        raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
-
-
-class _Whole(NamedTuple):
-    """What is whole of a log: its first ``size`` bytes."""
-
-    size: int
-    damaged: int
-    """The number of the line after it; 0 if there is none."""
-    safe: int = 0
-    """Bytes that are known to have reached the disk."""
-    earlier_boot: bool = False
-    """Whether the machine has restarted since."""
-
-
-def _whole_part(file: BinaryIO, path: str) -> _Whole:
-    """Read a log up to the first damaged line. :raises LogError: it is no log."""
-    first = file.readline(LONGEST_LINE)
-    summed = _SUM.search(first) is not None
-    try:
-        head = life = _header(first, path)
-        chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
-    except LogError:
-        if summed:
-            return _Whole(0, 1)
-        raise
-    good, safe = len(first), 0
-    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 2):
-        try:
-            if not line.endswith(b"\n") and not _ENDED.search(line):
-                break  # cut off while it was written
-            record = _record(line, path, number)
-            if chain:
-                chain = _follow(chain, line, path, number)
-        except LogError:
-            safe = max(safe, _safe_beyond(file, good + len(line), path))
-            return _Whole(good, number, safe, _is_of_an_earlier_boot(life, head))
-        good += len(line)
-        if record["kind"] == "life":
-            life = record
-        elif record["kind"] in ("synced", "closed"):
-            safe = int(record.get("bytes", good))
-    return _Whole(good, 0)
-
-
-def _safe_beyond(file: BinaryIO, offset: int, path: str) -> int:
-    """How many bytes reached the disk, as records after a damaged line say; 0 where none does. A
-    loss of power leaves none: it takes what was written last.
-
-    :param offset: where these records begin.
-    """
-    safe = 0
-    for line in iter(lambda: file.readline(LONGEST_LINE), b""):
-        try:
-            record = _record(line, path, 0)
-            if record["kind"] in ("synced", "closed"):
-                safe = max(safe, int(record.get("bytes", offset)))
-        except (LogError, TypeError, ValueError):
-            pass
-        offset += len(line)
-    return safe
-
-
-_ENDED = re.compile(rb',"sum":"[0-9a-f]{16}"}.$', re.DOTALL)
-"""A complete line, but for its end."""
-
-
-def set_damage_aside(path: str) -> Optional[Tuple[int, str]]:
-    """Keep a damaged log under another name, and leave what is whole before the damage.
-
-    :returns: the number of the first damaged line, and the name of the copy; None if no line is
-        damaged.
-    :raises LogError: the file is no log, or cannot be read or changed.
-    """
-    try:
-        with open(path, "rb+") as file:
-            whole = _whole_part(file, path)
-            if not whole.damaged:
-                return None
-            names = (path + ".damaged" + ("-%d" % n if n > 1 else "") for n in itertools.count(1))
-            copy = next(name for name in names if not os.path.exists(name))
-            shutil.copyfile(path, copy)
-            with open(copy, "rb") as kept:
-                os.fsync(kept.fileno())
-            sync_folder(os.path.dirname(os.path.abspath(path)))
-            file.truncate(whole.size)  # in place: the file is locked
-            return whole.damaged, copy
-    except OSError as error:
-        raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
-
-
-def _repair(path: str) -> Optional[Record]:
-    """Remove a truncated last line; returns the header, or None if there is no file or it has no
-    complete line."""
-    if not os.path.exists(path):
-        return None
-    with open(path, "rb+") as file:
-        end = file.seek(0, os.SEEK_END)
-        keep = end
-        while keep > 0:
-            start = max(0, keep - 65536)
-            file.seek(start)
-            at = file.read(keep - start).rfind(b"\n")
-            if at >= 0:
-                keep = start + at + 1
-                break
-            keep = start
-        if keep < end:
-            file.truncate(keep)
-        if keep == 0:
-            return None
-        file.seek(0)
-        return _header(file.readline(), path)
 
 
 class EventLog:
@@ -571,8 +240,8 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
         with open_file(path) as file:
             first = file.readline(LONGEST_LINE)
             cut = not first.endswith(b"\n")
-            head = _header(first, path)
-            chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
+            head = header_of(first, path)
+            chain = "" if head["version"] == UNSUMMED else follow_sum("", first, path, 1)
             left = math.inf if size is None else size - len(first)
             for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 2):
                 left -= len(line)
@@ -583,9 +252,9 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
                         raise LogError(TOO_LONG, file=path, line=number)
                     cut = True
                     break
-                records.append(_record(line, path, number))
+                records.append(record_of(line, path, number))
                 if chain:
-                    chain = _follow(chain, line, path, number)
+                    chain = follow_sum(chain, line, path, number)
     except OSError as error:
         raise LogError("cannot be read (%s)" % error.strerror, file=path) from None
     return EventLog(path, head, records, cut)
@@ -625,7 +294,7 @@ class LogFile:
         with self.open() as file:
             first = file.readline(LONGEST_LINE)
             self.size = os.fstat(file.fileno()).st_size
-        self.header = _header(first, path)
+        self.header = header_of(first, path)
         self.begin = len(first)
         self.plan = EventLog(path, self.header, []).plan
 
@@ -648,7 +317,7 @@ class LogFile:
         :raises LogError: a line is not a record, or the file can no longer be read.
         """
         for line in self._lines(file, offset, number):
-            yield _record(line, self.path, number), len(line)
+            yield record_of(line, self.path, number), len(line)
             number += 1
 
     def _lines(self, file: BinaryIO, offset: int, number: int) -> Iterator[bytes]:
@@ -689,9 +358,9 @@ class LogFile:
                     hint=DAMAGED,
                 )
             for line in self._lines(file, offset, number):
-                record = _record(line, self.path, number)
+                record = record_of(line, self.path, number)
                 if chain:
-                    chain = _follow(chain, line, self.path, number)
+                    chain = follow_sum(chain, line, self.path, number)
                 offset += len(line)
                 number += 1
                 yield record, LogPosition(offset, number, chain)
@@ -699,7 +368,7 @@ class LogFile:
     def _first_position(self, file: BinaryIO) -> LogPosition:
         """The position of the first record."""
         summed = self.header["version"] != UNSUMMED
-        chain = _follow("", file.readline(LONGEST_LINE), self.path, 1) if summed else ""
+        chain = follow_sum("", file.readline(LONGEST_LINE), self.path, 1) if summed else ""
         return LogPosition(self.begin, 2, chain)
 
     def _has(self, file: BinaryIO, position: LogPosition) -> bool:
@@ -707,7 +376,7 @@ class LogFile:
         if position.offset > self.size:
             return False
         file.seek(max(0, position.offset - 64))
-        found = _SUM.search(file.read(min(64, position.offset)))
+        found = SUM.search(file.read(min(64, position.offset)))
         return (found.group(1).decode() if found else "") == position.sum
 
     def checked_records(self) -> Iterator[Record]:
@@ -749,7 +418,7 @@ class DamagedLogError(LogError):
     """A line of a log does not follow from the lines before it."""
 
 
-def _follow(chain: str, line: bytes, path: str, number: int) -> str:
+def follow_sum(chain: str, line: bytes, path: str, number: int) -> str:
     """The running hash after a line. :raises DamagedLogError: the line records a different one."""
     text, told = _without_sum(line)
     chain = next_sum(chain, text)
@@ -769,7 +438,8 @@ def _parsed(line: bytes) -> Any:
     return data
 
 
-def _record(line: bytes, path: str, number: int) -> Record:
+def record_of(line: bytes, path: str, number: int) -> Record:
+    """The record in a line of a log. :raises LogError: there is none."""
     try:
         record = _parsed(line)
     except (ValueError, RecursionError):
@@ -777,12 +447,13 @@ def _record(line: bytes, path: str, number: int) -> Record:
     if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
         raise LogError("is not a record: %.80r" % line, file=path, line=number)
     record.pop("sum", None)
-    if b'"policy":{"hash":' in line and record["kind"] in _WITH_PLANS:
+    if b'"policy":{"hash":' in line and record["kind"] in KINDS_WITH_PLANS:
         return with_policies(record, path)
     return record
 
 
-def _header(line: bytes, path: str) -> Record:
+def header_of(line: bytes, path: str) -> Record:
+    """The header in the first line of a log. :raises LogError: there is none."""
     hint = "the first line of an event log is its header"
     if not line.strip():
         raise LogError("is empty, not an event log", file=path, hint=hint)
@@ -851,96 +522,3 @@ class LogClock:
 
 def _seconds(value: object) -> Optional[float]:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-
-class Replayed(NamedTuple):
-    """A replayed slot of a log. ``state`` is the state after it; replaying the next slot changes it
-    in place. ``commands`` is what it had the robots do, ``adopted`` the plans that the team adopted
-    in it (see :class:`~gspn_framework_package.execution.token_game.Step`).
-
-    If the log took over a snapshot instead, ``snapshot`` is true and ``entries`` is empty.
-    """
-
-    slot: int
-    entries: Tuple[log_entries.Entry, ...]
-    firings: List[Firing]
-    state: TeamState
-    record: Record
-    snapshot: bool = False
-    commands: Sequence[Command] = ()
-    adopted: Tuple[Tuple[int, TokenGame], ...] = ()
-
-
-class Replayer:
-    """Replays the slots of a log with the token game, record by record.
-
-    :param game: the rules of the plan in the header.
-    :param state: the state to start from; by default, the state before the run.
-
-    :ivar game: the rules of the plan that the team follows now.
-    """
-
-    def __init__(self, game: TokenGame, state: Optional[TeamState] = None) -> None:
-        self._first = game
-        self.state = state if state is not None else game.new_state()
-        self.game = game.now(self.state)
-
-    def take(self, record: Record) -> Optional[Replayed]:
-        """Replay the next record of the log.
-
-        :returns: what it changed; None if it holds no slot or new snapshot.
-        :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
-          those it recorded; or the record is damaged, or not of this plan.
-        """
-        try:
-            return self._take(record)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise LogError("the record is damaged (%r)" % error) from None
-        except NetError as error:
-            raise LogError("the record is not of this plan (%s)" % error) from None
-
-    def _take(self, record: Record) -> Optional[Replayed]:
-        if record["kind"] == "snapshot":
-            # a snapshot that was kept as a starting point changes nothing
-            if record["slot"] != self.state.next_slot - 1:
-                self.state = self._first.state_from_json(record["state"])
-                self.game = self._first.now(self.state)
-                return Replayed(record["slot"], (), [], self.state, record, True)
-        elif record["kind"] == "reset":
-            self.game, self.state = self._first, self._first.new_state()
-        elif record["kind"] == "slot":
-            step = _replay_slot(self.game, self.state, record)
-            self.game = self._first.now(self.state)
-            return step
-        return None
-
-
-def replay(event_log: EventLog) -> Iterator[Replayed]:
-    """Replay the slots of a log, one by one, with the token game.
-
-    :raises LogError: a record is damaged; or a slot is missing, does not hold entries, or leads to
-        other firings than those it recorded.
-    """
-    plan = event_log.plan
-    replayer = Replayer(TokenGame(plan, agents=bool(event_log.header.get("agents"))))
-    for number, record in enumerate(event_log.records, 2):
-        try:
-            step = replayer.take(record)
-        except LogError as error:
-            raise error.located(file=event_log.path, line=number) from None
-        if step is not None:
-            yield step
-
-
-def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:
-    slot = record["slot"]
-    if slot != state.next_slot:
-        raise LogError("slot %s follows where slot %d should" % (slot, state.next_slot))
-    batch = tuple(log_entries.from_json(e) for e in record["entries"])
-    step = game.reduce(state, slot, batch)
-    recorded = [
-        firing_from_json(f, step.game_of(i, game).net) for i, f in enumerate(record["firings"])
-    ]
-    if step.firings != recorded:
-        raise LogError("slot %d leads to other firings than it recorded" % slot)
-    return Replayed(slot, batch, step.firings, state, record, False, step.commands, step.adopted)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import Replayed
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.replayer import Replayed
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.model.net import Marking
 from gspn_framework_package.model.plan import Plan, RobotSpec

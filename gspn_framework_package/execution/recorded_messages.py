@@ -10,7 +10,8 @@ import heapq
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.agreement.interface import Fired
-from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
+from gspn_framework_package.execution.event_log import LogClock, LogFile, Record
+from gspn_framework_package.execution.replayer import Replayer
 from gspn_framework_package.execution.team_messages import (
     Fields,
     firing_fields,

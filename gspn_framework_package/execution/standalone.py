@@ -43,7 +43,7 @@ from gspn_framework_package.execution.breakpoints import (
 )
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
-from gspn_framework_package.execution.event_log import EventLogWriter, Record
+from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import (
     CancelAction,
@@ -62,6 +62,7 @@ from gspn_framework_package.execution.local_kinds import (
     refuse_commands,
 )
 from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in

@@ -34,9 +34,10 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.environment import Environment
-from gspn_framework_package.execution.event_log import EventLogWriter, Record, header
+from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import CancelAction, Command, Ended, StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in

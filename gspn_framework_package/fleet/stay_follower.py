@@ -12,9 +12,10 @@ import math
 from typing import Any, Dict, List, NamedTuple, Optional, Set
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import Record, Replayed, Replayer
+from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended, Fault
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.replayer import Replayed, Replayer
 from gspn_framework_package.execution.team_state import reported_phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.plan import Plan

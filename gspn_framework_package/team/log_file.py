@@ -10,17 +10,14 @@ import time
 import uuid
 from typing import BinaryIO, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.execution.event_log import (
-    EventLog,
-    EventLogWriter,
-    Record,
+from gspn_framework_package.execution.event_log import EventLog, Record, header, read_log
+from gspn_framework_package.execution.log_damage import (
     drop_torn_end,
     end_is_there,
-    header,
-    read_log,
     set_damage_aside,
     sync_folder,
 )
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 

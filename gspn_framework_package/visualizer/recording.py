@@ -19,13 +19,8 @@ from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequenc
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.displayed_data import decided_order_text, order_text
-from gspn_framework_package.execution.event_log import (
-    ORDER_GIVEN,
-    LogClock,
-    LogFile,
-    Record,
-    Replayer,
-)
+from gspn_framework_package.execution.event_log import ORDER_GIVEN, LogClock, LogFile, Record
+from gspn_framework_package.execution.replayer import Replayer
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError

@@ -18,8 +18,9 @@ from gspn_framework_package.analysis.preflight.while_running import (
 )
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
-from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import RobotState, TeamState

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution.event_log import header, read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 
 sys.path.append(str(Path(__file__).parent))

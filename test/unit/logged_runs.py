@@ -8,9 +8,10 @@ from typing import Any, Dict, List
 from game_driver import make_plan
 
 from agreement.world import World
-from gspn_framework_package.execution.event_log import header, line_of
+from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Ended
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_writer import line_of
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan

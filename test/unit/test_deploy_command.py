@@ -18,7 +18,8 @@ from gspn_framework_package.execution.control_socket import (
     chosen_run,
     running_plans,
 )
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import read_plan

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 

@@ -22,7 +22,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from robots import Robot, RobotTestCase, copy_plan
 from waiting import wait_for
 
-from gspn_framework_package.execution.event_log import BOOT_ID
+from gspn_framework_package.execution.log_damage import BOOT_ID
 from gspn_framework_package.ros.transport.master_watch import MasterWatch
 
 ACTIONS = '''

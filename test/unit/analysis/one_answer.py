@@ -19,8 +19,9 @@ from gspn_framework_package.analysis.preflight.while_running import keeps_robots
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.execution import turn
 from gspn_framework_package.execution.actions import ActionFailed
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import slot_check, verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.duration import Duration

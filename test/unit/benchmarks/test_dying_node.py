@@ -11,7 +11,8 @@ import pytest
 
 from agreement.plans import make_plan
 from benchmarks.faults.dying_node import Death
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log
+from gspn_framework_package.execution.event_log import header, read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
 
 PLAN = make_plan(2, 2, False, 0.0, 0.0, False)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from agreement.plans import make_plan
 from benchmarks.latency import latencies
 from benchmarks.log_tail import LogTail
-from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.event_log import header
+from gspn_framework_package.execution.log_writer import EventLogWriter
 
 PLAN = make_plan(2, 2, False, 0.0, 0.0, False)
 

@@ -10,7 +10,8 @@ from agreement.plans import make_plan
 from agreement.world import World
 from benchmarks.faults import outages
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits
-from gspn_framework_package.execution.event_log import BOOT_ID, EventLog
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.log_damage import BOOT_ID
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Synchronisation
 

@@ -21,8 +21,9 @@ from gspn_framework_package.execution.attempts import (
     gather,
     net_difference,
 )
-from gspn_framework_package.execution.event_log import LogFile, line_of
+from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.log_entries import Done, Failed
+from gspn_framework_package.execution.log_writer import line_of
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.event import EventSource

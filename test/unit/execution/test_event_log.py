@@ -10,15 +10,12 @@ from dataclasses import replace
 import pytest
 
 from agreement.plans import make_plan
-from gspn_framework_package.execution import event_log, log_entries
-from gspn_framework_package.execution.event_log import (
-    EventLogWriter,
-    end_is_there,
-    header,
-    read_log,
-    replay,
-)
+from gspn_framework_package.execution import log_damage, log_entries
+from gspn_framework_package.execution.event_log import header, read_log
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
+from gspn_framework_package.execution.log_damage import end_is_there
+from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError
 
@@ -156,7 +153,7 @@ def test_the_end_of_a_log_is_not_trusted_after_the_machine_was_started_anew(
         writer.append({"kind": "life", "incarnation": 0})
         writer.close()
         assert end_is_there(read_log(str(path)))
-        monkeypatch.setattr(event_log, "_host", lambda: "another boot")
+        monkeypatch.setattr(log_damage, "boot_id", lambda: "another boot")
         assert end_is_there(read_log(str(path))) == fsync
         monkeypatch.undo()
 

@@ -10,10 +10,11 @@ import pytest
 
 from agreement.plans import another_plan
 from gspn_framework_package.execution import log_entries, plan_change
-from gspn_framework_package.execution.event_log import EventLog, header, replay
+from gspn_framework_package.execution.event_log import EventLog, header
 from gspn_framework_package.execution.firing import Fault, StartAction
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_json import plan_from_json

@@ -11,9 +11,11 @@ from full_disk import fill_the_disk
 from waiting import wait_for
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution.event_log import header, read_log
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool

@@ -10,7 +10,9 @@ from dataclasses import replace
 import pytest
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution.event_log import header, read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_json import plan_from_json

@@ -15,15 +15,10 @@ import pytest
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.attempts import gather
-from gspn_framework_package.execution.event_log import (
-    EventLogWriter,
-    LogFile,
-    header,
-    log_files,
-    read_log,
-    replay,
-)
+from gspn_framework_package.execution.event_log import LogFile, header, log_files, read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.plan_change import stage_of
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan, read_policy

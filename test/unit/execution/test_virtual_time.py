@@ -10,7 +10,8 @@ from game_driver import make_plan
 from test_reacting import guard_net, shop_net
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction

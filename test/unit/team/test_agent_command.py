@@ -15,7 +15,7 @@ from waiting import wait_for
 
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.event_log import BOOT_ID
+from gspn_framework_package.execution.log_damage import BOOT_ID
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team import log_file
 

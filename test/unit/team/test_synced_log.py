@@ -9,7 +9,8 @@ import threading
 import pytest
 
 from agreement.plans import make_plan
-from gspn_framework_package.execution.event_log import BOOT_ID, read_log
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.log_damage import BOOT_ID
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.team import log_file
 

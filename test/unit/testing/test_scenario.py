@@ -11,7 +11,8 @@ import pytest
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import ActionFailed
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_log import header, line_of
+from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_writer import line_of
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json

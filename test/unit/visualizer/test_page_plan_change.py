@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 from deployed_log import NAMES, patrol, write_deployed_log
 
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.board import Board

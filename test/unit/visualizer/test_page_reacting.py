@@ -19,8 +19,9 @@ from gspn_framework_package.execution.displayed_data import (
     displayed_team,
     shown,
 )
-from gspn_framework_package.execution.event_log import EventLogWriter, LogFile, header
+from gspn_framework_package.execution.event_log import LogFile, header
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import DataError, RefusedError, UsageError
 from gspn_framework_package.model.event import Tasks

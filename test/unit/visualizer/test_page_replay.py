@@ -7,7 +7,8 @@ import shutil
 import pytest
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, LogError

@@ -15,7 +15,8 @@ from full_disk import fill_the_disk
 from page_client import PageClient
 from waiting import wait_for
 
-from gspn_framework_package.execution.event_log import EventLogWriter, read_log
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.standalone import StandaloneExecutor
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.visualizer import session, standalone_run
