@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.machine import describe_machine, machine_line, table
 from gspn_framework_package.analysis.monitoring.cusum import RateChart
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, RATIOS, Monitor
-from gspn_framework_package.analysis.monitoring.playing import play
+from gspn_framework_package.analysis.monitoring.playing import play_to_monitor
 from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.execution.virtual_time import Slowness, VirtualRun
@@ -96,7 +96,7 @@ def watched(
     run.run(time=seconds)
     monitors = [Monitor(plan, kept.observer.robots, paces, every) for every in alarm_every]
     for monitor in monitors:
-        play(monitor, kept.attempts, kept.observer.choices)
+        play_to_monitor(monitor, kept.attempts, kept.observer.choices)
     return monitors
 
 

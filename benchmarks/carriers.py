@@ -39,7 +39,7 @@ from benchmarks.processes import (
     end_cleanly_on_signal,
 )
 from gspn_framework_package.execution.agreement.interface import Send
-from gspn_framework_package.execution.agreement.messages import VERSION
+from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.plan import Synchronisation
@@ -130,7 +130,7 @@ def _flood(site: _Site, sent: Any, stop: Any) -> None:
     session = open_session(site.access(FLOODER))
     keys = [key_of(RUN, FLOODER, "all", str(lane)) for lane in range(LANES)]
     lanes = itertools.cycle([session.declare_publisher(key, express=True) for key in keys])
-    message = {"from": FLOODER, "version": VERSION, "kind": "pull", "text": "x" * BYTES}
+    message = {"from": FLOODER, "version": PROTOCOL_VERSION, "kind": "pull", "text": "x" * BYTES}
     body = json.dumps(message).encode()
     began = time.monotonic()
     while not stop.is_set():

@@ -33,7 +33,7 @@ from benchmarks.machine import (
 )
 from benchmarks.processes import peak_mb
 from gspn_framework_package.analysis.arrays import Booleans
-from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim, Objective
+from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.solving import optimum
@@ -301,7 +301,7 @@ def _ours(case: Case) -> Measurement:
         goal=goal,
         allowed=allowed,
         maximise=not case.time_to,
-        width=WIDTH,
+        width=AIM_WIDTH,
     )
     done = time.perf_counter()
     return {

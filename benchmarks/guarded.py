@@ -23,7 +23,7 @@ from benchmarks.latency import measure, plan_of
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.team_run import Master, TeamRun, need_ros
-from gspn_framework_package.execution.agreement.messages import VERSION
+from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
 from gspn_framework_package.team.seal import make_team_key
@@ -41,11 +41,13 @@ def flood(run: str) -> int:
     import rospy
 
     from gspn_framework_package.msg import Agreement
-    from gspn_framework_package.ros.links import TOPIC
+    from gspn_framework_package.ros.links import AGREEMENT_TOPIC
 
     rospy.init_node("flooder", anonymous=True, disable_signals=True)
-    out = rospy.Publisher(TOPIC, Agreement, queue_size=100)
-    body = json.dumps({"from": "robot_1", "version": VERSION, "kind": "pull", "x": "x" * _SIZE})
+    out = rospy.Publisher(AGREEMENT_TOPIC, Agreement, queue_size=100)
+    body = json.dumps(
+        {"from": "robot_1", "version": PROTOCOL_VERSION, "kind": "pull", "x": "x" * _SIZE}
+    )
     over: List[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: over.append(number))
     began, sent = time.monotonic(), 0

@@ -33,9 +33,9 @@ from gspn_framework_package.analysis.simulation.plan_run import PlanRun
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.virtual_time import VirtualRun
-from gspn_framework_package.fleet.database import connect, quoted, totals_sql, write_table
+from gspn_framework_package.fleet.database import open_database, quoted, totals_sql, write_table
 from gspn_framework_package.fleet.ingest import Ingest, new_run
-from gspn_framework_package.fleet.stay_follower import DAY
+from gspn_framework_package.fleet.stay_follower import DAY_SECONDS
 from gspn_framework_package.fleet.store import Store, file_name
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
@@ -43,7 +43,7 @@ from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
-BEGIN = 20_454 * DAY
+BEGIN = 20_454 * DAY_SECONDS
 """The first second of 2026."""
 
 SAVED_EVERY = 10
@@ -225,7 +225,7 @@ class Year:
         """Play a day; its stays and failures as columns. Stays that go on are cut at its end."""
         rows, now, state = self._rows, self._now, self._run.state
         rows.counts[:] = 0
-        end = float((number + 1) * DAY)
+        end = float((number + 1) * DAY_SECONDS)
         rules, book = self._run.arrays
         status = self._play(tuple(rules), tuple(book), tuple(state), end, tuple(now), tuple(rows))
         while status == kernel.GROW:
@@ -279,7 +279,7 @@ def fill(store: Store, year: Year, days: int) -> Dict[str, float]:
         for a, _ in net.inputs[t]
         for b, _ in net.outputs[t]
     }
-    database = connect(store.temporary)
+    database = open_database(store.temporary)
     for name, rows in (
         ("robots", [(i, robot.name) for i, robot in enumerate(plan.robots)]),
         ("places", [(i, place.name) for i, place in enumerate(net.places)]),
@@ -301,7 +301,7 @@ def fill(store: Store, year: Year, days: int) -> Dict[str, float]:
         simulated += middle - begin
         written += time.perf_counter() - middle
         if (number + 1) % SAVED_EVERY == 0 or number + 1 == days:
-            run["end"] = float(BEGIN + (number + 1) * DAY)
+            run["end"] = float(BEGIN + (number + 1) * DAY_SECONDS)
             store.commit(run)
             print("%d days, %.0f s" % (number + 1, simulated + written), file=sys.stderr)
     database.close()
@@ -326,7 +326,7 @@ def _write_day(
     moments: Dict[str, Any],
 ) -> None:
     """Write the columns of a day as the files of a store."""
-    day = str(np.datetime64(BEGIN // DAY + number, "D"))
+    day = str(np.datetime64(BEGIN // DAY_SECONDS + number, "D"))
     database.register("stay_columns", stays)
     database.register("moment_columns", moments)
     names = "%s AS run, {time}, robots.name AS robot, places.name AS place" % quoted(run["key"])

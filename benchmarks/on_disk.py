@@ -24,7 +24,7 @@ from benchmarks.processes import peak_mb
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
 from gspn_framework_package.analysis.on_disk.search import search
-from gspn_framework_package.analysis.on_disk.steady import steady_state as steady_on_disk
+from gspn_framework_package.analysis.on_disk.steady import steady_state_on_disk as steady_on_disk
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.analysis.state_space import explore

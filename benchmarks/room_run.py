@@ -31,7 +31,7 @@ class _Running(NamedTuple):
     """An action that runs: the attempt, and its steps."""
 
     command: StartAction
-    steps: patrol.Action
+    steps: patrol.ActionSteps
 
 
 class RoomRun:
@@ -48,7 +48,7 @@ class RoomRun:
 
     def __init__(self, plan: Plan, room: Room, seed: int = 0, log: Optional[str] = None) -> None:
         for place in plan.action_places:
-            if patrol.PLACE.match(place) is None:
+            if patrol.PATROL_PLACE.match(place) is None:
                 raise PlanError("not a place of the patrol", element="place '%s'" % place)
         self.plan = plan.with_seed(seed)
         heading = random.Random(seed)
@@ -123,22 +123,22 @@ class RoomRun:
             elif isinstance(command, Ended):
                 self.ended = command
 
-    def _steps(self, command: StartAction) -> patrol.Action:
-        found = patrol.PLACE.match(command.place)
+    def _steps(self, command: StartAction) -> patrol.ActionSteps:
+        found = patrol.PATROL_PLACE.match(command.place)
         assert found is not None
         robot, room = self._robots[command.robot], self.team.room
         what, location = found.group("what"), found.group("location")
         if what == "Check_Temperature":
             high, low = patrol.temperature_transitions(int(found.group(1)), location)
-            return patrol.check_temperature(robot, room, location, 30.0, high, low)
+            return patrol.measure_temperature(robot, room, location, 30.0, high, low)
         if what == "Alarm":
-            return patrol.alarm(robot, location, 5.0)
+            return patrol.sound_alarm(robot, location, 5.0)
         if what == "Wait":
             slot = patrol.preferred_slot(command.robot)
-            return patrol.wait(robot, room, location, 4.0, slot)
+            return patrol.wait_in_bay(robot, room, location, 4.0, slot)
         return _nothing()
 
 
-def _nothing() -> patrol.Action:
+def _nothing() -> patrol.ActionSteps:
     return None
     yield ""

@@ -17,10 +17,11 @@ import sys
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from benchmarks.machine import describe_machine, machine_line, table
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.navigation import NavigationStatus
-from gspn_framework_package.world.room import Box, Point, Pose, Room
+from gspn_framework_package.world.room import Box, Pose, Room
 
 LIMIT = 240.0
 """World time (s) after which no robot may still be on its way."""

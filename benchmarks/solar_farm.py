@@ -24,7 +24,7 @@ from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
-from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate
+from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.model.action import Action, FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
@@ -139,7 +139,7 @@ def solve(uavs: int) -> Dict[str, Any]:
     earned = decisions.rewards(team, Objective.long_run(rewards))
     best = optimum(team.automaton, Aim.LONG_RUN, earned, allowed=decisions.allowed(team))
     seconds = time.perf_counter() - started
-    at_random = evaluate(team.automaton, Aim.LONG_RUN, earned, _at_random(decisions, team))
+    at_random = evaluate_policy(team.automaton, Aim.LONG_RUN, earned, _at_random(decisions, team))
     return {
         "uavs": uavs,
         "places": len(plan.net.places),

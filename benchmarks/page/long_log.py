@@ -19,7 +19,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.ledger import Ledger
-from gspn_framework_package.execution.log_writer import line_of
+from gspn_framework_package.execution.log_writer import record_line
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
@@ -42,7 +42,7 @@ def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> 
         def write(number: int, record: Record) -> None:
             nonlocal chain
             clocks = {"wall": 1.7e9 + number * ENTRY_SECONDS, "mono": 1000 + number * ENTRY_SECONDS}
-            line, chain = line_of({**record, **clocks}, chain)
+            line, chain = record_line({**record, **clocks}, chain)
             file.write(line)
 
         write(0, header(plan, "long", "", "long", agents=True))

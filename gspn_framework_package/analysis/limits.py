@@ -22,10 +22,10 @@ STRUCTURE_LIMIT = 2_000_000
 """Default limit on the elementary steps of each search for invariants, siphons or traps: one or two
 seconds of work."""
 
-SECONDS = 300.0
+DEFAULT_SECONDS = 300.0
 """Default time limit (s) of each part of an analysis."""
 
-MEMORY = 4 << 30
+DEFAULT_MEMORY = 4 << 30
 """Default limit on the size (bytes) of the result of each part."""
 
 
@@ -43,8 +43,8 @@ class Limits(NamedTuple):
     states: Optional[int] = None
     tree: int = TREE_LIMIT
     structure: Optional[int] = None
-    seconds: float = SECONDS
-    memory: int = MEMORY
+    seconds: float = DEFAULT_SECONDS
+    memory: int = DEFAULT_MEMORY
 
 
 def states_of(nodes: int) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from scipy import special
 
 
-def normal(probability: float) -> float:
+def normal_quantile(probability: float) -> float:
     """The value that a standard normal number stays below with this probability."""
     return float(special.ndtri(probability))
 

@@ -209,7 +209,7 @@ def keys_of(part: Part, analysis: Analysis) -> Tuple[str, ...]:
     return (*keys, UNGUARDED) if part is Part.STRUCTURE else keys
 
 
-SURE = 1e-6
+UNSURE_ABOVE = 1e-6
 """A mean whose estimated relative error is larger is reported as unsure."""
 
 COMPONENTS = 10
@@ -603,12 +603,12 @@ class ReportWork:
 
 
 def _unsure(measures: Measures, errors: Measures) -> Dict[str, Dict[str, float]]:
-    """The estimated relative errors of those means that are not known to :data:`SURE`."""
+    """The estimated relative errors of those means that are not known to :data:`UNSURE_ABOVE`."""
     found: Dict[str, Dict[str, float]] = {}
     for key in ("mean_tokens", "throughput"):
         values, doubts = getattr(measures, key), getattr(errors, key)
         for name, value in values.items():
-            if doubts[name] > SURE * value:
+            if doubts[name] > UNSURE_ABOVE * value:
                 found.setdefault(key, {})[name] = doubts[name] / value if value > 0 else math.inf
     return found
 

@@ -8,9 +8,9 @@ import math
 import sys
 from typing import Any, List, Union
 
-from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.simulation.against import SECONDS, Against, compare_plans
+from gspn_framework_package.analysis.simulation.against import BATCH_SECONDS, Against, compare_plans
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of
 from gspn_framework_package.cli.net_input import print_notes
@@ -40,7 +40,7 @@ def add_against_arguments(group: Any) -> None:
         type=numbers.duration,
         metavar="S",
         help="with --against: how long to compute (default %g, unless --replications or "
-        "--precision is given)" % SECONDS,
+        "--precision is given)" % BATCH_SECONDS,
     )
     add_aim_arguments(group)
 
@@ -79,7 +79,7 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
         other = other.nominal()
     seconds = args.seconds
     if seconds is None and args.replications is None and args.precision is None:
-        seconds = SECONDS
+        seconds = BATCH_SECONDS
     objective = objective_of(args)
     found = working_on(
         args.on,
@@ -99,7 +99,7 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
             cancel=cancel,
             on=executor,
         ),
-        MEMORY,
+        DEFAULT_MEMORY,
         "",
     )
     if args.json:

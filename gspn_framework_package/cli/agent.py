@@ -18,7 +18,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
-LAST_WORDS = 5.0
+LEAVING_TIME = 5.0
 """Seconds that an agent has to end when it is asked to."""
 
 
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
         code = host.exit_code or 0
     finally:
         host.stop()
-        host.join(LAST_WORDS)
+        host.join(LEAVING_TIME)
         if printed is not None:
             printed.write("end", exit_code=code, log=options.log_file)
     return code

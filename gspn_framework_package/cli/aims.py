@@ -10,7 +10,7 @@ from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.model.errors import UsageError
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
 def add_aim_arguments(group: Any) -> None:
@@ -89,10 +89,10 @@ def objective_of(args: argparse.Namespace) -> Objective:
 
 
 def pairs(
-    texts: Sequence[str], option: str, read: Callable[[str], Value], form: str
-) -> Dict[str, Value]:
+    texts: Sequence[str], option: str, read: Callable[[str], _Value], form: str
+) -> Dict[str, _Value]:
     """Read ``NAME=VALUE`` texts. :raises UsageError: one is something else, or a name is twice."""
-    found: Dict[str, Value] = {}
+    found: Dict[str, _Value] = {}
     for text in texts:
         name, sign, value = text.rpartition("=")
         name = name.strip()

@@ -11,7 +11,7 @@ from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.report import Part, titled
 from gspn_framework_package.cli.memory import scratch_text
 
-SHOWN = 12
+_SHOWN = 12
 """Number of entries of a list that the text shows; --json has all of them."""
 
 TIMED = ("steady_state", "transient", "time_to_steady_state", "mean_time_to")
@@ -106,7 +106,7 @@ def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
     ):
         found = data[key]
         yield "%s: %s" % (title, "not decided" if found is None else len(found))
-        for invariant in (found or [])[:SHOWN]:
+        for invariant in (found or [])[:_SHOWN]:
             terms = [
                 "%s%s" % ("" if w == 1 else "%d*" % w, n) for n, w in invariant["weights"].items()
             ]
@@ -116,7 +116,7 @@ def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
     for key in ("siphons", "traps"):
         found = data[key]
         yield "minimal %s: %s" % (key, "not decided" if found is None else len(found))
-        for entry in (found or [])[:SHOWN]:
+        for entry in (found or [])[:_SHOWN]:
             yield "    %s%s" % (
                 ", ".join(entry["places"]),
                 "" if entry["marked"] else " (unmarked)",
@@ -184,7 +184,7 @@ def _lumped_text(lumped: Mapping[str, Any], states: Optional[Mapping[str, int]])
             visited,
             format(Decimal(lumped["permutations"]), ".4g"),
         )
-    for part in lumped["parts"][:SHOWN]:
+    for part in lumped["parts"][:_SHOWN]:
         yield "    %s" % part
     yield from _more(lumped["parts"])
     if lumped["unused_generators"]:
@@ -202,7 +202,7 @@ def _timing_text(timing: Mapping[str, Any]) -> Iterator[str]:
         yield "    doing and done are distinguished in%s" % (
             ":" if splits else " no place: the net is the same chain"
         )
-        for place, why in list(splits.items())[:SHOWN]:
+        for place, why in list(splits.items())[:_SHOWN]:
             yield "        %s: %s" % (place, why)
         yield from _more(splits)
     for assumption in timing["assumptions"]:
@@ -283,16 +283,16 @@ def _number(value: Any) -> str:
 
 
 def _map(values: Mapping[str, Any]) -> str:
-    shown = ["%s %s" % (name, _number(v)) for name, v in list(values.items())[:SHOWN]]
-    return ", ".join(shown) + (", ... (%d in all)" % len(values) if len(values) > SHOWN else "")
+    shown = ["%s %s" % (name, _number(v)) for name, v in list(values.items())[:_SHOWN]]
+    return ", ".join(shown) + (", ... (%d in all)" % len(values) if len(values) > _SHOWN else "")
 
 
 def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:SHOWN]) + (
-        ", ... (%d in all)" % len(names) if len(names) > SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + (
+        ", ... (%d in all)" % len(names) if len(names) > _SHOWN else ""
     )
 
 
 def _more(found: Any) -> Iterator[str]:
-    if found and len(found) > SHOWN:
+    if found and len(found) > _SHOWN:
         yield "    ... (%d in all)" % len(found)

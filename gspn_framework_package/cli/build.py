@@ -7,7 +7,7 @@ import json
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.making.site_plan import build
+from gspn_framework_package.making.site_plan import build_site_plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the plan."""
-    made = build(args.map, args.tasks, args.robots, args.all_edges)
+    made = build_site_plan(args.map, args.tasks, args.robots, args.all_edges)
     files = made.write(args.output)
     if args.json:
         done = {

@@ -21,9 +21,9 @@ from gspn_framework_package.analysis.monitoring.monitor import (
     PACES,
     Monitor,
 )
-from gspn_framework_package.analysis.monitoring.playing import play
+from gspn_framework_package.analysis.monitoring.playing import play_to_monitor
 from gspn_framework_package.analysis.monitoring.prediction import (
-    REPLICATIONS,
+    PREDICTION_REPLICATIONS,
     Span,
     expected_paces,
     predict,
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.replications,
         metavar="N",
         help="simulated runs for the prediction (default %d; fewer if they are long)"
-        % REPLICATIONS,
+        % PREDICTION_REPLICATIONS,
     )
     parser.add_argument(
         "--seed",
@@ -261,7 +261,7 @@ def _watch(
     plan: Plan, run: _Run, paces: Dict[str, float], alarm_every: float, progress: ProgressLine
 ) -> Monitor:
     monitor = Monitor(run.observer.start_of(plan), run.observer.robots, paces, alarm_every)
-    play(
+    play_to_monitor(
         monitor,
         run.attempts,
         run.observer.choices,

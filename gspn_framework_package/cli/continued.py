@@ -22,7 +22,7 @@ from gspn_framework_package.model.condition import either
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.plan import Plan
 
-REPLICATIONS = 100
+CONTINUED_REPLICATIONS = 100
 """Default number of runs."""
 
 
@@ -85,7 +85,7 @@ def simulate_from(beginning: Beginning, args: argparse.Namespace) -> Simulation:
         plan = replace(plan, until=either(plan.until, args.until)).validate()
     if math.isinf(args.time) and plan.until is None:
         raise UsageError("how long is a run?", hint="give --time, or --until")
-    count = args.replications or REPLICATIONS
+    count = args.replications or CONTINUED_REPLICATIONS
     net, clock, seconds, firings, tokens, over = plan.net, [], [], [], [], []
     with ProgressLine() as progress:
         watch = Watch(progress, None)

@@ -43,7 +43,7 @@ CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """Format of a computed Markov chain -> extension of its files: PRISM's explicit files, and Storm's
 DRN."""
 
-PLAN = "plan"
+PLAN_FORMAT = "plan"
 """The format of plans: ``plan.json`` with net and policy inside."""
 
 BOUNDS_EFFORT = 200_000
@@ -102,7 +102,11 @@ def run(args: argparse.Namespace) -> int:
     if args.output == "-" and args.json:
         raise UsageError("--json and the net cannot both go to standard output")
     suffix = Path(args.output).suffix.lower()
-    if args.to == PLAN or args.to is None and (suffix == ".json" or os.path.isdir(args.output)):
+    if (
+        args.to == PLAN_FORMAT
+        or args.to is None
+        and (suffix == ".json" or os.path.isdir(args.output))
+    ):
         return _write_plan(args)
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
@@ -204,7 +208,7 @@ def _write_plan(args: argparse.Namespace) -> int:
     refuse_existing(path)
     notes += write_plan(plan, plan_to_short_json(plan), args.output)
     if args.json:
-        done = {"output": path, "format": PLAN, "plan": plan.name, "notes": notes}
+        done = {"output": path, "format": PLAN_FORMAT, "plan": plan.name, "notes": notes}
         print(json.dumps(done, indent=2, ensure_ascii=False))
     else:
         print_notes(notes)

@@ -22,7 +22,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
-LINES = 8
+LAST_LINES = 8
 """Number of firings that the live view shows."""
 
 WORLD_SPEED = 3.0
@@ -311,9 +311,9 @@ class _Screen:
     def draw(self, now: float) -> None:
         demo = self._demo
         width = shutil.get_terminal_size().columns - 1
-        recent = ["%8.1f s  %s" % item for item in demo.recent(0)[-LINES:]]
+        recent = ["%8.1f s  %s" % item for item in demo.recent(0)[-LAST_LINES:]]
         lines = [demo.headline(now), "", *demo.robot_lines(), ""]
-        lines += recent + [""] * (LINES - len(recent))
+        lines += recent + [""] * (LAST_LINES - len(recent))
         up = "\033[%dA" % self._drawn if self._drawn else ""
         sys.stdout.write(up + "".join("\033[2K%s\n" % line[:width] for line in lines))
         sys.stdout.flush()

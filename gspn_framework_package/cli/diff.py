@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from gspn_framework_package.formats.difference import difference
+from gspn_framework_package.formats.difference import document_difference
 from gspn_framework_package.formats.edited_document import document_of
 
 
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what has changed from the old plan to the new one."""
-    changes = difference(document_of(args.old), document_of(args.new), args.positions)
+    changes = document_difference(document_of(args.old), document_of(args.new), args.positions)
     if args.json:
         print(json.dumps({"changes": [change.to_json() for change in changes]}, indent=2))
     else:

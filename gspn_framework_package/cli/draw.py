@@ -8,7 +8,7 @@ from typing import List, Union
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.drawing import chain_graph, note_of_rates_left_out, tree_graph
-from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
@@ -90,7 +90,9 @@ def _graph(
     def draw(progress: Progress, cancel: Cancel) -> Graph:
         if what == "coverability":
             return tree_graph(
-                CoverabilityTree(net, limit=limit, progress=progress, cancel=cancel, memory=MEMORY)
+                CoverabilityTree(
+                    net, limit=limit, progress=progress, cancel=cancel, memory=DEFAULT_MEMORY
+                )
             )
         chain = Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain
         note = "" if everything else note_of_rates_left_out(chain)
@@ -98,4 +100,4 @@ def _graph(
             notes.append(note)
         return chain_graph(chain, note)
 
-    return working(draw, MEMORY, "")
+    return working(draw, DEFAULT_MEMORY, "")

@@ -9,7 +9,7 @@ from typing import Any, List, Mapping, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, PlaceFit, fit_plan
-from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
@@ -149,7 +149,7 @@ def learn(
         names = tuple(os.path.basename(name) for name in (*files, *bags))
         return Learned(report, names, runs, len(attempts))
 
-    return working(work, MEMORY, "")
+    return working(work, DEFAULT_MEMORY, "")
 
 
 def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[str], int]:

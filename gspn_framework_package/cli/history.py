@@ -12,10 +12,10 @@ from typing import Any, Dict, Iterable, List, Sequence
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.table import aligned
 
-SHOWN = 1000
+_SHOWN = 1000
 """Rows of an answer that are shown as a table."""
 
-_MORE = "only the first %d rows are shown; --csv and --json print all" % SHOWN
+_MORE = "only the first %d rows are shown; --csv and --json print all" % _SHOWN
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -106,7 +106,7 @@ def _tell(log: Any) -> None:
 
 
 def _report(args: argparse.Namespace) -> int:
-    from gspn_framework_package.fleet.reports import Question, report
+    from gspn_framework_package.fleet.reports import Question, history_report
     from gspn_framework_package.fleet.store import Store
 
     question = Question(
@@ -117,7 +117,7 @@ def _report(args: argparse.Namespace) -> int:
         tuple(args.place),
         tuple(args.run_key),
     )
-    rows = report(Store(args.store), question)
+    rows = history_report(Store(args.store), question)
     if args.json:
         print(json.dumps({**question._asdict(), "rows": rows}))
         return 0
@@ -128,8 +128,8 @@ def _report(args: argparse.Namespace) -> int:
     if not rows:
         print("nothing is in the store for this")
         return 0
-    _print_table([_HEADS.get(name, name) for name in columns], map(_shown, rows[:SHOWN]))
-    if len(rows) > SHOWN:
+    _print_table([_HEADS.get(name, name) for name in columns], map(_shown, rows[:_SHOWN]))
+    if len(rows) > _SHOWN:
         print(_MORE)
     return 0
 
@@ -156,17 +156,17 @@ def _shown(row: Dict[str, Any]) -> List[str]:
 
 
 def _sql(args: argparse.Namespace) -> int:
-    from gspn_framework_package.fleet.reports import ask
+    from gspn_framework_package.fleet.reports import ask_sql
     from gspn_framework_package.fleet.store import Store
 
-    answer = ask(Store(args.store), args.question)
+    answer = ask_sql(Store(args.store), args.question)
     if args.json:
         rows = [dict(zip(answer.columns, row)) for row in answer.rows]
         print(json.dumps({"columns": list(answer.columns), "rows": rows}))
     elif args.csv:
         _print_csv(answer.columns, answer.rows)
     else:
-        shown = list(itertools.islice(answer.rows, SHOWN))
+        shown = list(itertools.islice(answer.rows, _SHOWN))
         _print_table(answer.columns, [["" if v is None else str(v) for v in r] for r in shown])
         if next(answer.rows, None) is not None:
             print(_MORE)

@@ -10,9 +10,9 @@ import threading
 import time
 from typing import Any, Callable, List, NoReturn, Optional, TypeVar
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
-INTERRUPTED = "gspn: interrupted"
+INTERRUPTED_MESSAGE = "gspn: interrupted"
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
@@ -20,7 +20,7 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 def leave() -> NoReturn:
     """Exit at once with the code for an interrupt, since compiled code cannot be asked to stop."""
     sys.stdout.flush()
-    print(INTERRUPTED, file=sys.stderr, flush=True)
+    print(INTERRUPTED_MESSAGE, file=sys.stderr, flush=True)
     os._exit(EXIT_INTERRUPTED)
 
 
@@ -78,8 +78,8 @@ def wait_for(event: threading.Event, seconds: Optional[float] = None) -> bool:
 
 
 def interruptible(
-    work: Callable[[], Result], interrupted: Callable[[threading.Event], None] = lambda done: None
-) -> Result:
+    work: Callable[[], _Result], interrupted: Callable[[threading.Event], None] = lambda done: None
+) -> _Result:
     """Call ``work`` on another thread, and return its result or raise its exception.
 
     Python handles an interrupt only between two bytecode instructions, and compiled code (the XML
@@ -90,7 +90,7 @@ def interruptible(
     :raises KeyboardInterrupt: there was an interrupt; the work may continue until the process ends,
       and nobody waits for it.
     """
-    result: List[Result] = []
+    result: List[_Result] = []
     errors: List[BaseException] = []
     done = threading.Event()
 

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from typing import Any, Callable, Iterator, TypeVar
 
 from gspn_framework_package.analysis.limits import (
+    DEFAULT_MEMORY,
+    DEFAULT_SECONDS,
     LARGE_NET,
-    MEMORY,
-    SECONDS,
     STATE_LIMIT,
     STRUCTURE_LIMIT,
     TREE_LIMIT,
@@ -24,7 +24,7 @@ from gspn_framework_package.cli.interrupts import interruptible, leave
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 _PATIENCE = 0.5
 """Time (s) that cancelled work has to end by itself."""
@@ -62,13 +62,13 @@ def add_limit_arguments(parser: Any) -> None:
         "--limit-time",
         type=float,
         metavar="S",
-        help="longest time of each part, in seconds (default %g)" % SECONDS,
+        help="longest time of each part, in seconds (default %g)" % DEFAULT_SECONDS,
     )
     parser.add_argument(
         "--limit-memory",
         type=float,
         metavar="GB",
-        help="maximum memory (default %.3g)" % (MEMORY / 1e9),
+        help="maximum memory (default %.3g)" % (DEFAULT_MEMORY / 1e9),
     )
 
 
@@ -84,8 +84,8 @@ def limits_of(args: argparse.Namespace) -> Limits:
         args.limit,
         args.limit_tree,
         args.limit_structure,
-        SECONDS if args.limit_time is None else args.limit_time,
-        MEMORY if args.limit_memory is None else int(args.limit_memory * 1e9),
+        DEFAULT_SECONDS if args.limit_time is None else args.limit_time,
+        DEFAULT_MEMORY if args.limit_memory is None else int(args.limit_memory * 1e9),
     )
 
 
@@ -106,8 +106,8 @@ def rare_collections() -> Iterator[None]:
 
 
 def working(
-    work: Callable[[Progress, Cancel], Result], memory: float, option: str = "--limit-memory"
-) -> Result:
+    work: Callable[[Progress, Cancel], _Result], memory: float, option: str = "--limit-memory"
+) -> _Result:
     """Do long work with a progress line; an interrupt ends it at once.
 
     The work runs on another thread, so that an interrupt is handled even while a library's compiled

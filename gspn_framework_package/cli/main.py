@@ -24,7 +24,7 @@ import traceback
 from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package import __version__
-from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED, Interrupts
+from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED_MESSAGE, Interrupts
 from gspn_framework_package.cli.orders import ORDERS, OrderVerb
 from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.model.errors import GspnError, missing_library
@@ -54,7 +54,7 @@ class Verb(NamedTuple):
         return importlib.import_module(self.module, __package__)
 
 
-GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
+VERB_GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
     "make a plan": {
         "new": Verb(
             ".new",
@@ -220,7 +220,7 @@ GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
 """What verbs are for -> verb -> its module or order."""
 
 VERBS: Dict[str, Union[Verb, OrderVerb]] = {
-    name: verb for verbs in GROUPS.values() for name, verb in verbs.items()
+    name: verb for verbs in VERB_GROUPS.values() for name, verb in verbs.items()
 }
 """Verb -> its module or order."""
 
@@ -266,7 +266,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 def _interrupted() -> int:
-    print(INTERRUPTED, file=sys.stderr)
+    print(INTERRUPTED_MESSAGE, file=sys.stderr)
     return EXIT_INTERRUPTED
 
 
@@ -357,9 +357,9 @@ def _parser(words: Sequence[str]) -> _Parser:
 def _verbs_text() -> str:
     """The verbs by what they are for, a line or two each."""
     lines = []
-    grouped = {name for verbs in GROUPS.values() for name in verbs}
+    grouped = {name for verbs in VERB_GROUPS.values() for name in verbs}
     others = {name: verb for name, verb in VERBS.items() if name not in grouped}
-    for title, verbs in [*GROUPS.items(), *([("others", others)] if others else [])]:
+    for title, verbs in [*VERB_GROUPS.items(), *([("others", others)] if others else [])]:
         lines.append("%s:" % title)
         for name, verb in verbs.items():
             text = textwrap.wrap(verb.help, 64)

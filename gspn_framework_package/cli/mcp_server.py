@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import IO, Any, Callable, Dict, List, Mapping, Optional, Protocol, Union
 
 from gspn_framework_package import __version__
+from gspn_framework_package.cli.mcp_tools import Json
 from gspn_framework_package.model.errors import CancelledError, GspnError
 
 VERSIONS = ("2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05")
@@ -24,8 +25,6 @@ AT_ONCE = 2
 """How many calls are worked on at the same time; further ones wait."""
 
 PARSE_ERROR, INVALID_REQUEST, NO_SUCH_METHOD, INVALID_PARAMS = -32700, -32600, -32601, -32602
-
-Json = Dict[str, Any]
 
 
 class Tools(Protocol):

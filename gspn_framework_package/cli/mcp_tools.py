@@ -28,7 +28,7 @@ from gspn_framework_package.model.errors import (
 from gspn_framework_package.visualizer.documents import Folder
 
 Json = Dict[str, Any]
-Tick = Callable[[float], bool]
+ProgressTick = Callable[[float], bool]
 
 TICK = 0.5
 """Seconds between two looks at whether a call was cancelled."""
@@ -73,17 +73,17 @@ def _flag(about: str) -> Json:
     return {"type": "boolean", "description": about}
 
 
-PLAN = _text("path of a plan's folder or file, or of a net, as list_plans gives it")
-ROBOTS = _whole("size of the team; by default that of the plan", 1, 10_000)
+_PLAN = _text("path of a plan's folder or file, or of a net, as list_plans gives it")
+_ROBOTS = _whole("size of the team; by default that of the plan", 1, 10_000)
 MAY_WAIT = _number("most seconds until the answer; a part that takes longer is left out", 0.1)
 OUTPUT = _text("path of a new file or folder to write; needs a server with --allow-write")
-CONDITION = "a condition on markings, such as \"p3 >= 1 and 'Check L1' == 0\", or deadlock"
+_CONDITION = "a condition on markings, such as \"p3 >= 1 and 'Check L1' == 0\", or deadlock"
 
 AIMS = {
     "reward": _texts("NAME=R: R per token in a place and second, or per firing of a transition"),
-    "mean_time_to": _text("make the mean time until this holds the shortest: " + CONDITION),
+    "mean_time_to": _text("make the mean time until this holds the shortest: " + _CONDITION),
     "cost_to": _text("make the mean cost until this holds the least; reward gives the costs"),
-    "reach": _text("make it as probable as possible that this ever holds: " + CONDITION),
+    "reach": _text("make it as probable as possible that this ever holds: " + _CONDITION),
     "discount": _number("rewards after a time t count exp(-discount t) times (1/s)"),
     "minimise": _flag("make the rewards, or the probability, as low as possible"),
     "never": _texts("conditions that may never hold"),
@@ -105,8 +105,8 @@ TOOLS = {
         "Check whether a plan may run: structure, dead markings, policy, functions. Findings may "
         "have a firing sequence, which explain_witness plays.",
         {
-            "plan": PLAN,
-            "robots": ROBOTS,
+            "plan": _PLAN,
+            "robots": _ROBOTS,
             "standalone": _flag("check it for agents that transitions may create and destroy"),
         },
         verb="check",
@@ -115,12 +115,12 @@ TOOLS = {
         "Analyse a net, or a plan under its policy: invariants, bounds, deadlocks, state space, "
         "steady state, throughputs, and answers to questions.",
         {
-            "plan": PLAN,
-            "robots": ROBOTS,
+            "plan": _PLAN,
+            "robots": _ROBOTS,
             "only_net": _flag("analyse a plan's net by its weights instead of the policy"),
-            "reach": _text("can this be reached: " + CONDITION),
+            "reach": _text("can this be reached: " + _CONDITION),
             "cover": _text("P=N,...: can a marking with at least these tokens be reached"),
-            "mean_time_to": _text("mean time until this holds: " + CONDITION),
+            "mean_time_to": _text("mean time until this holds: " + _CONDITION),
             "may_wait": MAY_WAIT,
         },
         verb="analyse",
@@ -129,11 +129,11 @@ TOOLS = {
         "Simulate many runs of a net or plan: throughputs and mean tokens with confidence "
         "intervals.",
         {
-            "plan": PLAN,
+            "plan": _PLAN,
             "time": _number("length of a run in seconds"),
             "replications": _whole("number of runs (default 1000)"),
-            "robots": ROBOTS,
-            "until": _text("ends a run: " + CONDITION),
+            "robots": _ROBOTS,
+            "until": _text("ends a run: " + _CONDITION),
             "seed": _whole("seed of the random numbers (default 0)", 0, 2**31),
             "may_wait": MAY_WAIT,
         },
@@ -143,23 +143,23 @@ TOOLS = {
     "optimise": _Tool(
         "Compute the best policy of a plan for one aim (reward, mean_time_to, cost_to or reach), "
         "with certified bounds.",
-        {"plan": PLAN, "robots": ROBOTS, **AIMS, "may_wait": MAY_WAIT, "output": OUTPUT},
+        {"plan": _PLAN, "robots": _ROBOTS, **AIMS, "may_wait": MAY_WAIT, "output": OUTPUT},
         verb="optimise",
         writes=True,
     ),
     "explain_witness": _Tool(
         "Play a firing sequence step by step, with the marking after each firing and why one "
         "cannot fire; by default the sequences behind the findings of check.",
-        {"plan": PLAN, "robots": ROBOTS, "transitions": _texts("what to fire, in order")},
+        {"plan": _PLAN, "robots": _ROBOTS, "transitions": _texts("what to fire, in order")},
         verb="explain",
     ),
     "draft_plan": _Tool(
         "Draft a plan and check it: from a template (%s), or as a whole document with its net in "
         "it (keys net, actions, policy, robots; docs/plan_file.md). Answers with the files and "
-        "the check." % ", ".join(templates.names()),
+        "the check." % ", ".join(templates.templates_by_name()),
         {
-            "template": {"enum": list(templates.names())},
-            "robots": ROBOTS,
+            "template": {"enum": list(templates.templates_by_name())},
+            "robots": _ROBOTS,
             "places": _texts("where the robots go, for templates that take places"),
             "document": {"type": "object", "description": "the plan, instead of a template"},
             "output": OUTPUT,
@@ -204,7 +204,7 @@ class PlanTools:
             for name, tool in TOOLS.items()
         ]
 
-    def call(self, name: str, arguments: Mapping[str, Any], tick: Tick) -> str:
+    def call(self, name: str, arguments: Mapping[str, Any], tick: ProgressTick) -> str:
         """Answer one call with a text, which is JSON unless it was cut.
 
         :param tick: see :class:`~gspn_framework_package.cli.mcp_server.Tools`.
@@ -302,7 +302,7 @@ class PlanTools:
 class _Runs:
     """Runs command lines for one call, all within its time."""
 
-    def __init__(self, folder: str, limits: CallLimits, tick: Tick) -> None:
+    def __init__(self, folder: str, limits: CallLimits, tick: ProgressTick) -> None:
         self._folder, self._limits, self._tick = folder, limits, tick
         self._begun = time.monotonic()
 

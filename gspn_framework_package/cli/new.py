@@ -8,7 +8,7 @@ import shlex
 from typing import Sequence
 
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.formats.example_plans import ALL, copy_example, example_names
+from gspn_framework_package.formats.example_plans import ALL_EXAMPLES, copy_example, example_names
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import UsageError
 
@@ -16,7 +16,10 @@ from gspn_framework_package.model.errors import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument(
-        "template", nargs="?", metavar="TEMPLATE", help="one of: %s" % ", ".join(templates.names())
+        "template",
+        nargs="?",
+        metavar="TEMPLATE",
+        help="one of: %s" % ", ".join(templates.templates_by_name()),
     )
     parser.add_argument("folder", nargs="?", metavar="DIR", help="the folder to make")
     parser.add_argument("--robots", type=numbers.robots, metavar="N", help="number of robots")
@@ -25,12 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="PLACE",
         help="where the robots go (%s)"
-        % ", ".join(name for name in templates.names() if templates.takes_places(name)),
+        % ", ".join(name for name in templates.templates_by_name() if templates.takes_places(name)),
     )
     parser.add_argument(
         "--example",
         metavar="NAME",
-        help="copy an example plan of the package into DIR instead; %s: all of them" % ALL,
+        help="copy an example plan of the package into DIR instead; %s: all of them" % ALL_EXAMPLES,
     )
     parser.add_argument("--list", action="store_true", help="list the templates and the examples")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
@@ -40,11 +43,11 @@ def run(args: argparse.Namespace) -> int:
     """Write the plan."""
     if args.list:
         if args.json:
-            print(json.dumps(templates.names(), indent=2))
+            print(json.dumps(templates.templates_by_name(), indent=2))
         else:
-            for name, about in templates.names().items():
+            for name, about in templates.templates_by_name().items():
                 print("%-12s %s" % (name, about))
-            print("examples (--example NAME): %s" % ", ".join([*example_names(), ALL]))
+            print("examples (--example NAME): %s" % ", ".join([*example_names(), ALL_EXAMPLES]))
         return 0
     if args.example is not None:
         return _copy_example(args)

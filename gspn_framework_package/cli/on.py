@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Callable, TypeVar
 
-from gspn_framework_package.analysis.executors import FORMS, Executor, open_executor
+from gspn_framework_package.analysis.executors import EXECUTOR_FORMS, Executor, open_executor
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.limits import working
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
 def add_on_argument(parser: Any) -> None:
@@ -17,19 +17,19 @@ def add_on_argument(parser: Any) -> None:
         "--on",
         default="local",
         metavar="EXECUTOR",
-        help="who computes: %s (default %%(default)s); the results are the same" % FORMS,
+        help="who computes: %s (default %%(default)s); the results are the same" % EXECUTOR_FORMS,
     )
 
 
 def working_on(
     on: str,
-    work: Callable[[Progress, Cancel, Executor], Result],
+    work: Callable[[Progress, Cancel, Executor], _Result],
     memory: float,
     option: str = "--limit-memory",
-) -> Result:
+) -> _Result:
     """Do long work as :func:`working` does, with the executor that ``on`` names."""
 
-    def with_executor(progress: Progress, cancel: Cancel) -> Result:
+    def with_executor(progress: Progress, cancel: Cancel) -> _Result:
         with open_executor(on) as executor:
             return work(progress, cancel, executor)
 

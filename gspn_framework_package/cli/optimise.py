@@ -7,7 +7,7 @@ import json
 import os
 from typing import List, Optional, Tuple
 
-from gspn_framework_package.analysis.decisions.aims import NARROWEST, WIDTH, AtLeast, Request
+from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST, AtLeast, Request
 from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimise
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.cli import numbers
@@ -97,7 +97,7 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--width",
         type=numbers.number(NARROWEST, 0.5),
-        default=WIDTH,
+        default=AIM_WIDTH,
         metavar="W",
         help="width of the certified interval, relative to its value (default %(default)g)",
     )
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
-    request = request_of(args, len(plan.robots))
+    request = request_in_arguments(args, len(plan.robots))
     request.resolved(plan.net)  # what is wrong is said before anything is read or computed
     path = None
     if args.output is not None:
@@ -157,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
     return max((failure.exit_code for failure in report.failures), default=0)
 
 
-def request_of(args: argparse.Namespace, robots: int) -> Request:
+def request_in_arguments(args: argparse.Namespace, robots: int) -> Request:
     """The request in the arguments, for a plan of ``robots`` robots.
 
     :raises UsageError: they make no sense.

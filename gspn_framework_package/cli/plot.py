@@ -41,7 +41,7 @@ _ROWS = 20
 _PLACES = 60
 """Maximum number of places in a picture of fitted durations."""
 
-KINDS = ("tokens", "throughput", "distribution", "passage")
+PLOTS = ("tokens", "throughput", "distribution", "passage")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--what",
-        choices=KINDS,
+        choices=PLOTS,
         default="tokens",
         help="mean tokens or throughput over time, the distribution of tokens in the steady "
         "state, or the probability "

@@ -25,7 +25,7 @@ from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.control_socket import ControlSocket, DeployRequest
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Firing
-from gspn_framework_package.execution.local_kinds import ALLOW, refuse_commands
+from gspn_framework_package.execution.local_kinds import ALLOW_IN_STANDALONE_RUN, refuse_commands
 from gspn_framework_package.execution.log_entries import Entry
 from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
@@ -163,7 +163,7 @@ def _plan(args: argparse.Namespace) -> Plan:
     for note in plan.notes:
         print("note: %s" % note, file=sys.stderr)
     if not args.allow_commands:
-        refuse_commands(plan, ALLOW)
+        refuse_commands(plan, ALLOW_IN_STANDALONE_RUN)
     report = verdict(plan, standalone=True)
     if report.refused:
         print(report, file=sys.stderr)

@@ -20,7 +20,7 @@ from gspn_framework_package.cli.continued import notes as continued_notes
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_of
+from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_in_arguments
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.virtual_log import simulate_to_log
 
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if args.log:
         return simulate_to_log(subject, notes, args)
     with open_executor(args.on) as executor, ProgressLine() as progress:
-        asked = asked_of(args, args.measure)._replace(batches=args.batches)
+        asked = asked_in_arguments(args, args.measure)._replace(batches=args.batches)
         result = simulate(subject, progress=progress, on=executor, **asked._asdict())
     return _print(result, notes, args)
 

@@ -73,7 +73,7 @@ def add_run_arguments(parser: Any) -> None:
     )
 
 
-def asked_of(args: argparse.Namespace, measures: Sequence[str]) -> Asked:
+def asked_in_arguments(args: argparse.Namespace, measures: Sequence[str]) -> Asked:
     """What the arguments ask of a simulation.
 
     :param measures: whose precision counts.

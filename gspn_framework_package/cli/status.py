@@ -16,7 +16,7 @@ from gspn_framework_package.execution.displayed_data import (
     shown,
 )
 
-COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
+_COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +63,7 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
                 ", over: %s" % longest["ended"] if longest["ended"] else "",
             )
         )
-        rows: List[Sequence[str]] = [COLUMNS]
+        rows: List[Sequence[str]] = [_COLUMNS]
         for robot in longest["robots"]:
             own = next((s for s in of_run if s["robot"] == robot["robot"]), None)
             rows.append(_row(robot, own))

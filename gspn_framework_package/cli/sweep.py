@@ -9,14 +9,14 @@ import json
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor
-from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen
-from gspn_framework_package.analysis.sweeps.variation import FORMS, read_variation
+from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint, chosen
+from gspn_framework_package.analysis.sweeps.variation import VARIATION_FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import add_on_argument, working_on
 from gspn_framework_package.cli.plot import begin_picture, save_picture
-from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_of
+from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_in_arguments
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.sweep_figure import sweep_figure
 from gspn_framework_package.cli.sweep_store import SUFFIX, PointStore
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         required=True,
         metavar="NAME=VALUES",
-        help="%s; may be repeated: every combination is measured" % FORMS,
+        help="%s; may be repeated: every combination is measured" % VARIATION_FORMS,
     )
     parser.add_argument(
         "--measure",
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     files = [
         str(v) for variation in variations if variation.kind == "policy" for v in variation.values
     ]
-    asked = asked_of(args, [name for _, name in wanted if name] if args.precision else [])
+    asked = asked_in_arguments(args, [name for _, name in wanted if name] if args.precision else [])
     limits = limits_of(args)
     sweep = Sweep(
         subject,
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     store = PointStore(args.output + SUFFIX) if args.output else None
     kept = sum(key in store.known for key in sweep.keys) if store else 0
 
-    def work(progress: Progress, cancel: Cancel, executor: Executor) -> List[Point]:
+    def work(progress: Progress, cancel: Cancel, executor: Executor) -> List[SweepPoint]:
         found = []
         known = dict(store.known) if store else {}
         for point in sweep.run(known, executor, Watch(progress, cancel)):
@@ -118,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _measured(
-    points: Sequence[Point], wanted: Sequence[Tuple[str, str]]
-) -> Iterator[Tuple[Point, str, str, float, Optional[float]]]:
+    points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
+) -> Iterator[Tuple[SweepPoint, str, str, float, Optional[float]]]:
     for point in points:
         for measure, name in wanted:
             if name in point.measures.get(measure, {}):
@@ -127,7 +127,7 @@ def _measured(
 
 
 def _write(
-    path: str, sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]
+    path: str, sweep: Sweep, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
 ) -> None:
     """Write the table, all of it or nothing."""
     text = io.StringIO()
@@ -142,7 +142,7 @@ def _write(
 
 def _json(
     sweep: Sweep,
-    points: Sequence[Point],
+    points: Sequence[SweepPoint],
     wanted: Sequence[Tuple[str, str]],
     kept: int,
     notes: Sequence[str],
@@ -157,7 +157,7 @@ def _json(
     }
 
 
-def _table(sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]) -> Rows:
+def _table(sweep: Sweep, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]) -> Rows:
     rows: Rows = [(*(v.name for v in sweep.variations), *(name or m for m, name in wanted))]
     for point in points:
         cells = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Sequence, Tuple
 
-from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep
+from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint
 from gspn_framework_package.model.errors import UsageError
 
 _MOST = 12
@@ -16,7 +16,9 @@ _LINES = 12
 _UNITS = {"throughput": "throughput (1/s)", "mean_tokens": "mean tokens"}
 
 
-def sweep_figure(sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]) -> Any:
+def sweep_figure(
+    sweep: Sweep, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
+) -> Any:
     """A diagram for each measure, with the confidence intervals.
 
     :raises UsageError: there are too many measures.
@@ -55,7 +57,7 @@ def sweep_figure(sweep: Sweep, points: Sequence[Point], wanted: Sequence[Tuple[s
 
 
 def _lines(
-    sweep: Sweep, points: Sequence[Point], measure: str, name: str
+    sweep: Sweep, points: Sequence[SweepPoint], measure: str, name: str
 ) -> Dict[str, List[Tuple[Any, float, float]]]:
     """Title -> (value of the first variation, mean, half width)."""
     found: Dict[str, List[Tuple[Any, float, float]]] = {}

@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 from typing import IO, Any, Dict, Optional
 
-from gspn_framework_package.analysis.sweeps.sweep import Measures, Point
+from gspn_framework_package.analysis.sweeps.sweep import PointMeasures, SweepPoint
 from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import DataError, InputError
 
@@ -28,7 +28,7 @@ class PointStore:
 
     def __init__(self, path: str) -> None:
         self.path = Path(path)
-        self.known: Dict[str, Point] = {}
+        self.known: Dict[str, SweepPoint] = {}
         self._file: Optional[IO[str]] = None
         self._whole = 0
         try:
@@ -54,7 +54,7 @@ class PointStore:
             key, runs = data["key"], data["replications"]
             if not isinstance(key, str) or type(runs) is not int:
                 raise ValueError
-            self.known[key] = Point(0, (), key, _measures(data["measures"]), runs)
+            self.known[key] = SweepPoint(0, (), key, _measures(data["measures"]), runs)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise DataError(
                 "this is no point of a sweep",
@@ -63,7 +63,7 @@ class PointStore:
                 hint="move the file away, and all points are measured anew",
             ) from None
 
-    def add(self, point: Point) -> None:
+    def add(self, point: SweepPoint) -> None:
         """Keep a point. :raises InputError: the file cannot be written."""
         if point.key in self.known:
             return
@@ -100,8 +100,8 @@ class PointStore:
             self._file.close()
 
 
-def _measures(data: Any) -> Measures:
-    found: Measures = {}
+def _measures(data: Any) -> PointMeasures:
+    found: PointMeasures = {}
     for measure, values in data.items():
         found[measure] = {}
         for name, (mean, half) in values.items():

@@ -87,7 +87,7 @@ from typing import (
     Union,
 )
 
-from gspn_framework_package.execution.plan_modules import load_module, refuse_foreign
+from gspn_framework_package.execution.plan_modules import load_module, refuse_foreign_function
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
@@ -198,7 +198,7 @@ class ActionResult(NamedTuple):
     data: Mapping[str, Any]
 
 
-PARAMETERS = ActionContext._fields + ("id",)
+ACTION_PARAMETERS = ActionContext._fields + ("id",)
 """The parameter names by which an action may ask for values."""
 
 
@@ -372,7 +372,7 @@ def _not_fitting(value: Any, parameter: inspect.Parameter) -> str:
 class PythonAction(PythonFunction):
     """An action of a plan that is a function or class."""
 
-    known = PARAMETERS
+    known = ACTION_PARAMETERS
     role = "action"
 
     def __call__(self, context: ActionContext) -> ActionResult:
@@ -408,7 +408,7 @@ _Kind = TypeVar("_Kind", bound=PythonFunction)
 def action(function: _Function) -> _Function:
     """Decorator that marks a function (or class) as an action and checks its parameters at once.
 
-    :raises PlanError: it has a required parameter that is not one of :data:`PARAMETERS`.
+    :raises PlanError: it has a required parameter that is not one of :data:`ACTION_PARAMETERS`.
     """
     PythonAction(function, getattr(function, "__qualname__", repr(function)))
     return function
@@ -471,7 +471,7 @@ def load_function(
     if not callable(function):
         raise PlanError("this is not a function", file=module.__file__, element=element)
     try:
-        refuse_foreign(function, name, folder)
+        refuse_foreign_function(function, name, folder)
     except PlanError as error:
         raise error.located(file=module.__file__, element=element) from None
     try:

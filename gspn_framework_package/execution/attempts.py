@@ -42,7 +42,7 @@ from gspn_framework_package.model.errors import LogError, NetError
 from gspn_framework_package.model.plan import FailureKind, Plan, Synchronisation
 from gspn_framework_package.model.plan_timing import why_blocked
 
-Progress = Callable[[str, int, float], None]
+ReadingProgress = Callable[[str, int, float], None]
 """Called from time to time with what is counted, the count, and the seconds so far."""
 
 OUTAGE = 1.0
@@ -517,7 +517,7 @@ class _Log(NamedTuple):
 
 
 def gather(
-    paths: Sequence[str], plan: Optional[Plan] = None, progress: Optional[Progress] = None
+    paths: Sequence[str], plan: Optional[Plan] = None, progress: Optional[ReadingProgress] = None
 ) -> Gathered:
     """Read logs of one or several runs of a plan: of standalone runs, or of the robots of teams.
 
@@ -685,7 +685,7 @@ def _follow(follower: AttemptFollower, file: LogFile, count: _Counter) -> Iterat
 class _Counter:
     """Counts records as they are read, and reports progress."""
 
-    def __init__(self, progress: Optional[Progress]) -> None:
+    def __init__(self, progress: Optional[ReadingProgress]) -> None:
         self._progress = progress
         self._count = 0
         self._begin = time.monotonic()

@@ -17,7 +17,7 @@ from gspn_framework_package.model.action import CommandAction
 from gspn_framework_package.model.data import VALUE_LIMIT, check_values, fill
 from gspn_framework_package.model.errors import DataError
 
-LOOK_EVERY = 0.1
+_LOOK_EVERY = 0.1
 """Seconds between two looks at a program that has closed its output, or whose children have it."""
 
 READ_SIZE = 65_536
@@ -171,7 +171,7 @@ def _last_lines(process: subprocess.Popen[bytes]) -> List[str]:
             for stream in open_ones:
                 stream.drain()
             break
-        ready, _, _ = select.select(open_ones, [], [], LOOK_EVERY)
+        ready, _, _ = select.select(open_ones, [], [], _LOOK_EVERY)
         for stream in ready:
             if not stream.read():
                 open_ones.remove(stream)

@@ -20,10 +20,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 
-PATIENCE = 5.0
+REQUEST_PATIENCE = 5.0
 """Seconds within which a line has to come, and a run has to say who it is."""
 
-LIMIT = 10_000_000
+LARGEST_REQUEST = 10_000_000
 """Most bytes of a request or an answer."""
 
 
@@ -103,7 +103,7 @@ class ControlSocket:
     def _serve(self, connection: socket.socket) -> None:
         with connection, contextlib.suppress(OSError):
             try:
-                answer = self._answer(_receive(connection, PATIENCE))
+                answer = self._answer(_receive(connection, REQUEST_PATIENCE))
             except GspnError as error:
                 answer = {"done": False, "message": str(error)}
             except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -139,7 +139,7 @@ def running_plans() -> List[RunningPlan]:
             continue
         path = os.path.join(folder, name)
         try:
-            about = _ask(path, {"ask": "about"}, PATIENCE)
+            about = _ask(path, {"ask": "about"}, REQUEST_PATIENCE)
             files = [str(file) for file in about["files"]]
             found.append(RunningPlan(path, int(process), str(about["plan"]), files))
         except ConnectionRefusedError:  # its process was killed
@@ -157,7 +157,7 @@ def ask_to_deploy(run: RunningPlan, request: DeployRequest) -> Dict[str, Any]:
     """
     try:
         question = {"ask": "deploy", **request._asdict()}
-        answer = _ask(run.socket, question, request.wait + 4 * PATIENCE)
+        answer = _ask(run.socket, question, request.wait + 4 * REQUEST_PATIENCE)
         return {"done": bool(answer["done"]), "message": str(answer["message"])}
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ExecutionError(
@@ -220,7 +220,7 @@ def _folder() -> str:
 def _ask(path: str, request: Dict[str, Any], patience: float) -> Dict[str, Any]:
     """:raises OSError, ValueError: there is no answer."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(PATIENCE)
+        connection.settimeout(REQUEST_PATIENCE)
         connection.connect(path)
         _send(connection, request)
         return _receive(connection, patience)
@@ -239,7 +239,7 @@ def _receive(connection: socket.socket, patience: float) -> Dict[str, Any]:
         if not part:
             raise ValueError("it ended")
         data += part
-        if len(data) > LIMIT:
+        if len(data) > LARGEST_REQUEST:
             raise ValueError("it is too long")
     found = json.loads(data.decode())
     if not isinstance(found, dict):

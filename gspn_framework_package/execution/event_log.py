@@ -79,15 +79,15 @@ from gspn_framework_package.execution.stored_policy import (
     read_stored,
     with_policies,
 )
-from gspn_framework_package.formats.json_file import MAX_DEPTH, is_too_deep
+from gspn_framework_package.formats.json_file import DEEPEST_JSON, is_too_deep
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
 
-FORMAT = "gspn event log"
-VERSION = 2
+LOG_FORMAT = "gspn event log"
+LOG_VERSION = 2
 UNSUMMED = 1
 """The version whose lines have no running hash; still read and continued."""
 POLICY_APART = 3
@@ -128,8 +128,8 @@ def header(
     """
     first = {
         "kind": "header",
-        "format": FORMAT,
-        "version": VERSION,
+        "format": LOG_FORMAT,
+        "version": LOG_VERSION,
         "run": run,
         "robot": robot,
         "log": log_id,
@@ -433,7 +433,7 @@ def _parsed(line: bytes) -> Any:
     """The JSON of a line. :raises ValueError: it is none.
     :raises RecursionError: it is nested too deeply."""
     data = json.loads(line.decode())
-    if line.count(b"[") + line.count(b"{") > MAX_DEPTH and is_too_deep(data):
+    if line.count(b"[") + line.count(b"{") > DEEPEST_JSON and is_too_deep(data):
         raise RecursionError
     return data
 
@@ -461,9 +461,9 @@ def header_of(line: bytes, path: str) -> Record:
         head = _parsed(line)
     except (ValueError, RecursionError):
         raise LogError("is not an event log", file=path, line=1, hint=hint) from None
-    if not isinstance(head, dict) or head.get("format") != FORMAT:
+    if not isinstance(head, dict) or head.get("format") != LOG_FORMAT:
         raise LogError("is not an event log", file=path, line=1, hint=hint)
-    if head.get("version") not in (UNSUMMED, VERSION, POLICY_APART):
+    if head.get("version") not in (UNSUMMED, LOG_VERSION, POLICY_APART):
         raise LogError(
             "is of version %.20r; this program reads versions %d to %d"
             % (head.get("version"), UNSUMMED, POLICY_APART),

@@ -89,7 +89,7 @@ class Ended(NamedTuple):
     finished: bool
 
 
-Command = Union[StartAction, CancelAction, Fault, Ended]
+GameCommand = Union[StartAction, CancelAction, Fault, Ended]
 
 
 def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:

@@ -21,7 +21,7 @@ LOCAL_KINDS: Dict[type, Callable[[Plan, Any], LocalAction]] = {
 """Kind of action -> what makes an action of a plan ready to be run."""
 
 
-ALLOW = "gspn run --allow-commands"
+ALLOW_IN_STANDALONE_RUN = "gspn run --allow-commands"
 """How the operator of a standalone run allows commands."""
 
 

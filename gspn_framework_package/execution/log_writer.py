@@ -152,7 +152,7 @@ class EventLogWriter:
             self.close()
 
 
-def line_of(record: Record, previous: str) -> Tuple[str, str]:
+def record_line(record: Record, previous: str) -> Tuple[str, str]:
     """The line of a record, and the running hash after it.
 
     :param previous: the running hash before it ("" for the first line).

@@ -21,10 +21,10 @@ from gspn_framework_package.model.errors import GspnError, PlanError
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
-KEPT = 8
+KEPT_PLANS = 8
 """Plans that are kept after they were read."""
 
-_plans: Kept[str, Plan] = Kept(KEPT)
+_plans: Kept[str, Plan] = Kept(KEPT_PLANS)
 
 
 def digest_of(plan: Mapping[str, Any]) -> str:

@@ -132,7 +132,7 @@ def refuse_other_module(name: str) -> None:
         )
 
 
-def refuse_foreign(function: Any, name: str, folder: Optional[str]) -> None:
+def refuse_foreign_function(function: Any, name: str, folder: Optional[str]) -> None:
     """Refuse a function that a module of the plan only imports from one that is not allowed.
 
     :param function: the function, class or callable object.

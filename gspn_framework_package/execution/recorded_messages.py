@@ -13,7 +13,7 @@ from gspn_framework_package.execution.agreement.interface import Fired
 from gspn_framework_package.execution.event_log import LogClock, LogFile, Record
 from gspn_framework_package.execution.replayer import Replayer
 from gspn_framework_package.execution.team_messages import (
-    Fields,
+    MessageFields,
     firing_fields,
     marking_fields,
     team_fields,
@@ -21,7 +21,7 @@ from gspn_framework_package.execution.team_messages import (
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError
 
-FIRED = "/fired_transitions"
+_FIRED = "/fired_transitions"
 """The topic of the firings of all teams."""
 
 
@@ -32,7 +32,7 @@ class RecordedMessage(NamedTuple):
     time: float
     topic: str
     kind: str
-    fields: Fields
+    fields: MessageFields
 
 
 def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
@@ -60,7 +60,7 @@ def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[Record
         of the robot that keeps the log.
     """
     reader = _LogReader(log)
-    told: Dict[str, Fields] = {}
+    told: Dict[str, MessageFields] = {}
     with log.open() as file:
         for number, (record, _) in enumerate(log.records(file, log.begin, 2), 2):
             for message in reader.messages(record, number):
@@ -102,7 +102,7 @@ class _LogReader:
                 games = [game for begins, game in step.adopted if begins <= at]
                 plan = (games[-1] if games else before).plan
                 fired = Fired(firing, False, str(record.get("hash", "")), plan)
-                found.append((FIRED, "FiredTransition", firing_fields(fired, self._run)))
+                found.append((_FIRED, "FiredTransition", firing_fields(fired, self._run)))
             found += self._state()
             return [RecordedMessage(now, *message) for message in found]
         except LogError as error:
@@ -116,7 +116,7 @@ class _LogReader:
             self._began = float(record.get("wall") or 0.0)
         return self._began + self._clock.read(record)
 
-    def _state(self) -> List[Tuple[str, str, Fields]]:
+    def _state(self) -> List[Tuple[str, str, MessageFields]]:
         game, state = self._replayer.game, self._replayer.state
         about = (self._run, game.plan.hash())
         place = "/" + self._keeper if self._keeper else ""

@@ -6,7 +6,7 @@ from typing import Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLog, Record
-from gspn_framework_package.execution.firing import Command, Firing, firing_from_json
+from gspn_framework_package.execution.firing import Firing, GameCommand, firing_from_json
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError, NetError
@@ -26,7 +26,7 @@ class Replayed(NamedTuple):
     state: TeamState
     record: Record
     snapshot: bool = False
-    commands: Sequence[Command] = ()
+    commands: Sequence[GameCommand] = ()
     adopted: Tuple[Tuple[int, TokenGame], ...] = ()
 
 

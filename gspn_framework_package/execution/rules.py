@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import List
 
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import POLICY, RobotState, TeamState
+from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import POLICY
 
 
 class Rules:

@@ -47,15 +47,15 @@ from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import (
     CancelAction,
-    Command,
     Ended,
     Fault,
     Firing,
+    GameCommand,
     StartAction,
 )
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.local_kinds import (
-    ALLOW,
+    ALLOW_IN_STANDALONE_RUN,
     LOCAL_KINDS,
     LocalAction,
     load_local_actions,
@@ -169,7 +169,7 @@ class StandaloneExecutor:
         self._event_log = event_log
         self._clock = time_source
         if not allow_commands:
-            refuse_commands(plan, ALLOW)
+            refuse_commands(plan, ALLOW_IN_STANDALONE_RUN)
         self._allow_commands = allow_commands
         self._actions = _load_functions(plan)
         self._prepared: Dict[str, Tuple[Plan, Dict[str, Dict[str, LocalAction]]]] = {}
@@ -254,7 +254,7 @@ class StandaloneExecutor:
         :raises ExecutionError: the executor did not take it up in time, and will not.
         """
         if not self._allow_commands:
-            refuse_commands(plan, ALLOW)
+            refuse_commands(plan, ALLOW_IN_STANDALONE_RUN)
         actions = _load_functions(plan)
         self._check_from_here(plan, mapping, check)
         entry = plan_change.stage_of(plan, mapping, plan.folder or "")
@@ -505,7 +505,7 @@ class StandaloneExecutor:
             self._phases[name] = (phase, self._clock())
         self._listener.on_phase(name, phase)
 
-    def _carry_out(self, command: Command) -> None:
+    def _carry_out(self, command: GameCommand) -> None:
         if isinstance(command, StartAction):
             if command.attempt == 1:
                 self._set_phase(command.robot, Phase.FREE)

@@ -14,7 +14,7 @@ from gspn_framework_package.execution.team_state import RobotState, TeamState, r
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking, Net
 
-Fields = Dict[str, Any]
+MessageFields = Dict[str, Any]
 """Name -> value of the fields of a message, but for its header."""
 
 _NUMBERED = (
@@ -29,7 +29,7 @@ _NUMBERED = (
     Phase.LEFT,
 )
 
-STATES = tuple(phase.report.state for phase in _NUMBERED)
+ROBOT_STATES = tuple(phase.report.state for phase in _NUMBERED)
 """The states of ``RobotActivity``, at the numbers of its constants; "": UNKNOWN."""
 
 
@@ -89,7 +89,7 @@ def marking_lists(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
 
 def robot_fields(
     game: TokenGame, state: TeamState, robot: RobotState, run: str, plan: str
-) -> Fields:
+) -> MessageFields:
     """The fields of the ``RobotActivity`` of a robot, according to a log.
 
     :param game: the rules that the team follows now.
@@ -107,7 +107,7 @@ def robot_fields(
         "robot": robot.name,
         "place": "" if gone else game.net.places[robot.place].name,
         "place_number": -1 if gone else robot.place,
-        "state": STATES.index(phase.report.state),
+        "state": ROBOT_STATES.index(phase.report.state),
         "state_name": phase.report.state,
         "visit": robot.visit,
         "attempt": robot.attempt,
@@ -118,23 +118,23 @@ def robot_fields(
     }
 
 
-def activity_fields(activity: Mapping[str, Any]) -> Fields:
+def activity_fields(activity: Mapping[str, Any]) -> MessageFields:
     """The fields of the ``RobotActivity`` in what a live robot says of itself.
 
     :param activity: the JSON object of the topic ``activity``.
     """
     fields = {name: activity[name] for name in _SAME}
     state = activity["state"]
-    return {**fields, "state": STATES.index(state), "state_name": state}
+    return {**fields, "state": ROBOT_STATES.index(state), "state_name": state}
 
 
-def marking_fields(game: TokenGame, state: TeamState, run: str, plan: str) -> Fields:
+def marking_fields(game: TokenGame, state: TeamState, run: str, plan: str) -> MessageFields:
     """The fields of ``Marking``. The parameters are those of :func:`robot_fields`."""
     places, counts = marking_lists(state.marking, game.net)
     return {"run": run, "plan": plan, "slot": state.next_slot, "places": places, "counts": counts}
 
 
-def team_fields(game: TokenGame, state: TeamState, run: str, plan: str) -> Fields:
+def team_fields(game: TokenGame, state: TeamState, run: str, plan: str) -> MessageFields:
     """The fields of ``TeamState``, whose ``robots`` are :func:`robot_fields`. The parameters are
     those of that function."""
     waiting: List[str] = [task.id for _, queue in sorted(state.queues.items()) for task in queue]

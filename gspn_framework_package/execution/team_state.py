@@ -15,12 +15,10 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan_timing import POLICY
 
 OUTSIDE_LIMIT = 10_000
 """So many tasks wait for one transition; one more has no effect."""
-
-POLICY = -1
-"""The request of a robot that lets the policy decide."""
 
 
 class Draw(NamedTuple):

@@ -11,12 +11,11 @@ from __future__ import annotations
 from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution import log_entries, plan_change
-from gspn_framework_package.execution.firing import Command, Firing
+from gspn_framework_package.execution.firing import Firing, GameCommand
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import (
     OUTSIDE_LIMIT,
-    POLICY,
     RobotState,
     StagedPlan,
     Task,
@@ -26,11 +25,12 @@ from gspn_framework_package.execution.turn import Turn
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import LostKind
+from gspn_framework_package.model.plan_timing import POLICY
 
 KNOWN_TASKS = 10_000
 """For each transition, so many ids of tasks are remembered; an older id counts as new."""
 
-INTERRUPTED = (Phase.DOING, Phase.DONE, Phase.FAILED)
+INTERRUPTIBLE = (Phase.DOING, Phase.DONE, Phase.FAILED)
 """The phases in which an event takes a robot out of its place."""
 
 
@@ -39,7 +39,7 @@ class Step(NamedTuple):
     between: (number of firings before it, the rules from there on)."""
 
     firings: List[Firing]
-    commands: List[Command]
+    commands: List[GameCommand]
     adopted: Tuple[Tuple[int, TokenGame], ...] = ()
 
     def game(self, before: TokenGame) -> TokenGame:
@@ -236,7 +236,7 @@ class _Reducer(Turn):
             robot is None
             or t not in self.rules.interrupts
             or (robot.incarnation, robot.visit) != (entry.incarnation, entry.visit)
-            or robot.phase not in INTERRUPTED
+            or robot.phase not in INTERRUPTIBLE
             or t not in self.net.consumers[robot.place]
         ):
             return

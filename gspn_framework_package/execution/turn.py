@@ -7,10 +7,10 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 from gspn_framework_package.execution.chance import choose, sample, uniform
 from gspn_framework_package.execution.firing import (
     CancelAction,
-    Command,
     Ended,
     Fault,
     Firing,
+    GameCommand,
     Move,
     StartAction,
     TaskMove,
@@ -19,7 +19,6 @@ from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import (
-    POLICY,
     Draw,
     RobotState,
     Task,
@@ -27,6 +26,7 @@ from gspn_framework_package.execution.team_state import (
 )
 from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.plan import FailureKind
+from gspn_framework_package.model.plan_timing import POLICY
 
 FIRINGS_PER_ENTRY = 10_000
 """This many firings after one entry are taken for a timeless cycle, and the run ends."""
@@ -52,7 +52,7 @@ class Turn:
         self.state = state
         self.slot = slot
         self.firings: List[Firing] = []
-        self.commands: List[Command] = []
+        self.commands: List[GameCommand] = []
 
     # -- settling ----------------------------------------------------------------------------------
 

@@ -35,7 +35,7 @@ from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_log import Record, header
-from gspn_framework_package.execution.firing import CancelAction, Command, Ended, StartAction
+from gspn_framework_package.execution.firing import CancelAction, Ended, GameCommand, StartAction
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
@@ -319,7 +319,7 @@ class VirtualRun:
 
     # -- actions -----------------------------------------------------------------------------------
 
-    def _carry_out(self, command: Command) -> None:
+    def _carry_out(self, command: GameCommand) -> None:
         if isinstance(command, StartAction):
             self._start(command)
         elif isinstance(command, CancelAction):

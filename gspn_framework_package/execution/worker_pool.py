@@ -6,7 +6,7 @@ import queue
 import threading
 from typing import Callable, Optional
 
-Task = Callable[[], None]
+Work = Callable[[], None]
 
 
 class WorkerPool:
@@ -22,10 +22,10 @@ class WorkerPool:
         self._idle_seconds = idle_seconds
         self._lock = threading.Lock()
         self._idle = 0
-        self._tasks: queue.SimpleQueue[Optional[Task]] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[Optional[Work]] = queue.SimpleQueue()
         self._made = 0
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Work) -> None:
         """Run ``task`` now, on its own thread."""
         with self._lock:
             if self._idle > 0:
@@ -36,14 +36,14 @@ class WorkerPool:
             name = "%s-%d" % (self._name, self._made)
         threading.Thread(target=self._work, args=(task,), name=name, daemon=True).start()
 
-    def _work(self, task: Optional[Task]) -> None:
+    def _work(self, task: Optional[Work]) -> None:
         while task is not None:
             task()
             with self._lock:
                 self._idle += 1
             task = self._next()
 
-    def _next(self) -> Optional[Task]:
+    def _next(self) -> Optional[Work]:
         try:
             return self._tasks.get(timeout=self._idle_seconds)
         except queue.Empty:

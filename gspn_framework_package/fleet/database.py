@@ -8,7 +8,7 @@ from typing import Any, Dict, Iterator, Sequence, Tuple
 
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 
-MEMORY = "700MB"
+DATABASE_MEMORY = "700MB"
 """What DuckDB may use; beyond that, it works on the disk."""
 
 OLDEST_FOR_SQL = (1, 2)
@@ -79,14 +79,14 @@ GROUP BY run, robot, place ORDER BY robot, place
 """
 
 
-def connect(temporary: str) -> Any:
+def open_database(temporary: str) -> Any:
     """A new database in memory, which reads and writes files.
 
     :param temporary: the folder for what does not fit into the memory.
     :raises InputError: DuckDB is not installed.
     """
     database = duckdb().connect()
-    database.execute("SET memory_limit='%s'" % MEMORY)
+    database.execute("SET memory_limit='%s'" % DATABASE_MEMORY)
     database.execute("SET temp_directory=%s" % quoted(temporary))
     database.execute("SET preserve_insertion_order=false")
     return database
@@ -169,7 +169,7 @@ def one_question(database: Any, sql: str) -> Any:
         return database.execute(statements[0])
     except module.OutOfMemoryException:
         raise LimitError(
-            "the question needs more than %s of memory" % MEMORY,
+            "the question needs more than %s of memory" % DATABASE_MEMORY,
             hint="ask for fewer days, or group by less",
         ) from None
     except module.Error as error:

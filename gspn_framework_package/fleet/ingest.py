@@ -13,7 +13,7 @@ import os
 import time
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution.attempts import Progress
+from gspn_framework_package.execution.attempts import ReadingProgress
 from gspn_framework_package.execution.event_log import (
     LogClock,
     LogFile,
@@ -22,7 +22,7 @@ from gspn_framework_package.execution.event_log import (
     log_files,
 )
 from gspn_framework_package.fleet.stay_follower import StayFollower
-from gspn_framework_package.fleet.store import Manifest, RowWriter, Store, key_of
+from gspn_framework_package.fleet.store import Manifest, RowWriter, Store, file_stem
 from gspn_framework_package.model.errors import GspnError, LogError
 
 CLOCK_WAS_SET = 2.0
@@ -107,7 +107,7 @@ class Ingest:
     :param progress: called with the number of records read.
     """
 
-    def __init__(self, store: Store, progress: Optional[Progress] = None) -> None:
+    def __init__(self, store: Store, progress: Optional[ReadingProgress] = None) -> None:
         self._store = store
         self._progress = progress
         self._records = 0
@@ -154,8 +154,8 @@ class Ingest:
             if _id_of(header) in run["logs"]:
                 return run
         if not header["robot"]:
-            return self._runs.get(key_of("", header["log"])) or new_run(
-                key_of("", header["log"]), header
+            return self._runs.get(file_stem("", header["log"])) or new_run(
+                file_stem("", header["log"]), header
             )
         first: Optional[Record] = None
         same = [
@@ -170,7 +170,7 @@ class Ingest:
             if first is None:
                 first = record
                 if record["kind"] == "slot" and record.get("slot") == 0:
-                    key = key_of(header["run"], str(record.get("hash")))
+                    key = file_stem(header["run"], str(record.get("hash")))
                     return self._runs.get(key) or new_run(key, header)
             known = str(record.get("slot"))
             for run in same:

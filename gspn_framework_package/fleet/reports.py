@@ -11,11 +11,11 @@ from gspn_framework_package.fleet.stay_follower import USES
 from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.model.errors import UsageError
 
-GROUPS = ("day", "robot", "place", "run")
+REPORT_GROUPS = ("day", "robot", "place", "run")
 """What a report can be grouped by."""
 
-SECONDS = tuple(use + "_s" for use in USES)
-COUNTS = ("failures", "alarms", "interventions")
+_SECONDS = tuple(use + "_s" for use in USES)
+_COUNTS = ("failures", "alarms", "interventions")
 
 _AT_ONCE = 1000
 """Rows that are fetched at a time."""
@@ -24,7 +24,7 @@ _AT_ONCE = 1000
 class Question(NamedTuple):
     """What a report is about.
 
-    ``by`` are some of :data:`GROUPS`. ``since`` and ``until`` are the first and the last day
+    ``by`` are some of :data:`REPORT_GROUPS`. ``since`` and ``until`` are the first and the last day
     (``2026-05-04``, UTC; "" for any). Of ``robots``, ``places`` and ``runs``, none means all.
     """
 
@@ -38,9 +38,10 @@ class Question(NamedTuple):
     def check(self) -> None:
         """:raises UsageError: it makes no sense."""
         for group in self.by:
-            if group not in GROUPS:
+            if group not in REPORT_GROUPS:
                 raise UsageError(
-                    "a report is not grouped by '%.80s'" % group, hint="but by " + ", ".join(GROUPS)
+                    "a report is not grouped by '%.80s'" % group,
+                    hint="but by " + ", ".join(REPORT_GROUPS),
                 )
         if not self.by or len(set(self.by)) < len(self.by):
             raise UsageError("a report is grouped by something, and once by each")
@@ -71,11 +72,11 @@ class Question(NamedTuple):
         return self.since, self.until
 
 
-def report(store: Store, question: Question) -> List[Dict[str, Any]]:
+def history_report(store: Store, question: Question) -> List[Dict[str, Any]]:
     """Use, waiting, failures, visits, alarms and interventions, a row for each group.
 
-    A row has the names of its groups, ``visits``, the seconds of :data:`SECONDS`, ``use`` (the
-    share of the time in which actions ran; None if there was no time) and :data:`COUNTS`. What
+    A row has the names of its groups, ``visits``, the seconds of :data:`_SECONDS`, ``use`` (the
+    share of the time in which actions ran; None if there was no time) and :data:`_COUNTS`. What
     concerns no robot or place has the name "".
 
     :raises UsageError: the question makes no sense, or names what the store does not have.
@@ -84,7 +85,7 @@ def report(store: Store, question: Question) -> List[Dict[str, Any]]:
     where, values = question.where()
     groups = ", ".join(question.by)
     seconds = ", ".join("sum(%s_ms) / 1000.0" % use for use in USES)
-    counts = ", ".join("sum(%s)::BIGINT" % name for name in COUNTS)
+    counts = ", ".join("sum(%s)::BIGINT" % name for name in _COUNTS)
     sql = "SELECT %s, sum(visits)::BIGINT, %s, %s FROM totals WHERE %s GROUP BY %s ORDER BY %s" % (
         groups,
         seconds,
@@ -99,11 +100,11 @@ def report(store: Store, question: Question) -> List[Dict[str, Any]]:
         if not rows:
             _refuse_unknown(database, question)
         database.close()
-    names = [*question.by, "visits", *SECONDS, *COUNTS]
+    names = [*question.by, "visits", *_SECONDS, *_COUNTS]
     found = []
     for row in rows:
-        told = {name: plain(value) for name, value in zip(names, row)}
-        time = sum(told[name] for name in SECONDS)
+        told = {name: plain_cell(value) for name, value in zip(names, row)}
+        time = sum(told[name] for name in _SECONDS)
         told["use"] = told["acting_s"] / time if time > 0 else None
         found.append(told)
     return found
@@ -175,7 +176,7 @@ class SqlAnswer(NamedTuple):
     rows: Iterator[Tuple[Any, ...]]
 
 
-def ask(store: Store, sql: str) -> SqlAnswer:
+def ask_sql(store: Store, sql: str) -> SqlAnswer:
     """Ask a question in SQL: one SELECT over the tables of the store, and no other file.
 
     :raises UsageError: it is something else, or wrong.
@@ -194,7 +195,7 @@ def _rows(cursor: Any) -> Iterator[Tuple[Any, ...]]:
         if not rows:
             return
         for row in rows:
-            yield tuple(map(plain, row))
+            yield tuple(map(plain_cell, row))
 
 
 def _as_objects(cursor: Any) -> Iterator[Dict[str, Any]]:
@@ -203,16 +204,16 @@ def _as_objects(cursor: Any) -> Iterator[Dict[str, Any]]:
         yield dict(zip(names, row))
 
 
-def plain(value: Any) -> Any:
+def plain_cell(value: Any) -> Any:
     """A value of DuckDB as one that JSON has."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, decimal.Decimal):
         return float(value)
     if isinstance(value, (list, tuple)):
-        return [plain(part) for part in value]
+        return [plain_cell(part) for part in value]
     if isinstance(value, dict):
-        return {str(key): plain(part) for key, part in value.items()}
+        return {str(key): plain_cell(part) for key, part in value.items()}
     if isinstance(value, (datetime.date, datetime.datetime)):
         return value.isoformat()
     return str(value)

@@ -20,14 +20,14 @@ from gspn_framework_package.execution.team_state import reported_phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.plan import Plan
 
-DAY = 86_400
+DAY_SECONDS = 86_400
 """Seconds."""
 
 USES = ("acting", "waiting", "paused", "failed", "resting")
 """What a robot does in a stay: its action runs; it waits for a transition; it is paused; its action
 failed for good; it has finished."""
 
-ALARM, FAILURE, INTERVENTION, INTERRUPT, TASK, JOIN, END = (
+ALARM, _FAILURE, INTERVENTION, INTERRUPT, TASK, JOIN, END = (
     "alarm",
     "failure",
     "intervention",
@@ -169,7 +169,7 @@ class StayFollower:
             return
         end = self.now + seconds
         while True:
-            midnight = (math.floor(self.now / DAY) + 1) * DAY
+            midnight = (math.floor(self.now / DAY_SECONDS) + 1) * DAY_SECONDS
             if midnight > end:
                 break
             self.now = float(midnight)
@@ -221,7 +221,7 @@ class StayFollower:
             else:
                 touched.add(command.robot)
             if isinstance(command, Fault) and command.failed:  # before the robot goes on
-                self._moment(step.slot, command.robot, FAILURE, command.failed)
+                self._moment(step.slot, command.robot, _FAILURE, command.failed)
         for entry in step.entries:
             touched.add(getattr(entry, "robot", ""))
             everybody = everybody or isinstance(entry, _OF_ALL)

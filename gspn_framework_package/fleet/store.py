@@ -25,23 +25,23 @@ from typing import Any, Dict, Iterator, List, Optional, Sequence
 
 from gspn_framework_package.fleet.database import (
     TABLES,
-    connect,
     explained,
     files_sql,
+    open_database,
     quoted,
     totals_sql,
     write_table,
 )
-from gspn_framework_package.fleet.stay_follower import DAY, Moment, Stay
+from gspn_framework_package.fleet.stay_follower import DAY_SECONDS, Moment, Stay
 from gspn_framework_package.model.errors import InputError
 
-FORMAT = "gspn history"
-VERSION = 1
+STORE_FORMAT = "gspn history"
+STORE_VERSION = 1
 
 INCOMING = "incoming"
 """The folder of what is being written."""
 
-ROWS = 1_000_000
+ROWS_PER_FILE = 1_000_000
 """Rows that are gathered before they become Parquet files."""
 
 MOST_FILES = 12
@@ -70,7 +70,7 @@ class Store:
             if create and (not os.path.isdir(folder) or not os.listdir(folder)):
                 for name in ("runs", *TABLES):
                     os.makedirs(os.path.join(self.folder, name), exist_ok=True)
-                _replace(first, {"format": FORMAT, "version": VERSION})
+                _replace(first, {"format": STORE_FORMAT, "version": STORE_VERSION})
             with open(first, encoding="utf-8") as file:
                 told = json.load(file)
         except (FileNotFoundError, NotADirectoryError):
@@ -81,10 +81,10 @@ class Store:
             ) from None
         except ValueError:
             raise InputError("is damaged", file=first) from None
-        if told.get("format") != FORMAT or told.get("version") != VERSION:
+        if told.get("format") != STORE_FORMAT or told.get("version") != STORE_VERSION:
             raise InputError(
                 "is a store of version %s; this program reads version %d"
-                % (told.get("version"), VERSION),
+                % (told.get("version"), STORE_VERSION),
                 file=folder,
             )
 
@@ -166,7 +166,7 @@ class Store:
         """
         runs = self.runs() if runs is None else runs
         with explained(self.folder):
-            database = connect(self.temporary)
+            database = open_database(self.temporary)
             for table in TABLES:
                 rows = files_sql(table, self.files(table, runs, days))
                 database.execute("CREATE VIEW %s AS SELECT * FROM %s" % (table, rows))
@@ -186,7 +186,7 @@ class Store:
                 columns = ", ".join('"%s"' % name for name, _ in TABLES[table])
                 sql = "SELECT %s FROM %s ORDER BY robot, place" % (columns, rows)
                 with explained(self.folder):
-                    database = connect(self.temporary)
+                    database = open_database(self.temporary)
                     write_table(database, sql, os.path.join(self.folder, merged))
                     database.close()
                 kept = [name for name in run["files"][table] if name not in names]
@@ -239,10 +239,10 @@ class RowWriter:
         for table, rows in (("stays", stays), ("moments", moments)):
             write = self._writers[table].writerow
             for row in rows:
-                write((int(row[0] // DAY), round(row[0] * 1e3), *row[1:]))
+                write((int(row[0] // DAY_SECONDS), round(row[0] * 1e3), *row[1:]))
             self.rows[table] += len(rows)
             self._gathered += len(rows)
-        if self._gathered >= ROWS:
+        if self._gathered >= ROWS_PER_FILE:
             self._convert()
             self._begin()
 
@@ -268,7 +268,7 @@ class RowWriter:
             self._write_files()
 
     def _write_files(self) -> None:
-        database = connect(self._store.temporary)
+        database = open_database(self._store.temporary)
         for table, path in self._paths.items():
             database.execute("CREATE TABLE %s AS %s" % (table, self._rows_sql(table, path)))
         days = database.execute(
@@ -325,7 +325,7 @@ def day_of_file(name: str) -> str:
     return os.path.basename(os.path.dirname(name))[len("day=") :]
 
 
-def key_of(*parts: str) -> str:
+def file_stem(*parts: str) -> str:
     """A name for files that stands for these parts."""
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 

@@ -65,7 +65,7 @@ def _text(value: Any) -> str:
     return text if len(text) <= 120 else text[:90] + " ... " + text[-25:]
 
 
-def difference(
+def document_difference(
     old: Mapping[str, Any], new: Mapping[str, Any], positions: bool = True
 ) -> List[DocumentChange]:
     """Return the changes that make the new document of the old one.

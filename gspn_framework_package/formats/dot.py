@@ -8,9 +8,9 @@ from __future__ import annotations
 import subprocess
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
-from gspn_framework_package.formats.routes import Line, NodeBox, Point, Routing, layout
+from gspn_framework_package.formats.routes import Line, NodeBox, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
-from gspn_framework_package.model.net import Net, Place, Position, Transition
+from gspn_framework_package.model.net import Net, Place, Point, Transition
 from gspn_framework_package.model.subnet import Subnet
 
 IMAGE_FORMATS = ("svg", "png", "pdf")
@@ -179,7 +179,7 @@ def to_bytes(net: Net) -> bytes:
     return net_graph(net).text().encode("utf-8")
 
 
-def _positions(net: Net) -> Dict[str, Position]:
+def _positions(net: Net) -> Dict[str, Point]:
     """Return the positions of the nodes, if all nodes have one and they are not all the same."""
     found = {p.name: p.position for p in net.places if p.position is not None}
     found.update((t.name, t.position) for t in net.transitions if t.position is not None)
@@ -188,14 +188,14 @@ def _positions(net: Net) -> Dict[str, Position]:
     return found
 
 
-def _at(name: str, positions: Mapping[str, Position]) -> Dict[str, Attribute]:
+def _at(name: str, positions: Mapping[str, Point]) -> Dict[str, Attribute]:
     if not positions:
         return {}
     x, y = positions[name]
     return {"pos": "%.2f,%.2f!" % (x, 0 - y)}  # Graphviz counts y upwards
 
 
-def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Routing]:
+def _placed(net: Net, positions: Mapping[str, Point]) -> Optional[Routing]:
     """Route the arcs and place the labels; None if Graphviz has to do that."""
     looks = [_place_attributes(place, 0) for place in net.places] + [
         _transition_attributes(t) for t in net.transitions

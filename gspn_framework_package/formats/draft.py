@@ -23,8 +23,8 @@ from typing import (
 
 from gspn_framework_package.formats.xml_tree import point
 from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError, NoValueError
-from gspn_framework_package.model.expression import evaluate, shorten, whole
-from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+from gspn_framework_package.model.expression import as_whole, evaluate, shorten
+from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 
 if TYPE_CHECKING:
     from gspn_framework_package.formats.repetition import FileSample
@@ -129,7 +129,7 @@ class NetDraft:
         name: Optional[str],
         tokens: int = 0,
         capacity: Optional[int] = None,
-        position: Optional[Position] = None,
+        position: Optional[Point] = None,
         line: Optional[int] = None,
     ) -> None:
         """Add a place; either ``identifier`` or ``name`` may be missing."""
@@ -142,7 +142,7 @@ class NetDraft:
         name: Optional[str],
         weight: float = 1.0,
         priority: int = 1,
-        position: Optional[Position] = None,
+        position: Optional[Point] = None,
         line: Optional[int] = None,
     ) -> None:
         """Add an immediate transition; either ``identifier`` or ``name`` may be missing."""
@@ -156,7 +156,7 @@ class NetDraft:
         name: Optional[str],
         rate: float = 1.0,
         servers: Optional[int] = 1,
-        position: Optional[Position] = None,
+        position: Optional[Point] = None,
         line: Optional[int] = None,
     ) -> None:
         """Add an exponential transition (``rate`` in 1/s; ``servers`` None: infinitely many)."""
@@ -224,7 +224,7 @@ class NetDraft:
         """
         if text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS:
             return int(text)
-        value = whole(self.number(text, what, element, line))
+        value = as_whole(self.number(text, what, element, line))
         if value is None:
             self.fail("its %s '%s' is not a whole number" % (what, shorten(text)), element, line)
         return value

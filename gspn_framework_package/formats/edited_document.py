@@ -33,13 +33,13 @@ def document_of(path: str) -> EditedDocument:
     return {"plan": parts.plan, "net": parts.net, "policy": parts.policy}
 
 
-def split(data: Dict[str, Any]) -> EditedDocument:
+def document_from_json(data: Dict[str, Any]) -> EditedDocument:
     """Return the document of the JSON object of a plan that contains its net and policy."""
     plan = {key: value for key, value in data.items() if key not in ("net", "policy")}
     return {"plan": plan, "net": data.get("net", {}), "policy": data.get("policy")}
 
 
-def joined(document: EditedDocument) -> Dict[str, Any]:
+def document_to_json(document: EditedDocument) -> Dict[str, Any]:
     """Return the JSON object of a plan that contains the net and the policy of a document.
 
     :raises PlanError: it is not a document.
@@ -67,7 +67,7 @@ def plan_of_document(document: EditedDocument, path: str, root: Optional[str] = 
     :raises GspnError: it is not a valid plan; the error names the element.
     """
     try:
-        return plan_from_object(joined(document), path, root)
+        return plan_from_object(document_to_json(document), path, root)
     except GspnError as error:
         error.located(file=path)
         raise

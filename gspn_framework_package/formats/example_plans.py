@@ -9,7 +9,7 @@ from typing import List
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.model.errors import InputError, UsageError
 
-ALL = "all"
+ALL_EXAMPLES = "all"
 """Stands for all examples where the name of one is asked for."""
 
 
@@ -44,22 +44,24 @@ def example_names() -> List[str]:
 def copy_example(name: str, folder: str) -> List[str]:
     """Copy an example plan into a new folder.
 
-    :param name: one of :func:`example_names`, or :data:`ALL` for a folder with a folder for each.
+    :param name: one of :func:`example_names`, or :data:`ALL_EXAMPLES` for a folder with a
+        folder for each.
     :param folder: the folder to make.
     :returns: the names in the folder.
     :raises UsageError: there is no such example, or the folder exists.
     :raises InputError: it cannot be written; nothing is left behind.
     """
     names = example_names()
-    if name not in (*names, ALL):
+    if name not in (*names, ALL_EXAMPLES):
         raise UsageError(
-            "there is no example '%s'" % name, hint="there are: %s" % ", ".join([*names, ALL])
+            "there is no example '%s'" % name,
+            hint="there are: %s" % ", ".join([*names, ALL_EXAMPLES]),
         )
     if os.path.lexists(folder):
         raise UsageError("it exists already", file=folder, hint="name another folder")
     ignored = shutil.ignore_patterns("__pycache__")
     try:
-        if name == ALL:
+        if name == ALL_EXAMPLES:
             for each in names:
                 shutil.copytree(
                     os.path.join(plans_folder(), each), os.path.join(folder, each), ignore=ignored

@@ -60,7 +60,7 @@ FOREIGN: Tuple[Foreign, ...] = (
 )
 
 
-def refuse_foreign(file: NetFile) -> None:
+def refuse_foreign_file(file: NetFile) -> None:
     """Refuse a file of a known foreign kind. :raises InputError: the file is of such a kind."""
     for kind in FOREIGN:
         if kind.recognises(file):

@@ -11,11 +11,11 @@ from typing import Any, Dict, List, NamedTuple, NoReturn, Optional, Sequence, Tu
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError
 
-Step = Union[str, int]
+KeyOrIndex = Union[str, int]
 """A step from an element to one inside it: a key or an index."""
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+')
-WIDTH = 100
+LINE_WIDTH = 100
 """Longest value that is written in one line."""
 
 RECORD = 160
@@ -32,7 +32,7 @@ class JsonDocument(NamedTuple):
     data: Any
     text: str
 
-    def line(self, path: Sequence[Step]) -> Optional[int]:
+    def line(self, path: Sequence[KeyOrIndex]) -> Optional[int]:
         """Return the line of the element at ``path`` (keys and indices); for a member of an object
         this is the line of its key."""
         wanted = [str(step) for step in path]
@@ -61,13 +61,13 @@ class JsonDocument(NamedTuple):
 
 
 def json_text(data: Any) -> str:
-    """The text of a JSON file as people write one: see :func:`json_value`; the members of the whole
-    have lines of their own, however few they are."""
+    """The text of a JSON file as people write one: see :func:`json_layout`; the members of the
+    whole have lines of their own, however few they are."""
     return (_lines(data, "", "  ", "\n") if data and is_container(data) else _ENCODE(data)) + "\n"
 
 
-def json_value(
-    value: Any, indent: str = "", unit: str = "  ", newline: str = "\n", width: int = WIDTH
+def json_layout(
+    value: Any, indent: str = "", unit: str = "  ", newline: str = "\n", width: int = LINE_WIDTH
 ) -> str:
     """The text of a JSON value: in one line if that fits, with lines for its members if not.
 
@@ -113,16 +113,16 @@ def _lines(value: Any, indent: str, unit: str, newline: str) -> str:
     if isinstance(value, dict):
         ends = "{}"
         members = [
-            "%s: %s" % (_ENCODE(str(key)), json_value(member, inside, unit, newline))
+            "%s: %s" % (_ENCODE(str(key)), json_layout(member, inside, unit, newline))
             for key, member in value.items()
         ]
     else:
-        ends, members = "[]", [json_value(item, inside, unit, newline, RECORD) for item in value]
+        ends, members = "[]", [json_layout(item, inside, unit, newline, RECORD) for item in value]
     space = newline + inside
     return ends[0] + space + ("," + space).join(members) + newline + indent + ends[1]
 
 
-MAX_DEPTH = 100
+DEEPEST_JSON = 100
 """How deep lists and objects may be inside each other; plans and logs need less than 20."""
 
 
@@ -130,10 +130,10 @@ TOO_DEEP = "it is nested too deeply"
 
 
 def is_too_deep(data: Any) -> bool:
-    """Whether a value of JSON is nested deeper than :data:`MAX_DEPTH`: whoever goes through it
+    """Whether a value of JSON is nested deeper than :data:`DEEPEST_JSON`: whoever goes through it
     would run out of stack somewhere."""
     level = [data] if isinstance(data, (dict, list)) else []
-    for _ in range(MAX_DEPTH):
+    for _ in range(DEEPEST_JSON):
         level = [
             inner
             for value in level

@@ -12,11 +12,11 @@ import re
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.formats.json_file import (
+    LINE_WIDTH,
     RECORD,
-    WIDTH,
     has_records,
     is_container,
-    json_value,
+    json_layout,
 )
 
 _SPACE = re.compile(r"[ \t\r\n]*")
@@ -103,15 +103,15 @@ class _Update:
             changed = self._array(start, end, parts, new, inner)
         if indent is None or broken or self._stays(text, changed, old, new, indent):
             return changed
-        return json_value(json.loads(changed), indent, self.unit, self.line)
+        return json_layout(json.loads(changed), indent, self.unit, self.line)
 
     @staticmethod
     def _stays(text: str, changed: str, old: Any, new: Any, indent: str) -> bool:
         """Whether what was in one line goes on in one line: if it fits, or if it never did and has
         no parts that could have lines of their own."""
-        if len(indent) + len(changed) <= WIDTH:
+        if len(indent) + len(changed) <= LINE_WIDTH:
             return has_records(old) or not has_records(new)
-        return len(indent) + len(text) > WIDTH and not any(map(is_container, _members(new)))
+        return len(indent) + len(text) > LINE_WIDTH and not any(map(is_container, _members(new)))
 
     def _reordered(self, old: Any, new: Any) -> bool:
         return any(self._order_differs(old, new, key) for key in self.ordered)
@@ -235,11 +235,11 @@ class _Update:
             found.append(space + text + after)
         return ",".join(found) + tail
 
-    def written(self, value: Any, indent: Optional[str], width: int = WIDTH) -> str:
+    def written(self, value: Any, indent: Optional[str], width: int = LINE_WIDTH) -> str:
         """A new value."""
         if indent is None:
             return json.dumps(value, ensure_ascii=False, allow_nan=False)
-        return json_value(value, indent, self.unit, self.line, width)
+        return json_layout(value, indent, self.unit, self.line, width)
 
 
 def _members(value: Any) -> Sequence[Any]:

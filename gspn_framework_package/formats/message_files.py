@@ -15,13 +15,13 @@ from gspn_framework_package.model.errors import InputError, UsageError
 
 PACKAGE = "gspn_framework_package"
 
-KINDS = ("RobotActivity", "Marking", "TeamState", "Prediction", "FiredTransition")
+MESSAGE_KINDS = ("RobotActivity", "Marking", "TeamState", "Prediction", "FiredTransition")
 """The types of messages that can be written, in an order in which none needs a later one."""
 
 INSTALL = "pip install rosbags mcap"
 """What installs the libraries."""
 
-COLUMNS = (
+_COLUMNS = (
     "time",
     "run",
     "robot",
@@ -46,7 +46,7 @@ class MessageFile(Protocol):
 
         :param time: seconds since 1970, not before the last message.
         :param topic: its topic.
-        :param kind: the name of its type in this package, one of :data:`KINDS`.
+        :param kind: the name of its type in this package, one of :data:`MESSAGE_KINDS`.
         :param fields: its fields but for the header.
         """
 
@@ -73,19 +73,19 @@ class Encoder:
             raise _not_installed(error) from None
         self.store = get_typestore(Stores.ROS1_NOETIC)
         types: Dict[str, Any] = {}
-        for kind in KINDS:
-            types.update(get_types_from_msg(definition(kind), full_name(kind)))
+        for kind in MESSAGE_KINDS:
+            types.update(get_types_from_msg(definition(kind), ros_type_name(kind)))
         self.store.register(types)
 
     def definition(self, kind: str) -> str:
         """The definition of a type with those of the types that it contains."""
-        text: str = self.store.generate_msgdef(full_name(kind), ros_version=1)[0]
+        text: str = self.store.generate_msgdef(ros_type_name(kind), ros_version=1)[0]
         return text
 
     def encode(self, number: int, time: float, kind: str, fields: Mapping[str, Any]) -> bytes:
         """A message as bytes, with its ``number`` on its topic and ``time`` in its header."""
         message = self._message(kind, fields, self._header(number, time))
-        return bytes(self.store.serialize_ros1(message, full_name(kind)))
+        return bytes(self.store.serialize_ros1(message, ros_type_name(kind)))
 
     def _message(self, kind: str, fields: Mapping[str, Any], header: Any) -> Any:
         import numpy as np
@@ -98,7 +98,7 @@ class Encoder:
                 values[name] = np.array(value, dtype=np.int32)
             elif name == "levels":
                 values[name] = np.array(value, dtype=np.float64)
-        return self.store.types[full_name(kind)](header=header, **values)
+        return self.store.types[ros_type_name(kind)](header=header, **values)
 
     def _header(self, number: int, time: float) -> Any:
         types = self.store.types
@@ -194,7 +194,9 @@ class BagFile(_EncodedFile):
         return self
 
     def _declare(self, topic: str, kind: str) -> Any:
-        return self._writer.add_connection(topic, full_name(kind), typestore=self._encoder.store)
+        return self._writer.add_connection(
+            topic, ros_type_name(kind), typestore=self._encoder.store
+        )
 
     def _append(self, declared: Any, number: int, at: int, data: bytes) -> None:
         self._writer.write(declared, at, data)
@@ -245,8 +247,8 @@ class McapFile(_EncodedFile):
 
 
 class CsvFile(_WrittenFile):
-    """A table of what each robot did: a row for each :data:`RobotActivity <KINDS>`. Messages of
-    other types are left out.
+    """A table of what each robot did: a row for each :data:`RobotActivity <MESSAGE_KINDS>`.
+    Messages of other types are left out.
 
     :param path: the file.
     :raises InputError: the file cannot be written.
@@ -256,7 +258,7 @@ class CsvFile(_WrittenFile):
         super().__init__(path)
         self._file = self._opened("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file)
-        self._rows.writerow(COLUMNS)
+        self._rows.writerow(_COLUMNS)
 
     def __enter__(self) -> CsvFile:
         return self
@@ -265,14 +267,14 @@ class CsvFile(_WrittenFile):
         """See :class:`MessageFile`."""
         if kind == "RobotActivity":
             row: List[Any] = ["%.6f" % time]
-            row += [fields["state_name" if name == "state" else name] for name in COLUMNS[1:]]
+            row += [fields["state_name" if name == "state" else name] for name in _COLUMNS[1:]]
             self._rows.writerow(int(v) if isinstance(v, bool) else v for v in row)
 
     def _finish(self) -> None:
         self._file.close()
 
 
-def full_name(kind: str) -> str:
+def ros_type_name(kind: str) -> str:
     """The full name of a type of this package, as ``rosbags`` writes it."""
     return "%s/msg/%s" % (PACKAGE, kind)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Dict, Optional
 
 from gspn_framework_package.model.errors import NetError
-from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 
 
 def net_to_json(net: Net) -> Dict[str, Any]:
@@ -61,7 +61,7 @@ def _check_kind(transition: Dict[str, Any]) -> None:
             )
 
 
-def _position(node: Dict[str, Any]) -> Optional[Position]:
+def _position(node: Dict[str, Any]) -> Optional[Point]:
     position = node.get("position")
     return (float(position[0]), float(position[1])) if position is not None else None
 

@@ -45,9 +45,9 @@ from gspn_framework_package.formats.xml_tree import (
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.net import Net, Position
+from gspn_framework_package.model.net import Net, Point
 
-NET_TYPE = "P/T net"
+_NET_TYPE = "P/T net"
 _DEFAULT_CLASS = "Default"
 _VALUE = known("", {"value": known(text=True)}, free="graphics toolspecific")
 _FREE = "name graphics toolspecific comment tagged "
@@ -83,7 +83,7 @@ def from_xml(
     nets = [root] if tag(root) == "net" else all_of(root, "net")
     element = choose_net(nets, options.net, file)
     if tag(root) == "pnml":
-        vocabulary.check(root, _ROOT, "the document", NetDraft(file).fail)
+        vocabulary.check_element(root, _ROOT, "the document", NetDraft(file).fail)
     vocabulary.check_attributes(element, _NET, name_of(element, "net"), NetDraft(file).fail)
     reader = _Reader(element, file, options)
     reader.read()
@@ -121,8 +121,8 @@ class _Reader:
             if kind not in _NET.children:
                 vocabulary.refuse_element(element, _NET, name_of(self.net, "net"), self.draft.fail)
             inside = _NET.children[kind]
-            if inside is not vocabulary.FREE:
-                vocabulary.check(element, inside, name_of(element, kind), self.draft.fail)
+            if inside is not vocabulary.ANY_CONTENT:
+                vocabulary.check_element(element, inside, name_of(element, kind), self.draft.fail)
             if kind in readers:
                 readers[kind](element)
                 for specific in all_of(element, "toolspecific"):
@@ -300,7 +300,7 @@ def to_bytes(net: Net) -> bytes:
     :raises NetError: the net has something that the format cannot express.
     """
     root = etree.Element("pnml")
-    element = etree.SubElement(root, "net", type=NET_TYPE)
+    element = etree.SubElement(root, "net", type=_NET_TYPE)
     etree.SubElement(
         element, "token", id=_DEFAULT_CLASS, enabled="true", red="0", green="0", blue="0"
     )
@@ -346,7 +346,7 @@ def to_bytes(net: Net) -> bytes:
 
 
 def _write_node(
-    parent: etree._Element, kind: str, name: str, where: Optional[Position]
+    parent: etree._Element, kind: str, name: str, where: Optional[Point]
 ) -> etree._Element:
     node = etree.SubElement(parent, kind, id=name)
     if where is not None:

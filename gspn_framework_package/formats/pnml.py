@@ -46,10 +46,10 @@ from gspn_framework_package.formats.xml_tree import (
     writing_names,
 )
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.net import Net, Position
+from gspn_framework_package.model.net import Net, Point
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
-NET_TYPE = "http://www.pnml.org/version-2009/grammar/ptnet"
+_NET_TYPE = "http://www.pnml.org/version-2009/grammar/ptnet"
 
 _COLOURED = ("symmetric", "highlevel", "hlpn", "colored", "coloured")
 _TINA = "laas.fr/tina"
@@ -139,7 +139,7 @@ class _Reader:
         self.parameters = 0
         self.means = STOCHASTIC in _data({"toolspecific": all_of(net, "toolspecific")})
         self.tina = _TINA in (net.get("type") or "").lower()
-        vocabulary.check(root, _ROOT, "the document", self.draft.fail)
+        vocabulary.check_element(root, _ROOT, "the document", self.draft.fail)
         self._read()
 
     def _read(self) -> None:
@@ -154,7 +154,7 @@ class _Reader:
             self.draft.fail(
                 "nets of the type '%s' are not known" % shorten(kind),
                 line=line_of(self.net),
-                hint="place/transition nets are: %s" % NET_TYPE,
+                hint="place/transition nets are: %s" % _NET_TYPE,
             )
         vocabulary.check_attributes(self.net, _NET, name_of(self.net, "net"), self.draft.fail)
         self._nodes(self.net, _NET)
@@ -220,7 +220,7 @@ class _Reader:
                     self._refuse_colour(node, what)
             self.draft.fail(message, element, line, hint)
 
-        return vocabulary.check(parent, known_of_it, what, fail)
+        return vocabulary.check_element(parent, known_of_it, what, fail)
 
     def _own(self, data: Mapping[str, Data], what: str, line: int) -> Data:
         """Return the properties that this package wrote; refuse unknown ones, which a newer version
@@ -388,7 +388,7 @@ def _text(parts: vocabulary.Children, name: str) -> Optional[str]:
     return text_of(parts[name][0], "text") if name in parts else None
 
 
-def _position(parts: vocabulary.Children) -> Optional[Position]:
+def _position(parts: vocabulary.Children) -> Optional[Point]:
     return position_in(parts["graphics"][0]) if "graphics" in parts else None
 
 
@@ -418,7 +418,7 @@ def to_bytes(net: Net) -> bytes:
     """
     root = etree.Element("pnml", xmlns=NAMESPACE)
     with writing_names(net):
-        element = etree.SubElement(root, "net", id=net.name or "net1", type=NET_TYPE)
+        element = etree.SubElement(root, "net", id=net.name or "net1", type=_NET_TYPE)
         if net.name:
             _write_text(element, "name", net.name)
         page = etree.SubElement(element, "page", id="page1")
@@ -472,7 +472,7 @@ def to_bytes(net: Net) -> bytes:
 
 
 def _write_node(
-    parent: etree._Element, kind: str, identifier: str, name: str, where: Optional[Position]
+    parent: etree._Element, kind: str, identifier: str, name: str, where: Optional[Point]
 ) -> etree._Element:
     node = etree.SubElement(parent, kind, id=identifier)
     _write_text(node, "name", name)

@@ -167,8 +167,8 @@ class _Reader:
             if kind not in group.children:
                 vocabulary.refuse_element(element, group, name_of(self.net, "net"), self.draft.fail)
             inside = group.children[kind]
-            if inside is not vocabulary.FREE:
-                vocabulary.check(element, inside, _what(element), self.draft.fail)
+            if inside is not vocabulary.ANY_CONTENT:
+                vocabulary.check_element(element, inside, _what(element), self.draft.fail)
 
     def _refuse_colours(self) -> None:
         for element in self.nodes:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple, Union
 
 from gspn_framework_package.formats.draft import ReadOptions
-from gspn_framework_package.formats.foreign import refuse_foreign
+from gspn_framework_package.formats.foreign import refuse_foreign_file
 from gspn_framework_package.formats.format import (
     Bounds,
     Format,
@@ -179,7 +179,7 @@ def _read(file: NetFile, options: ReadOptions) -> NetAndNotes:
 
 def _recognise(file: NetFile) -> Format:
     """Recognise the format of a file by its content. :raises InputError: no readable format."""
-    refuse_foreign(file)
+    refuse_foreign_file(file)
     for format in FORMATS.values():
         if format.reader is not None and format.reader.takes(file):
             return format

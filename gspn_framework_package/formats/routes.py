@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-Point = Tuple[float, float]
+from gspn_framework_package.model.net import Point
 
 # distance between the sampled points of an arc; two arcs that are closer than this overlap
 _STEP = 6.0

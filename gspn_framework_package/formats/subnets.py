@@ -40,7 +40,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyScope
 from gspn_framework_package.model.subnet import SEPARATOR, Subnet
 
-MAX_NODES = 100_000
+MOST_NODES_TOGETHER = 100_000
 """Most nodes of a net with its subnets: nesting multiplies them."""
 
 _PARAMETER = re.compile(r"\$(\$?)\{([A-Za-z_][A-Za-z0-9_]*)\}")
@@ -188,9 +188,10 @@ def expand(
             raise PlanError(
                 error.message, element="%s: %s" % (element, error.element), hint=error.hint
             ) from None
-        if len(net.places) + len(net.transitions) > MAX_NODES:
+        if len(net.places) + len(net.transitions) > MOST_NODES_TOGETHER:
             raise PlanError(
-                "the net with its subnets has more than %d nodes" % MAX_NODES, element=element
+                "the net with its subnets has more than %d nodes" % MOST_NODES_TOGETHER,
+                element=element,
             )
         nodes = [p.name for p in inner.net.places] + [t.name for t in inner.net.transitions]
         names = {name: shared.get(name, place + SEPARATOR + name) for name in nodes}

@@ -32,7 +32,7 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 CLIENTS = "place_to_client_mapping"
-FUNCTIONS = "place_to_function_mapping"
+_FUNCTIONS = "place_to_function_mapping"
 
 ROS_KEYS = (
     "gspn",
@@ -45,7 +45,7 @@ ROS_KEYS = (
 STANDALONE_KEYS = (
     "project_path",
     "gspn",
-    FUNCTIONS,
+    _FUNCTIONS,
     "places_tuple",
     "policy_dictionary",
 )
@@ -60,13 +60,13 @@ class ThesisNet(NamedTuple):
 
 def is_thesis_input(data: Mapping[str, Any]) -> bool:
     """Whether a JSON object has one of the two forms, judged by keys that only they have."""
-    return CLIENTS in data or FUNCTIONS in data or "gspn" in data and "net" not in data
+    return CLIENTS in data or _FUNCTIONS in data or "gspn" in data and "net" not in data
 
 
 def has_mapping(data: Mapping[str, Any]) -> bool:
     """Whether an input file maps any place to an action. A file without such a mapping stands for
     its net (5.3: viewing a GSPN needs neither a mapping nor a policy)."""
-    return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, FUNCTIONS))
+    return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, _FUNCTIONS))
 
 
 def net_from_thesis(data: Mapping[str, Any], path: str, within: Optional[str] = None) -> ThesisNet:
@@ -94,7 +94,7 @@ def plan_from_thesis(data: Mapping[str, Any], path: str, within: Optional[str] =
     :param within: see :func:`net_from_thesis`.
     :raises PlanError: a key is missing, or a value cannot be read.
     """
-    is_ros = CLIENTS in data or FUNCTIONS not in data and "project_path" not in data
+    is_ros = CLIENTS in data or _FUNCTIONS not in data and "project_path" not in data
     keys = ROS_KEYS if is_ros else STANDALONE_KEYS
     reader = _Reader(data, path, keys, within)
     reader.leave_out_unknown(keys)
@@ -111,13 +111,13 @@ def plan_from_thesis(data: Mapping[str, Any], path: str, within: Optional[str] =
         full = reader.flag("full_synchronization")
     else:
         resources = frozenset()
-        actions = {p: reader.function(p, value) for p, value in reader.mapping(FUNCTIONS)}
+        actions = {p: reader.function(p, value) for p, value in reader.mapping(_FUNCTIONS)}
         full = True
     plan = Plan(
         net=net,
         name=os.path.splitext(os.path.basename(path))[0],
         policy=policy,
-        actions=reader.actions_of(net, actions, resources, CLIENTS if is_ros else FUNCTIONS),
+        actions=reader.actions_of(net, actions, resources, CLIENTS if is_ros else _FUNCTIONS),
         resource_places=resources,
         robots=deal_robots(net, resources, places, "robot_" if is_ros else ""),
         synchronisation=Synchronisation.FULL if full else Synchronisation.PARTIAL,

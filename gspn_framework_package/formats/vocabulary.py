@@ -1,8 +1,8 @@
 """The elements and attributes that a reader of an XML format knows; anything else is refused.
 
 Anything that a reader overlooks could change the net: an arc of an unknown kind, a guard, a time.
-So each reader lists what it knows, and :func:`check` refuses the rest. Only parts of a format that
-do not affect the net (graphics, names, data of one tool) are unrestricted.
+So each reader lists what it knows, and :func:`check_element` refuses the rest. Only parts of a
+format that do not affect the net (graphics, names, data of one tool) are unrestricted.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gspn_framework_package.model.expression import shorten
 Children = Dict[str, List[etree._Element]]
 """The children of an element by their tags."""
 
-FREE = None
+ANY_CONTENT = None
 """Used instead of an :class:`Element`: any content is allowed, and does not affect the net."""
 
 _EVERYWHERE = (
@@ -31,7 +31,7 @@ class Element(NamedTuple):
     """What a reader knows of an element.
 
     :ivar attributes: names of its attributes.
-    :ivar children: tag -> vocabulary of the child; :data:`FREE` allows any content.
+    :ivar children: tag -> vocabulary of the child; :data:`ANY_CONTENT` allows any content.
     :ivar repeated: children that may occur several times; a second one of any other child is
         refused, since the reader would overlook it.
     :ivar text: whether the element itself has text.
@@ -62,7 +62,7 @@ def known(
     positions: bool = False,
 ) -> Element:
     """Create an :class:`Element` from words: ``known("id", free="name graphics")``."""
-    inside: Dict[str, Optional[Element]] = dict.fromkeys(free.split(), FREE)
+    inside: Dict[str, Optional[Element]] = dict.fromkeys(free.split(), ANY_CONTENT)
     inside.update(children)
     return Element(
         frozenset(attributes.split()),
@@ -73,7 +73,7 @@ def known(
     )
 
 
-def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> Children:
+def check_element(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> Children:
     """Refuse anything that the vocabulary of ``element`` does not have, in all its descendants.
 
     :param what: name of the element in a message.
@@ -114,8 +114,8 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
                 "which of the two counts? keep one of them",
             )
         inside = vocabulary.children[name]
-        if inside is not FREE:
-            check(node, inside, what, fail)
+        if inside is not ANY_CONTENT:
+            check_element(node, inside, what, fail)
     return children
 
 

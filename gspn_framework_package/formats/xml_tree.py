@@ -11,7 +11,7 @@ from lxml import etree
 
 from gspn_framework_package.model.errors import InputError, NetError
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.net import Net, Position
+from gspn_framework_package.model.net import Net, Point
 
 
 def xml_parser(**options: Any) -> etree.XMLParser:
@@ -152,24 +152,24 @@ def name_of(element: etree._Element, kind: str) -> str:
     return "%s '%s'" % (kind, shorten(identifier)) if identifier else kind
 
 
-def position(element: etree._Element) -> Optional[Position]:
+def position(element: etree._Element) -> Optional[Point]:
     """Return the position in ``graphics/position``, None if there is no valid one."""
     graphics = child(element, "graphics")
     return position_in(graphics) if graphics is not None else None
 
 
-def position_in(graphics: etree._Element) -> Optional[Position]:
+def position_in(graphics: etree._Element) -> Optional[Point]:
     """Return the position in a ``graphics`` element, None if there is no valid one."""
     where = child(graphics, "position")
     return coordinates(where) if where is not None else None
 
 
-def coordinates(element: etree._Element) -> Optional[Position]:
+def coordinates(element: etree._Element) -> Optional[Point]:
     """Return the attributes ``x`` and ``y`` as a position; None unless both are finite numbers."""
     return point(element.get("x", ""), element.get("y", ""))
 
 
-def point(x_text: str, y_text: str) -> Optional[Position]:
+def point(x_text: str, y_text: str) -> Optional[Point]:
     """Return two coordinates as a position; None unless both are finite numbers."""
     try:
         x, y = float(x_text), float(y_text)

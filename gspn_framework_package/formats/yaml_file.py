@@ -12,11 +12,9 @@ from typing import Any, Dict, Iterable, Optional, Set, Tuple, Union
 
 import yaml
 
+from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError
-
-Step = Union[str, int]
-"""One step from an element to a child: a key or an index."""
 
 MOST_ELEMENTS = 200_000
 """Largest number of elements, unless the reader says otherwise; those behind aliases count each
@@ -161,7 +159,7 @@ class YamlDocument:
                 raise InputError("the key '%s' occurs twice" % key.value, file=self.file, line=line)
             seen.add((key.tag, key.value))
 
-    def line(self, path: Iterable[Step], key: Optional[str] = None) -> int:
+    def line(self, path: Iterable[KeyOrIndex], key: Optional[str] = None) -> int:
         """The line of the element at ``path``, or of the nearest enclosing one that exists.
 
         :param path: keys and indices.
@@ -185,7 +183,7 @@ class YamlDocument:
             )
         return int(line)
 
-    def error(self, message: str, path: Iterable[Step], hint: str = "") -> InputError:
+    def error(self, message: str, path: Iterable[KeyOrIndex], hint: str = "") -> InputError:
         """Return the error for the element at ``path``, with file, line and element."""
         steps = list(path)
         return InputError(
@@ -211,7 +209,7 @@ def _line_of(text: Union[str, bytes], position: int) -> int:
     return 1 + (before.count("\n") if isinstance(before, str) else before.count(b"\n"))
 
 
-def path_text(path: Iterable[Step]) -> str:
+def path_text(path: Iterable[KeyOrIndex]) -> str:
     """A path as text: ``locations.L1.bay[2]``."""
     text = ""
     for step in path:

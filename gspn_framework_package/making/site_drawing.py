@@ -4,11 +4,10 @@ side."""
 from __future__ import annotations
 
 import math
-from typing import Mapping, Sequence, Tuple
+from typing import Mapping, Sequence
 
 from gspn_framework_package.making.site_map import MapNode, SiteMap
-
-Point = Tuple[float, float]
+from gspn_framework_package.model.net import Point
 
 
 class SiteDrawing:

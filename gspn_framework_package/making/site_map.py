@@ -8,15 +8,16 @@ import os
 import re
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
+from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.source import read_bytes
-from gspn_framework_package.formats.yaml_file import Step, YamlDocument
+from gspn_framework_package.formats.yaml_file import YamlDocument
 from gspn_framework_package.making.restrictions import Restriction
 from gspn_framework_package.model.errors import ExpressionError, InputError
 
-MOST_NODES = 2000
+MOST_MAP_NODES = 2000
 """Maximum number of nodes of a map."""
 
-MOST_ELEMENTS = 1_000_000
+MOST_MAP_ELEMENTS = 1_000_000
 """Maximum number of elements of its file: a node has some hundred."""
 
 _WORD_OF_GOAL = re.compile(r"\$\{?[A-Za-z_]|\+\{?(?:node|meta)\b")
@@ -109,7 +110,7 @@ def read_map(path: str) -> SiteMap:
     text = content.decode("utf-8", "replace")
     if re.match(r"\s*node:\s*\n\s*[^\s:]+\s*\n\s*waypoint:", text):
         return _read_oldest(path, text)
-    document = YamlDocument(content, path, MOST_ELEMENTS)
+    document = YamlDocument(content, path, MOST_MAP_ELEMENTS)
     reader = _Reader(document)
     data = document.data
     name = os.path.splitext(os.path.basename(path))[0]
@@ -181,7 +182,7 @@ class _Lines:
     def __init__(self, path: str, lines: List[int]) -> None:
         self._path, self._lines = path, lines
 
-    def error(self, message: str, steps: Sequence[Step], hint: str = "") -> InputError:
+    def error(self, message: str, steps: Sequence[KeyOrIndex], hint: str = "") -> InputError:
         """Return the error for an element, with file and line of its node."""
         first = steps[0] if steps else None
         line = self._lines[first] if isinstance(first, int) else None
@@ -192,7 +193,7 @@ class _Reader:
     def __init__(self, document: Union[YamlDocument, _Lines]) -> None:
         self._document = document
         self._nodes: Dict[str, MapNode] = {}
-        self._edges: List[Tuple[MapEdge, List[Step]]] = []
+        self._edges: List[Tuple[MapEdge, List[KeyOrIndex]]] = []
         self._closed: List[str] = []
         self._while_driving: Dict[str, int] = {}
         self._pointsets: Dict[str, None] = {}
@@ -207,8 +208,8 @@ class _Reader:
     def define(self, data: Mapping[str, Any]) -> None:
         self._definitions = _Definitions(data)
 
-    def read_topological(self, entries: List[Any], at: List[Step]) -> None:
-        listed: List[Tuple[str, List[Any], List[Step]]] = []
+    def read_topological(self, entries: List[Any], at: List[KeyOrIndex]) -> None:
+        listed: List[Tuple[str, List[Any], List[KeyOrIndex]]] = []
         for number, entry in enumerate(entries):
             where = [*at, number]
             if not isinstance(entry, dict):
@@ -255,7 +256,7 @@ class _Reader:
             for number, edge in enumerate(edges):
                 self._read_edge(name, edge, [*where, number])
 
-    def _read_edge(self, source: str, edge: Any, where: List[Step]) -> None:
+    def _read_edge(self, source: str, edge: Any, where: List[KeyOrIndex]) -> None:
         if not isinstance(edge, dict) or "node" not in edge:
             raise self._document.error("the edge does not say to which 'node' it leads", where)
         target = self._name(edge["node"], [*where, "node"])
@@ -288,7 +289,7 @@ class _Reader:
             where,
         )
 
-    def _speed(self, edge: Mapping[str, Any], where: List[Step]) -> Optional[float]:
+    def _speed(self, edge: Mapping[str, Any], where: List[KeyOrIndex]) -> Optional[float]:
         """The speed that a map of any age gives an edge."""
         for path in (["top_vel"], ["config", "top_vel"], ["properties", "max_speed"]):
             found: Any = edge
@@ -299,7 +300,7 @@ class _Reader:
         return None
 
     def _restriction(
-        self, element: Mapping[str, Any], what: str, where: List[Step]
+        self, element: Mapping[str, Any], what: str, where: List[KeyOrIndex]
     ) -> Tuple[bool, Optional[Restriction]]:
         """Whether anybody may use a node or an edge, and who."""
         found = {}
@@ -322,7 +323,7 @@ class _Reader:
             planning = Restriction(" & ".join([*words, planning.text or "True"]))
         return True, None if planning.holds() else planning
 
-    def _whole_pose(self, pose: Mapping[str, Any], where: List[Step]) -> Dict[str, Any]:
+    def _whole_pose(self, pose: Mapping[str, Any], where: List[KeyOrIndex]) -> Dict[str, Any]:
         """The pose with all fields. A quaternion of zeros, as some maps have it, is no rotation."""
         turned = pose.get("orientation")
         parts = (
@@ -337,7 +338,7 @@ class _Reader:
             found["orientation"]["w"] = 1.0
         return found
 
-    def _tags(self, value: Any, where: List[Step]) -> List[str]:
+    def _tags(self, value: Any, where: List[KeyOrIndex]) -> List[str]:
         given = [value] if isinstance(value, (str, int)) else value or []
         if not isinstance(given, list) or not all(isinstance(tag, (str, int)) for tag in given):
             raise self._document.error("it is not a list of tags", where)
@@ -368,7 +369,7 @@ class _Reader:
         for step, edge in edges.items() if isinstance(edges, dict) else enumerate(edges):
             self._read_graph_edge(edge, ["edges", step])
 
-    def _read_position(self, name: str, value: Any, where: List[Step]) -> None:
+    def _read_position(self, name: str, value: Any, where: List[KeyOrIndex]) -> None:
         tags: List[str] = []
         capacity = None
         if isinstance(value, dict):
@@ -391,19 +392,19 @@ class _Reader:
         self._add(MapNode(name, x, y, pose, tags=tags, capacity=capacity), where)
 
     def _note_unknown(
-        self, value: Mapping[str, Any], known: Set[str], what: str, where: List[Step]
+        self, value: Mapping[str, Any], known: Set[str], what: str, where: List[KeyOrIndex]
     ) -> None:
         for key in value:
             if key not in known:
                 found = self._document.error("'%s' of %s is not used" % (key, what), [*where, key])
                 self._notes.append(str(found))
 
-    def _capacity(self, value: Any, where: List[Step]) -> Optional[int]:
+    def _capacity(self, value: Any, where: List[KeyOrIndex]) -> Optional[int]:
         if value is not None and (type(value) is not int or value < 1):
             raise self._document.error("it is not a whole number above 0", where)
         return value
 
-    def _read_graph_edge(self, edge: Any, where: List[Step]) -> None:
+    def _read_graph_edge(self, edge: Any, where: List[KeyOrIndex]) -> None:
         if isinstance(edge, list) and len(edge) == 2:
             edge = {"from": edge[0], "to": edge[1]}
         if not isinstance(edge, dict) or not {"from", "to"} <= set(edge):
@@ -437,12 +438,12 @@ class _Reader:
 
     # -- both
 
-    def _name(self, name: Any, where: List[Step]) -> str:
+    def _name(self, name: Any, where: List[KeyOrIndex]) -> str:
         if isinstance(name, bool) or not isinstance(name, (str, int)) or not str(name).strip():
             raise self._document.error("a node has no name", where)
         return str(name)
 
-    def _number(self, value: Any, where: List[Step], above: Optional[float] = None) -> float:
+    def _number(self, value: Any, where: List[KeyOrIndex], above: Optional[float] = None) -> float:
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             number = float(value)
             if math.isfinite(number) and abs(number) < 1e9 and (above is None or number > above):
@@ -451,7 +452,7 @@ class _Reader:
             "'%s' is not a number%s" % (value, "" if above is None else " above %g" % above), where
         )
 
-    def _add(self, node: MapNode, where: List[Step]) -> None:
+    def _add(self, node: MapNode, where: List[KeyOrIndex]) -> None:
         if node.name in self._nodes:
             raise self._document.error(
                 "the node '%s' is there twice" % node.name,
@@ -460,11 +461,11 @@ class _Reader:
                 if len(self._pointsets) > 1
                 else "",
             )
-        if len(self._nodes) >= MOST_NODES:
-            raise self._document.error("a map may have %d nodes" % MOST_NODES, where)
+        if len(self._nodes) >= MOST_MAP_NODES:
+            raise self._document.error("a map may have %d nodes" % MOST_MAP_NODES, where)
         self._nodes[node.name] = node
 
-    def _connect(self, edge: MapEdge, where: List[Step]) -> None:
+    def _connect(self, edge: MapEdge, where: List[KeyOrIndex]) -> None:
         if edge.source == edge.target:
             self._itself += 1
             return
@@ -519,7 +520,7 @@ class _Reader:
         site = SiteMap(name, nodes, list(found.values()), self._notes)
         return site._replace(groups=read_groups(self._groups, site, self._document))
 
-    def _filled(self, value: Any, origin: MapNode, node: MapNode, where: List[Step]) -> Any:
+    def _filled(self, value: Any, origin: MapNode, node: MapNode, where: List[KeyOrIndex]) -> Any:
         """A goal with what its words stand for: ``$node.PATH`` is what the map says of the node
         where the edge leads, ``+node.PATH`` of the one where it begins (and ``meta``)."""
         if isinstance(value, dict):
@@ -558,7 +559,7 @@ def read_groups(
     """
     found = {}
     for name, given in data.items() if isinstance(data, dict) else [("", data)]:
-        steps: List[Step] = ["groups", str(name)]
+        steps: List[KeyOrIndex] = ["groups", str(name)]
         if isinstance(given, dict):
             given = {"nodes": [], "edges": [], "capacity": 1, **given}
         if (

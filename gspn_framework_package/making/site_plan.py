@@ -15,7 +15,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, write_plan_folder
-from gspn_framework_package.making.site_drawing import Point, SiteDrawing
+from gspn_framework_package.making.site_drawing import SiteDrawing
 from gspn_framework_package.making.site_goals import drive_action
 from gspn_framework_package.making.site_map import MapEdge, MapGroup, read_map
 from gspn_framework_package.making.site_policy import RobotKind
@@ -23,9 +23,9 @@ from gspn_framework_package.making.site_tasks import SiteTasks, read_tasks
 from gspn_framework_package.making.site_team import SiteState, SiteTeam, named
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError, UsageError
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import Net, Point
 
-MOST_NODES = 50_000
+MOST_PLAN_NODES = 50_000
 """Maximum number of nodes of the net."""
 
 PLAN_ROS_FILE = "plan_ros.json"
@@ -99,7 +99,7 @@ class SitePlan(NamedTuple):
         )
 
 
-def build(
+def build_site_plan(
     map_path: str, tasks_path: Optional[str], robots: int, all_edges: bool = False
 ) -> SitePlan:
     """Make a plan from a map.
@@ -115,9 +115,9 @@ def build(
         tasks = read_tasks(tasks_path, site)
     team = SiteTeam(site, tasks, map_path, all_edges)
     size = 4 * len(team.states)
-    if size > MOST_NODES:
+    if size > MOST_PLAN_NODES:
         raise UsageError(
-            "the net would have some %d nodes; at most %d are possible" % (size, MOST_NODES),
+            "the net would have some %d nodes; at most %d are possible" % (size, MOST_PLAN_NODES),
             file=map_path,
             hint="fewer levels of the battery, or a smaller map",
         )

@@ -8,10 +8,11 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 
 import jsonschema
 
-from gspn_framework_package.formats.yaml_file import Step, YamlDocument, read_yaml
+from gspn_framework_package.formats.json_file import KeyOrIndex
+from gspn_framework_package.formats.yaml_file import YamlDocument, read_yaml
 from gspn_framework_package.making.site_map import MapGroup, SiteMap, read_groups
 
-SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
+_SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
 """The JSON schema of the file."""
 
 TAG = "tag:"
@@ -94,7 +95,7 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
     """
     document = read_yaml(path)
     data = document.data
-    with open(SCHEMA, encoding="utf-8") as file:
+    with open(_SCHEMA, encoding="utf-8") as file:
         validator = jsonschema.Draft7Validator(json.load(file))
     fault = jsonschema.exceptions.best_match(validator.iter_errors(data))
     if fault is not None:
@@ -167,7 +168,7 @@ class _Names:
         self._document = document
         self._site = site
 
-    def node(self, name: Any, where: List[Step]) -> str:
+    def node(self, name: Any, where: List[KeyOrIndex]) -> str:
         if str(name) not in self._site.nodes:
             raise self._document.error(
                 "there is no node '%s' in the map" % name,
@@ -176,7 +177,7 @@ class _Names:
             )
         return str(name)
 
-    def meant(self, name: Any, where: List[Step]) -> List[str]:
+    def meant(self, name: Any, where: List[KeyOrIndex]) -> List[str]:
         """The node of that name; of ``tag:TAG`` those with the tag."""
         if not str(name).startswith(TAG) or name in self._site.nodes:
             return [self.node(name, where)]
@@ -191,7 +192,7 @@ class _Names:
             )
         return found
 
-    def nodes(self, names: Sequence[Any], where: List[Step]) -> List[str]:
+    def nodes(self, names: Sequence[Any], where: List[KeyOrIndex]) -> List[str]:
         for number, name in enumerate(names):
             if str(name) in map(str, names[:number]):
                 raise self._document.error("'%s' is there twice" % name, [*where, number])

@@ -1,6 +1,6 @@
 """Plans to begin with: each is a folder with a net, a policy, actions, a test and a README.
 
->>> sorted(names())
+>>> sorted(templates_by_name())
 ['charge', 'deliver', 'inspect', 'patrol', 'rendezvous']
 """
 
@@ -22,7 +22,7 @@ PLACES = ("A", "B", "C")
 MOST_PLACES = 50
 """Maximum number of places that a template takes."""
 
-MOST_ROBOTS = 1000
+MOST_TEMPLATE_ROBOTS = 1000
 """Maximum number of robots that a template takes."""
 
 _FILES = os.path.join(os.path.dirname(os.path.abspath(__file__)), "template_files")
@@ -47,7 +47,7 @@ class _Template(NamedTuple):
     """0: it has no places to choose."""
 
 
-def names() -> Dict[str, str]:
+def templates_by_name() -> Dict[str, str]:
     """Return the templates: name -> what its robots do, in one line."""
     return {name: template.about for name, template in _TEMPLATES.items()}
 
@@ -76,10 +76,10 @@ def write(
     """
     template = _template(name)
     team = template.robots if robots is None else robots
-    if not template.least_robots <= team <= MOST_ROBOTS:
+    if not template.least_robots <= team <= MOST_TEMPLATE_ROBOTS:
         raise UsageError(
             "the template '%s' is for %d to %d robots, not %d"
-            % (name, template.least_robots, MOST_ROBOTS, team)
+            % (name, template.least_robots, MOST_TEMPLATE_ROBOTS, team)
         )
     if places is not None:
         _check_places(name, template, places)

@@ -199,7 +199,7 @@ ActionKind = Union[
 Action = Optional[ActionKind]
 """The action of an action place; None means no action, so a robot there is done at once."""
 
-KINDS: Dict[str, Any] = {
+ACTION_KINDS: Dict[str, Any] = {
     "function": FunctionAction,
     "server": ServerAction,
     "service": ServiceAction,
@@ -222,7 +222,7 @@ def action_from_json(place: str, data: Any) -> Action:
         return None
     if isinstance(data, str):
         data = {"function": data}
-    kind = next(kind for key, kind in KINDS.items() if key in data)
+    kind = next(kind for key, kind in ACTION_KINDS.items() if key in data)
     action: Action = kind.from_json(place, data)
     return action
 

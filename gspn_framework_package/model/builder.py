@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
-from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 
-PlaceSet = Union[str, Sequence[str], Mapping[str, int]]
+ArcEnds = Union[str, Sequence[str], Mapping[str, int]]
 """One place, several places (a repeated place adds up), or place -> arc weight."""
 
 
@@ -34,7 +34,7 @@ class NetBuilder:
         name: str,
         tokens: int = 0,
         capacity: Optional[int] = None,
-        position: Optional[Position] = None,
+        position: Optional[Point] = None,
     ) -> NetBuilder:
         """Add a place with its initial ``tokens``; ``capacity`` None means unlimited."""
         self._places.append(Place(name, tokens, capacity, position))
@@ -45,10 +45,10 @@ class NetBuilder:
         name: str,
         weight: float = 1.0,
         priority: int = 1,
-        inputs: PlaceSet = (),
-        outputs: PlaceSet = (),
-        inhibitors: PlaceSet = (),
-        position: Optional[Position] = None,
+        inputs: ArcEnds = (),
+        outputs: ArcEnds = (),
+        inhibitors: ArcEnds = (),
+        position: Optional[Point] = None,
     ) -> NetBuilder:
         """Add an immediate transition and its arcs; a larger ``priority`` takes precedence."""
         self._transitions.append(Transition(name, False, 1.0, weight, priority, 1, position))
@@ -59,10 +59,10 @@ class NetBuilder:
         name: str,
         rate: float = 1.0,
         servers: Optional[int] = 1,
-        inputs: PlaceSet = (),
-        outputs: PlaceSet = (),
-        inhibitors: PlaceSet = (),
-        position: Optional[Position] = None,
+        inputs: ArcEnds = (),
+        outputs: ArcEnds = (),
+        inhibitors: ArcEnds = (),
+        position: Optional[Point] = None,
     ) -> NetBuilder:
         """Add an exponential transition (``rate`` in 1/s; ``servers`` None for infinitely many) and
         its arcs."""
@@ -84,7 +84,7 @@ class NetBuilder:
         return Net(self._places, self._transitions, self._arcs, self._name)
 
     def _connect(
-        self, name: str, inputs: PlaceSet, outputs: PlaceSet, inhibitors: PlaceSet
+        self, name: str, inputs: ArcEnds, outputs: ArcEnds, inhibitors: ArcEnds
     ) -> NetBuilder:
         self._arcs += [Arc(p, name, w) for p, w in _weights(inputs).items()]
         self._arcs += [Arc(name, p, w) for p, w in _weights(outputs).items()]
@@ -92,7 +92,7 @@ class NetBuilder:
         return self
 
 
-def _weights(places: PlaceSet) -> Mapping[str, int]:
+def _weights(places: ArcEnds) -> Mapping[str, int]:
     if isinstance(places, str):
         return {places: 1}
     if isinstance(places, Mapping):

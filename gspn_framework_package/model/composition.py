@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Collection, Dict, List, Mapping, Optional
 
 from gspn_framework_package.model.errors import NetError
-from gspn_framework_package.model.net import Arc, Net, Place, Position
+from gspn_framework_package.model.net import Arc, Net, Place, Point
 
 
 def expand_place(
@@ -164,13 +164,13 @@ def _check(
             )
 
 
-def _shift(to: Optional[Position], origin: Optional[Position]) -> Optional[Position]:
+def _shift(to: Optional[Point], origin: Optional[Point]) -> Optional[Point]:
     if to is None or origin is None:
         return None
     return to[0] - origin[0], to[1] - origin[1]
 
 
-def _moved(where: Optional[Position], shift: Optional[Position]) -> Optional[Position]:
+def _moved(where: Optional[Point], shift: Optional[Point]) -> Optional[Point]:
     """The position in the drawing of the outer net; the entry is where the place was."""
     if where is None or shift is None:
         return None

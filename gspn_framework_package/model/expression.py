@@ -26,10 +26,10 @@ from typing import (
 
 from gspn_framework_package.model.errors import ExpressionError, NoValueError
 
-MAX_LENGTH = 10_000
+LONGEST_EXPRESSION = 10_000
 """Maximum length of an expression, in characters."""
 
-MAX_DEPTH = 60
+DEEPEST_EXPRESSION = 60
 """Maximum nesting of parentheses, signs and powers: far more than anyone needs, far less than
 Python's stack allows."""
 
@@ -116,14 +116,14 @@ def tokenize(text: str) -> List[Token]:
     Comparison and logical operators are tokens too, for the language of conditions.
 
     :raises ExpressionError: a character cannot start a token, a quote is not closed, or the text is
-        longer than :data:`MAX_LENGTH`.
+        longer than :data:`LONGEST_EXPRESSION`.
 
     >>> [t.text for t in tokenize("2*p1:Wait >= 'a b'")]
     ['2', '*', 'p1:Wait', '>=', 'a b', '']
     """
-    if len(text) > MAX_LENGTH:
+    if len(text) > LONGEST_EXPRESSION:
         raise ExpressionError(
-            "the expression has %d characters, more than %d" % (len(text), MAX_LENGTH)
+            "the expression has %d characters, more than %d" % (len(text), LONGEST_EXPRESSION)
         )
     tokens = []
     at = 0
@@ -259,11 +259,11 @@ class Parser:
         return Call(function, tuple(arguments))
 
     def enter(self) -> None:
-        """Enter a level of nesting. :raises ExpressionError: more than :data:`MAX_DEPTH`."""
+        """Enter a level of nesting. :raises ExpressionError: it is too deep."""
         self._depth += 1
-        if self._depth > MAX_DEPTH:
+        if self._depth > DEEPEST_EXPRESSION:
             raise ExpressionError(
-                "'%s' is nested more than %d levels deep" % (shorten(self.text), MAX_DEPTH)
+                "'%s' is nested more than %d levels deep" % (shorten(self.text), DEEPEST_EXPRESSION)
             )
 
     def leave(self) -> None:
@@ -277,7 +277,7 @@ def parse(text: str) -> Expression:
     :raises ExpressionError: the text cannot be read; the message says where.
     """
     # most expressions are plain numbers, and the parser takes ten times as long
-    if len(text) <= MAX_LENGTH and _NUMBER.fullmatch(text):
+    if len(text) <= LONGEST_EXPRESSION and _NUMBER.fullmatch(text):
         return Number(float(text))
     parser = Parser(text)
     tree = parser.sum()
@@ -381,7 +381,7 @@ def _constant(name: str, constants: Mapping[str, float]) -> float:
     return constants[name]
 
 
-def whole(value: float) -> Optional[int]:
+def as_whole(value: float) -> Optional[int]:
     """Return ``value`` as an int if it is a whole number that a float holds exactly, else None."""
     return (
         int(value) if math.isfinite(value) and value == int(value) and abs(value) <= 2**53 else None

@@ -15,10 +15,10 @@ from typing import Any, Callable, Dict, List, Tuple, Union
 
 from gspn_framework_package.model.errors import ExpressionError
 
-MAX_LENGTH = 1_000
+LONGEST_MESSAGE_CONDITION = 1_000
 """Longest condition, in characters."""
 
-MAX_NODES = 200
+MOST_CONDITION_NODES = 200
 """Most parts of a condition."""
 
 _Value = Callable[[Any], Any]
@@ -52,7 +52,7 @@ _FUNCTIONS: Dict[str, Callable[..., Any]] = {
     "round": round,
 }
 
-Message = Any
+_Message = Any
 """An object with attributes (a ROS message), or a mapping."""
 
 
@@ -69,9 +69,10 @@ class MessageCondition:
     def __init__(self, text: str) -> None:
         self.text = text
         self.fields: List[Tuple[Union[str, int], ...]] = []
-        if len(text) > MAX_LENGTH:
+        if len(text) > LONGEST_MESSAGE_CONDITION:
             raise ExpressionError(
-                "the condition is %d characters long; at most %d are read" % (len(text), MAX_LENGTH)
+                "the condition is %d characters long; at most %d are read"
+                % (len(text), LONGEST_MESSAGE_CONDITION)
             )
         try:
             tree = ast.parse(text.strip(), mode="eval").body
@@ -79,11 +80,11 @@ class MessageCondition:
             raise ExpressionError(
                 "the condition '%s' cannot be read: %s" % (text, getattr(error, "msg", error))
             ) from None
-        if sum(1 for _ in ast.walk(tree)) > MAX_NODES:
-            raise ExpressionError("the condition has more than %d parts" % MAX_NODES)
+        if sum(1 for _ in ast.walk(tree)) > MOST_CONDITION_NODES:
+            raise ExpressionError("the condition has more than %d parts" % MOST_CONDITION_NODES)
         self._value = self._compile(tree)
 
-    def holds(self, message: Message) -> bool:
+    def holds(self, message: _Message) -> bool:
         """Whether the condition holds for a message.
 
         :raises ExpressionError: the message lacks a field, or a value is of the wrong type.
@@ -97,7 +98,7 @@ class MessageCondition:
                 "the condition '%s' has no value: %s" % (self.text, error)
             ) from None
 
-    def read(self, message: Message) -> Dict[str, Any]:
+    def read(self, message: _Message) -> Dict[str, Any]:
         """The fields that the condition reads, with their values; those that are missing are left
         out."""
         found = {}
@@ -146,7 +147,7 @@ class MessageCondition:
         operands = [self._compile(part) for part in (node.left, *node.comparators)]
         functions = [_OPERATORS[type(o)] for o in node.ops]
 
-        def compare(message: Message) -> bool:
+        def compare(message: _Message) -> bool:
             values = [operand(message) for operand in operands]
             return all(f(a, b) for f, a, b in zip(functions, values, values[1:]))
 
@@ -173,7 +174,7 @@ class MessageCondition:
         )
 
 
-def field_of(message: Message, path: Tuple[Union[str, int], ...]) -> Any:
+def field_of(message: _Message, path: Tuple[Union[str, int], ...]) -> Any:
     """A field of a message. :raises ExpressionError: the message has no such field."""
     value = message
     for step in path:

@@ -30,7 +30,7 @@ from typing import (
 from gspn_framework_package.model.errors import NetError, NotEnabledError
 
 Marking = Tuple[int, ...]
-Position = Tuple[float, float]
+Point = Tuple[float, float]
 MAX_COUNT = 2**53
 """Largest number of tokens, capacity, arc weight, priority or number of servers in a net: every
 part of the package, JSON and browsers represent integers up to this one exactly."""
@@ -46,7 +46,7 @@ class Place(NamedTuple):
     name: str
     tokens: int = 0
     capacity: Optional[int] = None
-    position: Optional[Position] = None
+    position: Optional[Point] = None
 
 
 class Transition(NamedTuple):
@@ -64,10 +64,10 @@ class Transition(NamedTuple):
     weight: float = 1.0
     priority: int = 1
     servers: Optional[int] = 1
-    position: Optional[Position] = None
+    position: Optional[Point] = None
 
 
-Node = TypeVar("Node", Place, Transition)
+_Node = TypeVar("_Node", Place, Transition)
 
 
 class Arc(NamedTuple):
@@ -462,7 +462,7 @@ class Net:
         )
 
 
-def _put(nodes: Sequence[Node], node: Node) -> List[Node]:
+def _put(nodes: Sequence[_Node], node: _Node) -> List[_Node]:
     """Return ``nodes`` with ``node`` replacing the one of the same name, or added at the end."""
     if any(n.name == node.name for n in nodes):
         return [node if n.name == node.name else n for n in nodes]

@@ -26,7 +26,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 POLICY = -1
-"""The outcome of an action that names no transition: the policy decides."""
+"""In place of a transition: the action named none, and the policy decides."""
 
 
 class PlaceTiming(NamedTuple):

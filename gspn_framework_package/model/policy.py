@@ -324,6 +324,7 @@ class PolicyTable:
 Projection = Callable[[Sequence[int]], Tuple[int, ...]]
 KeyedRows = Dict[Tuple[int, ...], int]
 Cells = Tuple[Tuple[int, int], ...]
+"""Pairs (number of a place, tokens), by place."""
 
 
 MANY_GROUPS = 24

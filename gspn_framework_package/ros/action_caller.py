@@ -34,7 +34,7 @@ from gspn_framework_package.team.clock import Clock
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 from gspn_framework_package.team.sides import LOOK_AGAIN
 
-Connection = Union[ActionConnection, DirectConnection]
+_AnyConnection = Union[ActionConnection, DirectConnection]
 
 LOOK_AT_TYPE = 1.0
 """Seconds after which the type of a server is looked at that is not connected."""
@@ -63,7 +63,7 @@ class _Abandoned(NamedTuple):
 
     goal_id: str
     target: ActionTarget
-    connection: Connection
+    connection: _AnyConnection
     report_at: float
 
 
@@ -80,7 +80,7 @@ class _Goal:
         self.start_at = start_at
         """When its attempt begins, by the caller's clock."""
         self.connect_by = self.look_at_type = 0.0
-        self.connection: Optional[Connection] = None
+        self.connection: Optional[_AnyConnection] = None
         """The connection over which it was sent; None before."""
         self.message: Optional[genpy.Message] = None
         """The goal message that was sent; None before."""
@@ -319,7 +319,7 @@ class ActionCaller:
         if goal is self._goal and goal.state is GoalState.CONNECTING:
             self._fail(goal, "no server", clash)
 
-    def _send(self, goal: _Goal, connection: Connection, now: float) -> None:
+    def _send(self, goal: _Goal, connection: _AnyConnection, now: float) -> None:
         if goal.target.server in self._connections:
             self._connections.move_to_end(goal.target.server)
         try:
@@ -395,7 +395,7 @@ class ActionCaller:
 
     # -- the worker thread: reports of servers -----------------------------------------------------
 
-    def _heard(self, connection: Connection, what: GoalNews, goal_id: str, value: Any) -> None:
+    def _heard(self, connection: _AnyConnection, what: GoalNews, goal_id: str, value: Any) -> None:
         goal = self._goal
         if goal is None or goal.id != goal_id or goal.connection is not connection:
             if what is GoalNews.RESULT and goal_id in self._given_up:
@@ -459,7 +459,7 @@ class ActionCaller:
 
     # -- connections -------------------------------------------------------------------------------
 
-    def _connection(self, server: str) -> Optional[Connection]:
+    def _connection(self, server: str) -> Optional[_AnyConnection]:
         return self._direct.get(server) or self._connections.get(server)
 
     def _open_spare(self) -> None:
@@ -484,7 +484,9 @@ class ActionCaller:
 
         self._background.put(open_it)
 
-    def _hand_on(self, connection: Connection, what: GoalNews, goal_id: str, value: Any) -> None:
+    def _hand_on(
+        self, connection: _AnyConnection, what: GoalNews, goal_id: str, value: Any
+    ) -> None:
         self._enqueue(self._heard, connection, what, goal_id, value)
 
     def _opened(self, connection: ActionConnection) -> None:

@@ -49,7 +49,7 @@ from gspn_framework_package.ros.transport.service_call import (
 )
 from gspn_framework_package.team.jobs import CANCELLED, Job, JobAttempt, JobEnd, LocalJob
 
-LOOK_EVERY = 0.1
+_LOOK_EVERY = 0.1
 """Seconds between two looks whether a service or subscriber is there."""
 
 
@@ -101,7 +101,7 @@ class ServiceJob(Job):
             if time.monotonic() > give_up:
                 text = "%s did not answer within %g s (~server_timeout)"
                 return JobEnd("no server", text % (self._name, attempt.patience.server))
-            if attempt.is_cancelled.wait(LOOK_EVERY):
+            if attempt.is_cancelled.wait(_LOOK_EVERY):
                 return CANCELLED
         attempt.wait_for("")
         attempt.begin()
@@ -157,7 +157,7 @@ class PublishJob(Job):
             if self._publisher.get_num_connections() >= self._known_subscribers():
                 break
             attempt.wait_for("waits for the subscribers of %s" % self._topic)
-            if attempt.is_cancelled.wait(LOOK_EVERY):
+            if attempt.is_cancelled.wait(_LOOK_EVERY):
                 return CANCELLED
         self._publisher.publish(prepared)
         return JobEnd("succeeded")

@@ -19,8 +19,8 @@ from gspn_framework_package.ros.message_fields import (
     check_field,
     check_fields,
     fill_message,
-    json_value,
     message_class,
+    message_to_json,
 )
 
 EXEC_GSPN_RESULT = EXEC_GSPN[: -len("Action")] + "Result"
@@ -208,7 +208,7 @@ def kept(message: genpy.Message, keep: Mapping[str, str]) -> Dict[str, Any]:
     try:
         return check_values(
             {
-                name: json_value(field_of(message, parse_field(field)))
+                name: message_to_json(field_of(message, parse_field(field)))
                 for name, field in keep.items()
             }
         )

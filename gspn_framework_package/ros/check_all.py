@@ -10,7 +10,7 @@ from gspn_framework_package.analysis.preflight.report import (
     CheckItem,
     PreflightReport,
     Severity,
-    names,
+    name_list,
 )
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.plan import Plan
@@ -48,7 +48,7 @@ def _look_at_types(plan: Plan) -> List[CheckItem]:
             CheckItem(
                 "goals",
                 Severity.WARNING,
-                "%s; its fields were not looked at (%s)" % (text, names(places)),
+                "%s; its fields were not looked at (%s)" % (text, name_list(places)),
                 {"where": places},
             )
         )

@@ -12,7 +12,7 @@ from actionlib_msgs.msg import GoalStatus
 from gspn_framework_package.msg import ExecGSPNActionGoal, ExecGSPNGoal
 from gspn_framework_package.ros.action_connection import ENDED
 from gspn_framework_package.ros.goal_state import GoalNews
-from gspn_framework_package.ros.messages import filled
+from gspn_framework_package.ros.messages import stamped_message
 from gspn_framework_package.ros.place_servers import PlaceServer
 
 
@@ -66,7 +66,7 @@ class DirectConnection:
     def send(self, goal_id: str, goal: ExecGSPNGoal, incarnation: int, text: str = "") -> None:
         """See :meth:`ActionConnection.send`."""
         self._watched = goal_id
-        message = filled(ExecGSPNActionGoal, goal=goal)
+        message = stamped_message(ExecGSPNActionGoal, goal=goal)
         message.header.frame_id = text
         message.goal_id.id = goal_id
         self._server.take(message, self._told)

@@ -139,7 +139,7 @@ def task_of(transition: str, source: EventSource, message: Any) -> log_entries.S
 
     :raises GspnError: the message is no task: it lacks the id, or its data are not JSON.
     """
-    data: Any = message_fields.json_value(message)
+    data: Any = message_fields.message_to_json(message)
     if source.json:
         text = field_of(message, parse_field(source.json))
         try:
@@ -177,9 +177,9 @@ def _task_id(source: EventSource, message: Any, data: Mapping[str, Any]) -> Any:
 
 def _short(value: Any) -> Any:
     """A value for a cause, which is for people: a long one is described."""
-    if isinstance(value, float) and message_fields.json_value(value) is None:
+    if isinstance(value, float) and message_fields.message_to_json(value) is None:
         return str(value)
-    plain = message_fields.json_value(value)
+    plain = message_fields.message_to_json(value)
     text = json.dumps(plain)
     if len(text) <= CAUSE_LIMIT:
         return plain

@@ -10,7 +10,7 @@ from std_msgs.msg import String
 
 from gspn_framework_package.execution.team_messages import activity_fields
 from gspn_framework_package.msg import FiredTransition, Marking, RobotActivity, TeamState
-from gspn_framework_package.ros.messages import FIRED_TOPIC, filled, fired_message
+from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, stamped_message
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 
@@ -52,7 +52,7 @@ class RosFacts:
     def publish_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
         self._activity.publish(json.dumps(activity))
-        self._robot.publish(filled(RobotActivity, **activity_fields(activity)))
+        self._robot.publish(stamped_message(RobotActivity, **activity_fields(activity)))
 
     def is_team_watched(self) -> bool:
         """See :class:`Carrier`."""
@@ -60,6 +60,6 @@ class RosFacts:
 
     def publish_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
         """See :class:`Carrier`."""
-        self._marking.publish(filled(Marking, **marking))
-        robots = [filled(RobotActivity, **robot) for robot in team["robots"]]
-        self._team.publish(filled(TeamState, **{**team, "robots": robots}))
+        self._marking.publish(stamped_message(Marking, **marking))
+        robots = [stamped_message(RobotActivity, **robot) for robot in team["robots"]]
+        self._team.publish(stamped_message(TeamState, **{**team, "robots": robots}))

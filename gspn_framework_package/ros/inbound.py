@@ -19,7 +19,7 @@ sends then waits or loses messages, and the robot has no work with them."""
 ASKED, ANSWERED = "asked", "answered"
 """What a message in a service call is."""
 
-Connection = Optional[Mapping[str, str]]
+_Header = Optional[Mapping[str, str]]
 """The header of the connection on which a message arrived."""
 
 
@@ -51,7 +51,7 @@ class InboundMessages:
         return body if self._seal is None else self._seal.close(to, body, purpose)
 
     def read(
-        self, text: str, connection: Connection, purpose: str, claimed: str = ""
+        self, text: str, connection: _Header, purpose: str, claimed: str = ""
     ) -> Optional[Message]:
         """The protocol message in a text; None if it is refused.
 
@@ -69,7 +69,7 @@ class InboundMessages:
         time.sleep(BRAKE)
         return None
 
-    def pass_by(self, text: str, connection: Connection) -> None:
+    def pass_by(self, text: str, connection: _Header) -> None:
         """A message of another run, or to another robot, came on a topic that all read. Nobody
         looks at it; a connection that brings more of them than a robot sends is braked.
 
@@ -98,7 +98,7 @@ class InboundMessages:
         return message
 
     def order(
-        self, request: OperatorRequest, connection: Connection
+        self, request: OperatorRequest, connection: _Header
     ) -> Tuple[OperatorRequest, Operator]:
         """What is ordered or asked, and by whom.
 
@@ -129,6 +129,6 @@ class InboundMessages:
         return self._filter.refusals()
 
 
-def _named(claimed: str, connection: Connection) -> str:
+def _named(claimed: str, connection: _Header) -> str:
     node = "node %s" % (connection or {}).get("callerid", "without a name")
     return "%.50s (%.100s)" % (claimed, node) if claimed else node[:100]

@@ -23,7 +23,7 @@ from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.inbound import ANSWERED, ASKED, InboundMessages, said
-from gspn_framework_package.ros.messages import filled
+from gspn_framework_package.ros.messages import stamped_message
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
@@ -36,7 +36,7 @@ from gspn_framework_package.srv import (
 )
 from gspn_framework_package.team.carrier import NotTaken
 
-TOPIC = "/gspn_agreement"
+AGREEMENT_TOPIC = "/gspn_agreement"
 
 _SERVICES: Dict[str, Tuple[type, Callable[[str, str], genpy.Message]]] = {
     "get_place": (GetPlace, lambda me, body: GetPlaceRequest(from_robot=me, agreement=body)),
@@ -131,8 +131,10 @@ class Link(RosFacts):
         self._peers: Dict[str, _Peer] = {}
         self._heard: Dict[str, float] = {}
         self._calls = ServiceCalls()
-        self._publisher = eager_publisher(TOPIC, Agreement)
-        self._subscriber = rospy.Subscriber(TOPIC, Agreement, self._on_message, tcp_nodelay=True)
+        self._publisher = eager_publisher(AGREEMENT_TOPIC, Agreement)
+        self._subscriber = rospy.Subscriber(
+            AGREEMENT_TOPIC, Agreement, self._on_message, tcp_nodelay=True
+        )
         _NEIGHBOURS.add(self)
 
     def serve_at(self, service_uri: str) -> None:
@@ -181,7 +183,7 @@ class Link(RosFacts):
         )
 
     def _news(self, to: str, body: str) -> Agreement:
-        return filled(
+        return stamped_message(
             Agreement,
             run=self.run,
             sender=self.robot,

@@ -18,7 +18,7 @@ from gspn_framework_package.model.data import is_reference
 from gspn_framework_package.model.errors import ExpressionError, PlanError, closest
 from gspn_framework_package.model.message_condition import MessageCondition, field_name
 
-Path = Tuple[Union[str, int], ...]
+_Path = Tuple[Union[str, int], ...]
 
 _TIMES = {"time": genpy.Time, "duration": genpy.Duration}
 
@@ -151,7 +151,7 @@ def _default(base: str) -> Any:
     return 0 if base in genmsg.msgs.PRIMITIVE_TYPES and base not in ("time", "duration") else {}
 
 
-def check_field(owner: type, path: Path) -> str:
+def check_field(owner: type, path: _Path) -> str:
     """Check whether messages of a class have a field, or a constant of that name.
 
     :param owner: the class.
@@ -231,11 +231,11 @@ def _full_type(name: str) -> str:
     return "std_msgs/Header" if name == "Header" else name
 
 
-def json_value(value: Any) -> Any:
+def message_to_json(value: Any) -> Any:
     """A message, or the value of a field, as a JSON value: times as ``{"secs", "nsecs"}``, bytes as
     lists of numbers, floats that are no numbers as None. :func:`fill_message` takes it back."""
     if isinstance(value, genpy.Message):
-        return {name: json_value(getattr(value, name)) for name in value.__slots__}
+        return {name: message_to_json(getattr(value, name)) for name in value.__slots__}
     if isinstance(value, genpy.TVal):
         return {"secs": value.secs, "nsecs": value.nsecs}
     if isinstance(value, (bytes, bytearray)):
@@ -243,9 +243,9 @@ def json_value(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): json_value(part) for key, part in value.items()}
+        return {str(key): message_to_json(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
-        return [json_value(part) for part in value]
+        return [message_to_json(part) for part in value]
     return value
 
 
@@ -295,7 +295,7 @@ def field_tree(owner: Any) -> List[Dict[str, Any]]:
         base, is_array, length = genmsg.msgs.parse_type(written)
         field = {"name": name, "type": _full_type(base), "array": is_array, "length": length}
         if base in _TIMES:
-            field["default"] = json_value(_TIMES[base]())
+            field["default"] = message_to_json(_TIMES[base]())
         elif base in genmsg.msgs.PRIMITIVE_TYPES:
             field["default"] = False if base == "bool" else _default(base)
         else:

@@ -18,10 +18,10 @@ def fired_message(fields: Dict[str, Any]) -> FiredTransition:
 
     :param fields: see :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
     """
-    return filled(FiredTransition, **fields)
+    return stamped_message(FiredTransition, **fields)
 
 
-def filled(kind: Callable[[], Any], **fields: Any) -> Any:
+def stamped_message(kind: Callable[[], Any], **fields: Any) -> Any:
     """A message of the class ``kind`` with these fields, and the present time in its header.
 
     A message that is made with its fields looks each of them up in a list; that takes eight times

@@ -29,7 +29,7 @@ from gspn_framework_package.srv import (
     SetPlaceResponse,
 )
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest, sender_of
-from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask
+from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask_worker
 from gspn_framework_package.team.worker import Worker
 
 
@@ -89,7 +89,7 @@ class NodeServices:
 
     def _get_state_now(self) -> GetStateResponse:
         with _as_failed_call():
-            return ask(self._worker, self._read_state)
+            return ask_worker(self._worker, self._read_state)
 
     def _read_state(self) -> GetStateResponse:
         """The response of ``get_state``; called on the worker thread."""

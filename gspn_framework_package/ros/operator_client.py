@@ -16,7 +16,7 @@ from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, mas
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.team.addressing import (
-    PATIENCE,
+    SILENCE_PATIENCE,
     read_status,
     robots_of_run,
     whom_to_order,
@@ -32,7 +32,7 @@ class NodeAddress(NamedTuple):
     uri: str
 
 
-class Answer(NamedTuple):
+class NodeAnswer(NamedTuple):
     """A node's answer to a command."""
 
     node: NodeAddress
@@ -61,11 +61,11 @@ def ask_node(namespace: str, request: CommandRequest) -> Optional[CommandRespons
     code, _, uri = master.lookupService("/gspn_operator", name)
     if code != 1:
         return None
-    calls = ServiceCalls(deadline=PATIENCE)
+    calls = ServiceCalls(deadline=SILENCE_PATIENCE)
     answers: queue.SimpleQueue[CommandResponse] = queue.SimpleQueue()
     try:
         calls.call(namespace, uri, name, Command, request, answers.put)
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + SILENCE_PATIENCE
         # a failure means that the node is gone, and the master has not noticed yet
         while time.monotonic() < deadline and not calls.failures:
             with contextlib.suppress(queue.Empty):
@@ -87,7 +87,7 @@ class OperatorClient:
     def __init__(self, key: Optional[TeamKey] = None) -> None:
         self._orders = TeamOrders(key)
         self.nodes = self._find()  # before rospy calls the master, which has no time limit
-        self._calls = ServiceCalls(deadline=ADOPT_TIME + PATIENCE)
+        self._calls = ServiceCalls(deadline=ADOPT_TIME + SILENCE_PATIENCE)
         if not rospy.core.is_initialized():
             rospy.init_node(
                 "gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True
@@ -121,9 +121,9 @@ class OperatorClient:
     def ask_all(
         self,
         command: str,
-        seconds: float = PATIENCE,
+        seconds: float = SILENCE_PATIENCE,
         argument: str = "",
-    ) -> Dict[NodeAddress, Optional[Answer]]:
+    ) -> Dict[NodeAddress, Optional[NodeAnswer]]:
         """The answers of all nodes to a command; None for a node that does not answer within
         ``seconds``."""
         request = CommandRequest(command=command, argument=argument)
@@ -131,11 +131,11 @@ class OperatorClient:
 
     def _gather(
         self, requests: Dict[NodeAddress, CommandRequest], seconds: float
-    ) -> Dict[NodeAddress, Optional[Answer]]:
-        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+    ) -> Dict[NodeAddress, Optional[NodeAnswer]]:
+        answers: queue.SimpleQueue[NodeAnswer] = queue.SimpleQueue()
         for node, request in requests.items():
             self._send(node, request, answers)
-        got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(requests)
+        got: Dict[NodeAddress, Optional[NodeAnswer]] = dict.fromkeys(requests)
         deadline = time.monotonic() + seconds
         while any(answer is None for answer in got.values()):
             try:
@@ -153,7 +153,7 @@ class OperatorClient:
             for node, answer in self.ask_all("status", argument="data" * data).items()
         }
 
-    def breakpoints(self, argument: str, run: str = "") -> List[Tuple[str, Optional[Answer]]]:
+    def breakpoints(self, argument: str, run: str = "") -> List[Tuple[str, Optional[NodeAnswer]]]:
         """Show or set the breakpoints of every robot of a run.
 
         :param argument: a JSON list of names to set, "" for none.
@@ -169,7 +169,7 @@ class OperatorClient:
                 )
                 for node, status in sorted(there.items())
             },
-            PATIENCE,
+            SILENCE_PATIENCE,
         )
         return [(node.namespace, answer) for node, answer in answers.items()]
 
@@ -185,18 +185,18 @@ class OperatorClient:
         """
         there = robots_of_run(self.statuses(), run)
         node = whom_to_order(there, command, robot)
-        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        answers: queue.SimpleQueue[NodeAnswer] = queue.SimpleQueue()
         asked = there[node]
         request = self._orders.request(asked["robot"], command, robot, argument, asked["run"])
         self._send(node, request, answers)
         try:
-            answer = answers.get(timeout=order_time(command) + PATIENCE)
+            answer = answers.get(timeout=order_time(command) + SILENCE_PATIENCE)
         except queue.Empty:
             raise ExecutionError("%s does not answer" % node.namespace) from None
         return answer.success, answer.message
 
     def _send(
-        self, node: NodeAddress, request: CommandRequest, answers: queue.SimpleQueue[Answer]
+        self, node: NodeAddress, request: CommandRequest, answers: queue.SimpleQueue[NodeAnswer]
     ) -> None:
         self._calls.call(
             node.namespace,
@@ -204,5 +204,5 @@ class OperatorClient:
             rospy.names.ns_join(node.namespace, "command"),
             Command,
             request,
-            lambda response: answers.put(Answer(node, response.success, response.message)),
+            lambda response: answers.put(NodeAnswer(node, response.success, response.message)),
         )

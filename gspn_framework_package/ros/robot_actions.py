@@ -28,7 +28,7 @@ from gspn_framework_package.team.job_runner import AttemptEnd, JobRunner
 from gspn_framework_package.team.jobs import Job
 from gspn_framework_package.team.patience import earliest
 
-ALLOW = "~allow_commands, allow_commands:=true"
+_ALLOW = "~allow_commands, allow_commands:=true"
 
 
 class RobotActions:
@@ -181,7 +181,7 @@ def jobs_of(plan: Plan, robot: str, namespace: str, options: NodeOptions) -> Dic
     :raises GspnError: one does not fit its type, or the ROS graph, or is not allowed.
     """
     if not options.allow_commands:
-        refuse_commands(plan, ALLOW)
+        refuse_commands(plan, _ALLOW)
     found = action_kinds.jobs(plan, robot, namespace)
     types = action_kinds.live_types() if found and options.check else {}
     for place, job in found.items():

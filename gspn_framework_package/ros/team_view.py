@@ -45,16 +45,16 @@ from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, pub
 from gspn_framework_package.srv import CommandRequest
 from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
 
-PERIOD = 1.0
+VIEW_PERIOD = 1.0
 """Seconds of wall time between two messages on a topic."""
 
-LOOK_AROUND = 2
+SCAN_PERIODS = 2
 """How many periods lie between two searches for robots."""
 
 DRAWING_TIME = 20.0
 """Longest time for Graphviz, in seconds."""
 
-ACTIVITY, MARKING = "/robot_activity", "/marking"
+_ACTIVITY, MARKING = "/robot_activity", "/marking"
 
 
 def run_team_view() -> int:
@@ -84,7 +84,7 @@ def _show(ending: Ending) -> int:
         frame,
         str(rospy.get_param("~map_frame", "map")),
     )
-    while not ending.wait(PERIOD):
+    while not ending.wait(VIEW_PERIOD):
         view.publish()
     return 0
 
@@ -126,7 +126,7 @@ class TeamView:
         """Publish what somebody subscribes; called once a second."""
         markers = bool(self._marker_topic.get_num_connections())
         image = bool(self._image_topic.get_num_connections())
-        if self._turn % LOOK_AROUND == 0:
+        if self._turn % SCAN_PERIODS == 0:
             self._look_around(markers or image)
         self._turn += 1
         if markers:
@@ -139,13 +139,13 @@ class TeamView:
     def _look_around(self, watched: bool) -> None:
         """Follow the robots that there are, and the marking of one of them while it is shown."""
         try:
-            found = {topic for topic in published_topics() if topic.endswith(ACTIVITY)}
+            found = {topic for topic in published_topics() if topic.endswith(_ACTIVITY)}
         except MASTER_ERRORS:
             return
-        there = {topic[: -len(ACTIVITY)] for topic in found}
+        there = {topic[: -len(_ACTIVITY)] for topic in found}
         for namespace in sorted(there - set(self._followed)):
             self._followed[namespace] = rospy.Subscriber(
-                namespace + ACTIVITY, RobotActivity, self._on_activity, namespace
+                namespace + _ACTIVITY, RobotActivity, self._on_activity, namespace
             )
         for namespace in set(self._followed) - there:
             self._followed.pop(namespace).unregister()

@@ -39,7 +39,7 @@ from gspn_framework_package.srv import (
 )
 from gspn_framework_package.team.commands import ORDER_TIME
 
-TOPIC = "/TRANSITIONS_FIRED"
+_TOPIC = "/TRANSITIONS_FIRED"
 
 
 def run_thesis_interface() -> int:
@@ -70,7 +70,7 @@ class ThesisInterface:
     def __init__(self, robots: int, prefix: str, run: str) -> None:
         self._prefix, self._run = prefix, run
         self._calls = ServiceCalls(deadline=ORDER_TIME)
-        self._publisher = rospy.Publisher(TOPIC, GSPNFiringData, queue_size=1000)
+        self._publisher = rospy.Publisher(_TOPIC, GSPNFiringData, queue_size=1000)
         self._services = []
         for number in range(1, robots + 1):
             for name, service_class, serve in (

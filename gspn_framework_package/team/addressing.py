@@ -9,10 +9,10 @@ from gspn_framework_package.team.message_filter import json_object
 
 Address = TypeVar("Address")
 
-PATIENCE = 2.0
+SILENCE_PATIENCE = 2.0
 """Seconds within which a robot must answer a plain question."""
 
-QUESTIONS = ("status", "plan")
+PLAIN_QUESTIONS = ("status", "plan")
 """Commands that change nothing and are answered to everybody who may watch."""
 
 _STATUS_FIELDS = {

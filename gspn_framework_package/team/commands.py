@@ -12,7 +12,7 @@ from gspn_framework_package.model.errors import DataError, ExecutionError, GspnE
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.message_filter import json_object
-from gspn_framework_package.team.worker import Answer, Worker
+from gspn_framework_package.team.worker import AnswerT, Worker
 
 ANSWER_TIME = 2.0
 """Seconds within which the host's worker must answer a plain question."""
@@ -24,7 +24,7 @@ ADOPT_TIME = 20.0
 """The same for an order to adopt a plan, which is checked first, in a process of its own."""
 
 
-NOBODY = Operator()
+_NOBODY = Operator()
 """An operator of whom nothing is known."""
 
 
@@ -48,7 +48,7 @@ class Commands:
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
 
-    def answer(self, request: OperatorRequest, operator: Operator = NOBODY) -> OperatorAnswer:
+    def answer(self, request: OperatorRequest, operator: Operator = _NOBODY) -> OperatorAnswer:
         """Carry out a request, and wait for the outcome.
 
         :raises ExecutionError: the worker is too busy to answer a question.
@@ -57,17 +57,17 @@ class Commands:
         if other:
             return OperatorAnswer(False, other)
         if request.command == "status":
-            status = ask(self._worker, lambda: self._worker.status(request.argument))
+            status = ask_worker(self._worker, lambda: self._worker.status(request.argument))
             return OperatorAnswer(True, json.dumps(status))
         if request.command == "plan":
-            adopted = ask(self._worker, self._worker.adopted)
+            adopted = ask_worker(self._worker, self._worker.adopted)
             if adopted is None:
                 return OperatorAnswer(False, "the team follows the plan that it began with")
             return OperatorAnswer(True, json.dumps(adopted.to_json()))
         if request.command == "breakpoints":
             if request.argument:
                 self._worker.enqueue(self._worker.note_order, request, operator)
-            return ask(self._worker, lambda: self._breakpoints(request.argument))
+            return ask_worker(self._worker, lambda: self._breakpoints(request.argument))
         robot = request.robot or self._worker.robot
         try:
             entry = order_entry(request.command, request.robot, robot, request.argument)
@@ -112,7 +112,7 @@ class Commands:
             return OperatorAnswer(False, str(error))
 
 
-def ask(worker: Worker, question: Callable[[], Answer]) -> Answer:
+def ask_worker(worker: Worker, question: Callable[[], AnswerT]) -> AnswerT:
     """The answer of the worker thread to a plain question.
 
     :raises ExecutionError: it did not answer within :data:`ANSWER_TIME`.

@@ -12,7 +12,7 @@ from gspn_framework_package.model.compact_json import compact
 POLL = 0.2
 """Seconds between two questions for the votes."""
 
-WAIT = 30.0
+VOTING_TIME = 30.0
 """Seconds that the members have to look at a plan, unless it is said otherwise."""
 
 Votes = Mapping[str, Optional[str]]
@@ -44,7 +44,7 @@ class DeployTeam:
         order: Callable[[str, str], Tuple[bool, str]],
         statuses: Callable[[], List[Dict[str, Any]]],
         tell: Callable[[Votes], None] = lambda votes: None,
-        wait: float = WAIT,
+        wait: float = VOTING_TIME,
     ) -> None:
         self._order, self._statuses, self._tell, self._wait = order, statuses, tell, wait
 

@@ -16,7 +16,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.job_runner import AttemptEnd, JobRunner
 from gspn_framework_package.team.jobs import Job, LocalJob
 
-ALLOW = "gspn agent --allow-commands"
+_ALLOW = "gspn agent --allow-commands"
 
 
 class FunctionActions:
@@ -58,7 +58,7 @@ class FunctionActions:
         if self._robot in plan.witness:
             return {}  # it votes, but has no token
         if not self._allow_commands:
-            refuse_commands(plan, ALLOW)
+            refuse_commands(plan, _ALLOW)
         for place in plan.action_places:
             action = plan.action(self._robot, place)
             if not (action is None or isinstance(action, (FunctionAction, *LOCAL_KINDS))):

@@ -37,7 +37,7 @@ from gspn_framework_package.team.log_file import OpenLog, open_log
 from gspn_framework_package.team.narrator import Narrator
 from gspn_framework_package.team.plan_examination import (
     why_not_followed,
-    why_refused,
+    why_refused_in_own_process,
     with_folder,
 )
 from gspn_framework_package.team.self_report import SelfReport
@@ -48,7 +48,7 @@ from gspn_framework_package.team.sides import (
     EventSide,
     Reporter,
 )
-from gspn_framework_package.team.worker import Answer, View, Worker
+from gspn_framework_package.team.worker import AnswerT, View, Worker
 
 FAREWELL = 2.0
 """Seconds that a host keeps running after the end of the run, so that the others hear of it."""
@@ -220,9 +220,9 @@ class ReplicaHost(Worker):
         """See :class:`Worker`."""
         self._tasks.put((function, arguments))
 
-    def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
+    def ask(self, question: Callable[[], AnswerT], timeout: float) -> AnswerT:
         """See :class:`Worker`."""
-        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        answers: queue.SimpleQueue[AnswerT] = queue.SimpleQueue()
 
         def look() -> None:
             self._take_inputs()
@@ -614,7 +614,7 @@ class ReplicaHost(Worker):
         here = plan_change.begun_here(team, game.plan, new, team.staged.mapping)
 
         def look() -> None:
-            refused = why_refused(here)
+            refused = why_refused_in_own_process(here)
             if refused:
                 text = "the check refuses the plan from where the team is: %s" % refused
                 self.enqueue(self._order_result, interface.OrderResult(number, False, text))

@@ -16,7 +16,7 @@ from gspn_framework_package.team.clock import MACHINE_CLOCK, Clock
 from gspn_framework_package.team.jobs import Job, JobAttempt, JobEnd, attempt_job
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 
-LAST_WORDS = 1.0
+ENDING_TIME = 1.0
 """Seconds that a job which is cancelled has to end before its host does."""
 
 AttemptEnd = Union[ActionDone, AttemptFailed]
@@ -93,7 +93,7 @@ class JobRunner:
         """Cancel the running job, and give it a moment to end."""
         running = self._current
         self.cancel()
-        give_up = time.monotonic() + LAST_WORDS
+        give_up = time.monotonic() + ENDING_TIME
         while running is not None and running.started and not running.over:
             if time.monotonic() > give_up:
                 return

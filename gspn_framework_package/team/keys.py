@@ -39,7 +39,7 @@ passes messages on, and enforces who may send what."""
 
 TEAM_FILE = "team.json"
 AUTHORITY = "authority"
-LONGEST_NAME = 48
+LONGEST_OPERATOR_NAME = 48
 """Characters of a name: a common name has at most 64, and carries a number as well."""
 
 _KEY_FILE_BYTES = 10_000_000
@@ -172,7 +172,7 @@ def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolde
     names = _valid_names(there)
     for new in members:
         wrong = (
-            not 0 < len(new.name) <= LONGEST_NAME
+            not 0 < len(new.name) <= LONGEST_OPERATOR_NAME
             or new.name in (AUTHORITY, TEAM_FILE)
             or new.name.startswith((".", "-"))
             or not new.name.isprintable()
@@ -181,7 +181,7 @@ def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolde
         if wrong:
             raise KeysError(
                 "'%.60s' cannot be the name of a member" % new.name,
-                hint="at most %d characters, none of / \\ # * $ ?" % LONGEST_NAME,
+                hint="at most %d characters, none of / \\ # * $ ?" % LONGEST_OPERATOR_NAME,
             )
         if new.name in names:
             raise KeysError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any, Callable, Dict, Mapping, Tuple
 
-from gspn_framework_package.execution.team_messages import Fields
+from gspn_framework_package.execution.team_messages import MessageFields
 from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.sides import Reporter
 
@@ -43,7 +43,7 @@ class Narrator:
         self._changed = True
         self._activity_at = 0.0
         self._watched, self._look_at = False, 0.0
-        self._team_told: Tuple[Fields, Fields] = ({}, {})
+        self._team_told: Tuple[MessageFields, MessageFields] = ({}, {})
         self._team_at = 0.0
         self._diagnosis_at = 0.0
         self._reason = ""
@@ -84,7 +84,7 @@ class Narrator:
         now: float,
         carrier: Carrier,
         activity: Callable[[], Dict[str, Any]],
-        team: Callable[[], Tuple[Fields, Fields]],
+        team: Callable[[], Tuple[MessageFields, MessageFields]],
         diagnosis: Callable[[], Diagnosis],
     ) -> float:
         """Publish what is due; returns when to call this next, unless something changes before.

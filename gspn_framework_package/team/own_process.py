@@ -12,10 +12,10 @@ from typing import Any, Callable, TypeVar
 from gspn_framework_package.execution.plan_modules import allow_modules, allowed_modules
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
-def in_own_process(function: Callable[..., Result], *arguments: Any) -> Result:
+def in_own_process(function: Callable[..., _Result], *arguments: Any) -> _Result:
     """The result of a function, called in a process of its own.
 
     :param function: a function of a module, which imports the libraries only when it is called.

@@ -54,7 +54,7 @@ def why_not_followed(
         return "%s: %s" % (type(error).__name__, error)
 
 
-def why_refused(plan: Plan) -> str:
+def why_refused_in_own_process(plan: Plan) -> str:
     """What the check has against a plan that begins where the team is; "" for nothing. It may take
     some seconds: do not call this on the worker thread."""
     try:

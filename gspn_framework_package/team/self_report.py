@@ -11,7 +11,7 @@ from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.displayed_data import displayed_robot, displayed_team
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_messages import (
-    Fields,
+    MessageFields,
     marking_fields,
     team_fields,
 )
@@ -170,7 +170,7 @@ class SelfReport:
             "orders": list(self._orders),
         }
 
-    def team(self) -> Tuple[Fields, Fields]:
+    def team(self) -> Tuple[MessageFields, MessageFields]:
         """The marking and the state of the team, as the log has them (see
         :meth:`Carrier.publish_team`)."""
         ledger = self._replica.ledger

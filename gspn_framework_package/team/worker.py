@@ -25,7 +25,7 @@ class View(NamedTuple):
     hash: str
 
 
-Answer = TypeVar("Answer")
+AnswerT = TypeVar("AnswerT")
 
 
 class Worker:
@@ -39,7 +39,7 @@ class Worker:
         """Make the worker thread call ``function(*arguments)`` soon."""
         raise NotImplementedError
 
-    def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
+    def ask(self, question: Callable[[], AnswerT], timeout: float) -> AnswerT:
         """Call ``question()`` on the worker thread and return its result.
 
         :param timeout: seconds to wait for it.

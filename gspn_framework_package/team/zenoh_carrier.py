@@ -27,7 +27,7 @@ from gspn_framework_package.team.zenoh_body import is_compressed, unwrapped, wra
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
-    names_in,
+    names_in_key,
     open_session,
     zenoh_library,
 )
@@ -52,7 +52,7 @@ more."""
 _LOOK = 1.0
 """Seconds between two looks for new connections."""
 
-NAMESAKE = 1.0
+NAMESAKE_TIME = 1.0
 """Seconds to wait at most for another process of the same name to answer, at the start."""
 
 _MOST_PUBLISHERS = 4096
@@ -117,7 +117,7 @@ class ZenohCarrier:
         :raises ExecutionError: one answers.
         """
         key = key_of(self.run, self.robot, "activity")
-        replies = self._session.get(key, timeout=NAMESAKE)
+        replies = self._session.get(key, timeout=NAMESAKE_TIME)
         if any(reply.ok is not None for reply in replies):
             raise ExecutionError(
                 "another process is robot '%s' in run '%s', and answers" % (self.robot, self.run),
@@ -228,7 +228,7 @@ class ZenohCarrier:
         key = str(sample.key_expr)
         sender = self._senders.get(key)
         if sender is None:
-            _, robot, channel, *_ = names_in(key)
+            _, robot, channel, *_ = names_in_key(key)
             sender = (robot, channel)
             if len(self._senders) < _MOST_KEYS:
                 self._senders[key] = sender
@@ -258,7 +258,7 @@ class ZenohCarrier:
         self._answer(query, OperatorRequest(command, "", argument, self.run), "status")
 
     def _on_order(self, query: zenoh.Query) -> None:
-        operator = names_in(str(query.key_expr))[-1]
+        operator = names_in_key(str(query.key_expr))[-1]
         given = self._read(query)
         command, robot, argument = (given.get(n, "") for n in ("command", "robot", "argument"))
         if not all(isinstance(text, str) for text in (command, robot, argument)) or not command:

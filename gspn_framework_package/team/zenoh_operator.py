@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optiona
 
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team.addressing import (
-    PATIENCE,
-    QUESTIONS,
+    PLAIN_QUESTIONS,
+    SILENCE_PATIENCE,
     read_status,
     robots_of_run,
     whom_to_order,
@@ -21,7 +21,7 @@ from gspn_framework_package.team.message_filter import json_object
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
-    names_in,
+    names_in_key,
     open_session,
     zenoh_library,
 )
@@ -74,12 +74,14 @@ class ZenohOperator:
         return bool(self.session.info.routers_zid() or self.session.info.peers_zid())
 
     def statuses(self, data: bool = False) -> Dict[RobotAddress, Optional[Dict[str, Any]]]:
-        """The status of every robot that answers within :data:`PATIENCE`, with or without
+        """The status of every robot that answers within :data:`SILENCE_PATIENCE`, with or without
         ``data``; None for one whose answer is not a status."""
         found: Dict[RobotAddress, Optional[Dict[str, Any]]] = {}
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + SILENCE_PATIENCE
         while not found and time.monotonic() < deadline:  # a new session does not know them yet
-            answers = self._ask(key_of("*", "*", "status"), {"argument": "data" * data}, PATIENCE)
+            answers = self._ask(
+                key_of("*", "*", "status"), {"argument": "data" * data}, SILENCE_PATIENCE
+            )
             for at, answer in answers.items():
                 status = read_status(answer.message)
                 # a robot speaks for itself alone
@@ -131,11 +133,13 @@ class ZenohOperator:
                 hint="use those of an operator",
             )
         request = {"command": command, "robot": robot, "argument": argument}
-        return self._ask(self._key(at, command), request, order_time(command) + PATIENCE).get(at)
+        return self._ask(
+            self._key(at, command), request, order_time(command) + SILENCE_PATIENCE
+        ).get(at)
 
     def _key(self, at: RobotAddress, command: str) -> str:
         """Where a robot takes a question or an order."""
-        if command in QUESTIONS:
+        if command in PLAIN_QUESTIONS:
             return key_of(at.run, at.robot, "status")
         return key_of(at.run, at.robot, "orders", self.name)
 
@@ -192,5 +196,5 @@ def _answer_in(reply: zenoh.Reply) -> Optional[Tuple[RobotAddress, OperatorAnswe
     answer = json_object(bytes(sample.payload)) if sample is not None else None
     if sample is None or answer is None or not {"success", "message"} <= set(answer):
         return None
-    at = RobotAddress(*names_in(str(sample.key_expr))[:2])
+    at = RobotAddress(*names_in_key(str(sample.key_expr))[:2])
     return at, OperatorAnswer(answer["success"] is True, str(answer["message"]))

@@ -127,7 +127,7 @@ def chunk(name: str) -> str:
     return quote(name, safe="") if name != "*" else "%2A"
 
 
-def names_in(key: str) -> List[str]:
+def names_in_key(key: str) -> List[str]:
     """The names in a key: run, robot and what follows; [] if the key is none of ours."""
     root, *rest = key.split("/")
     return [unquote(part) for part in rest] if root == _ROOT and len(rest) >= 3 else []

@@ -10,7 +10,7 @@ from gspn_framework_package.team.zenoh_operator import ZenohOperator
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
-    names_in,
+    names_in_key,
     zenoh_library,
 )
 
@@ -83,7 +83,7 @@ class ZenohWatch:
             self._pass_on(reply.ok, self._sights.activity)
 
     def _pass_on(self, sample: zenoh.Sample, to: Callable[[str, Dict[str, Any]], None]) -> None:
-        run, robot = names_in(str(sample.key_expr))[:2]
+        run, robot = names_in_key(str(sample.key_expr))[:2]
         if len(sample.payload) > LARGEST_MESSAGE:
             return
         for fields in json_objects(bytes(sample.payload)):

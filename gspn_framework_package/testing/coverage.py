@@ -6,9 +6,10 @@ from typing import Any, Collection, Dict, List, Set
 
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import POLICY, TeamState
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.model.net import Marking
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import POLICY
 
 
 class Coverage:

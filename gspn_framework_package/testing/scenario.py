@@ -48,7 +48,7 @@ LONGEST = 30 * 24 * 3600.0
 CALLS_AT_ONCE = 100_000
 """The same for one that asks so often whether it should end, without waiting."""
 
-SHOWN = 20
+_SHOWN = 20
 """So many firings are listed in the message of a check that failed."""
 
 
@@ -421,7 +421,7 @@ class Scenario:
         return "\n".join(map(str, shown))
 
     def _failure(self, text: str) -> AssertionError:
-        left = len(self.firings) - SHOWN
+        left = len(self.firings) - _SHOWN
         more = "(%d firings before)\n" % left if left > 0 else ""
         at = ["%s is %s in %s" % (r.name, r.phase.name.lower(), self._name(r)) for r in self._team]
         return AssertionError(
@@ -429,7 +429,7 @@ class Scenario:
             % (
                 text,
                 more,
-                self.course(SHOWN) or "(nothing fired)",
+                self.course(_SHOWN) or "(nothing fired)",
                 self.now,
                 "; ".join(at),
                 "; the run has ended: %s" % self.ended.reason if self.ended else "",

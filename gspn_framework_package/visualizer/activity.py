@@ -14,8 +14,8 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.visualizer.hub import Hub
 
-Fields = Mapping[str, Any]
-Handler = Callable[[Fields], Dict[str, Any]]
+RequestFields = Mapping[str, Any]
+Handler = Callable[[RequestFields], Dict[str, Any]]
 
 
 class Activity:
@@ -70,7 +70,7 @@ class Activity:
     def end(self) -> None:
         """Release the hub and every other resource. May be called twice."""
 
-    def command(self, name: str, fields: Fields) -> Dict[str, Any]:
+    def command(self, name: str, fields: RequestFields) -> Dict[str, Any]:
         """Execute a command of the page. :raises UsageError: this activity has no such command."""
         handler = self.commands.get(name)
         if handler is None:
@@ -81,7 +81,7 @@ class Activity:
         return handler(fields)
 
 
-def whole_number(fields: Fields, key: str, default: int, low: int, high: int) -> int:
+def whole_field(fields: RequestFields, key: str, default: int, low: int, high: int) -> int:
     """Return the whole number in the field ``key`` of a command, or ``default``.
 
     :raises UsageError: it is not a whole number from ``low`` to ``high``.
@@ -92,7 +92,7 @@ def whole_number(fields: Fields, key: str, default: int, low: int, high: int) ->
     return value
 
 
-def text_field(fields: Fields, key: str, default: Optional[str] = None) -> str:
+def text_field(fields: RequestFields, key: str, default: Optional[str] = None) -> str:
     """Return the text in the field ``key`` of a command.
 
     :param default: the value of a missing field; None: the field is required.
@@ -104,7 +104,7 @@ def text_field(fields: Fields, key: str, default: Optional[str] = None) -> str:
     return value
 
 
-def names_field(fields: Fields) -> List[str]:
+def names_field(fields: RequestFields) -> List[str]:
     """Return the list of names in the field ``names`` of a command.
 
     :raises UsageError: it is missing, or not a list of texts.

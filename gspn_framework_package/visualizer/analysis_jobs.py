@@ -20,7 +20,7 @@ from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.documents import Document
-from gspn_framework_package.visualizer.optimise_form import request_of
+from gspn_framework_package.visualizer.optimise_form import request_in_form
 from gspn_framework_package.visualizer.optimised import Optimised, proposed_name, save_beside
 
 JOBS_AT_ONCE = 2
@@ -29,21 +29,21 @@ JOBS_KEPT = 20
 POLICIES_KEPT = 4
 """How many of the latest computed policies are kept; each may take tens of megabytes."""
 
-SECONDS = 120.0
+ANALYSIS_SECONDS = 120.0
 """Time limit of one analysis, in seconds, unless the page asks for less."""
 
 OPTIMISE_SECONDS = 600.0
 """The same for the computation of a policy."""
 
-STATES = 2_000_000
+MOST_STATES = 2_000_000
 """Largest limit on states that the page may ask for."""
 
-WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"]
+_WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"]
 
-ALL = "all transitions"
+ALL_TRANSITIONS = "all transitions"
 """The name of the sum over all transitions, in a prediction."""
 
-QUESTIONS = (
+ANALYSIS_QUESTIONS = (
     "structure",
     "timing",
     "policy",
@@ -77,7 +77,7 @@ class _Job:
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # a full pipe would block the process
         try:
             self._process = subprocess.Popen(
-                WORKER,
+                _WORKER,
                 env=worker_environment(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -191,14 +191,14 @@ class AnalysisJobs:
         :raises LimitError: too many analyses are running.
         :raises FormError: fields of the form for a policy cannot be used.
         """
-        limit = _bounded(fields, "limit", 100_000, 1, STATES)
-        most = OPTIMISE_SECONDS if "optimise" in fields else SECONDS
+        limit = _bounded(fields, "limit", 100_000, 1, MOST_STATES)
+        most = OPTIMISE_SECONDS if "optimise" in fields else ANALYSIS_SECONDS
         seconds = _bounded(fields, "seconds", 60.0, 0.1, most)
         if "optimise" in fields:
             if document.plan is None:
                 raise UsageError("only a plan has a policy that can be computed; this is a net")
-            request_of(fields["optimise"], document.plan)  # report what is wrong in it now
-        request: Dict[str, Any] = {key: fields[key] for key in QUESTIONS if key in fields}
+            request_in_form(fields["optimise"], document.plan)  # report what is wrong in it now
+        request: Dict[str, Any] = {key: fields[key] for key in ANALYSIS_QUESTIONS if key in fields}
         request.update(limit=int(limit), seconds=seconds)
         if document.plan is not None:
             request["plan"] = plan_to_json(document.plan)

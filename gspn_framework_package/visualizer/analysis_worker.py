@@ -27,12 +27,16 @@ from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_sho
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.analysis_jobs import ALL
-from gspn_framework_package.visualizer.optimise_form import request_of, simulated_of
+from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS
+from gspn_framework_package.visualizer.optimise_form import request_in_form, simulated_of
 from gspn_framework_package.visualizer.optimised import PolicyChanges
-from gspn_framework_package.visualizer.simulation_form import asked_of, number, sweep_in_parts
+from gspn_framework_package.visualizer.simulation_form import (
+    asked_in_form,
+    form_number,
+    sweep_in_parts,
+)
 
-MEMORY_BYTES = 4 << 30
+ANALYSIS_MEMORY = 4 << 30
 TIMES = 200
 
 PREDICTED = 400
@@ -52,7 +56,7 @@ def main() -> int:
         _say(error=str(error))
         return 1
     except MemoryError:
-        _say(error="not decided: it would take more than %d GB of memory" % (MEMORY_BYTES >> 30))
+        _say(error="not decided: it would take more than %d GB of memory" % (ANALYSIS_MEMORY >> 30))
         return 1
     return 0
 
@@ -60,7 +64,7 @@ def main() -> int:
 def _limit_itself(seconds: float) -> None:
     cpu = int(2 * seconds) + 5
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (ANALYSIS_MEMORY, ANALYSIS_MEMORY))
     os.nice(10)  # robots and viewers take precedence
 
 
@@ -104,7 +108,7 @@ def _optimise(request: Dict[str, Any], progress: Any) -> None:
     from gspn_framework_package.analysis.decisions.report import MOST_CHOICES
 
     plan = plan_from_json(request["plan"])
-    asked = request_of(request["optimise"], plan, _limits(request))
+    asked = request_in_form(request["optimise"], plan, _limits(request))
     simulated = simulated_of(request["optimise"])
     found = optimise(plan, asked, simulated=simulated, progress=progress)
     changes = PolicyChanges(found.plan, found.choices[:MOST_CHOICES])
@@ -134,7 +138,7 @@ def _readable(value: Any) -> Any:
 
 def _limits(request: Dict[str, Any]) -> Limits:
     return Limits(
-        states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2
+        states=request["limit"], seconds=float(request["seconds"]), memory=ANALYSIS_MEMORY // 2
     )
 
 
@@ -142,7 +146,7 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
     """Simulate many runs and return the estimates, with confidence intervals."""
     from gspn_framework_package.analysis.simulation import simulate
 
-    result = simulate(subject, progress=progress, **asked_of(asked, "simulate")._asdict())
+    result = simulate(subject, progress=progress, **asked_in_form(asked, "simulate")._asdict())
     return {**result.to_json(), "titles": {key: TITLES[key] for key in result.subnets}}
 
 
@@ -158,12 +162,12 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
 
     if not isinstance(subject, Plan) or not isinstance(asked, dict):
         raise UsageError("only a run of a plan can be predicted")
-    time = number(asked, "time")
+    time = form_number(asked, "time")
     if not time:
         raise UsageError("how long is a run?", hint="'predict' needs a 'time'")
     plan = replace(subject, until=None)  # the growth is that of a run that goes on
     sample = predict([Span(plan, time)], replications=PREDICTED, progress=progress)
-    counts = [(ALL, sample.firings.sum(axis=1))]
+    counts = [(ALL_TRANSITIONS, sample.firings.sum(axis=1))]
     counts += [(t.name, sample.firings[:, i]) for i, t in enumerate(plan.net.transitions)]
     return {
         "paces": expected_paces(plan, sample),

@@ -22,7 +22,7 @@ from gspn_framework_package import __version__
 from gspn_framework_package.formats.plan_json import SCHEMA_FILE
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.visualizer import deploying, fleet_routes
-from gspn_framework_package.visualizer.activity import whole_number
+from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.editing import routes as editing
@@ -30,7 +30,7 @@ from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, Log
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.openapi import interface
 from gspn_framework_package.visualizer.optimise_form import FormError
-from gspn_framework_package.visualizer.optimised import ROWS, ExistsError
+from gspn_framework_package.visualizer.optimised import ROWS_PER_PART, ExistsError
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
@@ -49,7 +49,7 @@ PING = 3.0
 GATHER = 0.012
 """Seconds during which a stream gathers events into one message."""
 
-Answer = Tuple[Dict[str, Any], int]
+_JsonAndStatus = Tuple[Dict[str, Any], int]
 
 
 def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask:
@@ -82,7 +82,7 @@ def _guard(app: flask.Flask, project: Project, guard: Guard) -> None:
     """Let only requests in that are allowed."""
 
     @app.before_request
-    def check() -> Optional[Answer]:
+    def check() -> Optional[_JsonAndStatus]:
         verdict = guard.check(
             request.method, request.path, request.headers, request.cookies, _peer()
         )
@@ -108,7 +108,7 @@ def _explain_errors(app: flask.Flask, project: Project) -> None:
     """Answer each error with its message."""
 
     @app.errorhandler(GspnError)
-    def explain(error: GspnError) -> Answer:
+    def explain(error: GspnError) -> _JsonAndStatus:
         answer: Dict[str, Any] = {"error": project.without_folders(str(error))}
         if isinstance(error, FormError):
             answer["fields"] = error.fields
@@ -117,15 +117,15 @@ def _explain_errors(app: flask.Flask, project: Project) -> None:
         return answer, 400 if isinstance(error, InputError) else 409
 
     @app.errorhandler(413)
-    def too_large(error: Exception) -> Answer:
+    def too_large(error: Exception) -> _JsonAndStatus:
         return {"error": too_large_text(request.path)}, 413
 
     @app.errorhandler(UnicodeError)
-    def no_text(error: UnicodeError) -> Answer:
+    def no_text(error: UnicodeError) -> _JsonAndStatus:
         return {"error": "the request contains an invalid character"}, 400
 
     @app.errorhandler(OSError)
-    def no_means(error: OSError) -> Answer:
+    def no_means(error: OSError) -> _JsonAndStatus:
         app.logger.warning("a request failed: %s", error)
         return {
             "error": "the server's computer cannot do that now: %s" % (error.strerror or "an error")
@@ -133,11 +133,11 @@ def _explain_errors(app: flask.Flask, project: Project) -> None:
 
     @app.errorhandler(404)
     @app.errorhandler(405)
-    def not_here(error: HTTPException) -> Answer:
+    def not_here(error: HTTPException) -> _JsonAndStatus:
         return {"error": "not found"}, error.code or 404
 
     @app.errorhandler(Exception)
-    def fault(error: Exception) -> Answer:
+    def fault(error: Exception) -> _JsonAndStatus:
         app.logger.exception("a request failed")
         return {"error": "a fault of this program: %s" % type(error).__name__}, 500
 
@@ -162,7 +162,7 @@ def _add_page(app: flask.Flask, project: Project, guard: Guard) -> None:
         return interface(__version__)
 
     @app.route("/api/login", methods=["POST"])
-    def login() -> Union[Answer, Response]:
+    def login() -> Union[_JsonAndStatus, Response]:
         try:
             cookie = guard.login(str(_body().get("token", "")), _peer())
         except LoginError as error:
@@ -246,7 +246,7 @@ def _add_session(app: flask.Flask, project: Project, streams: Streams) -> None:
         return Response(news.text, mimetype="application/json")
 
     @app.route("/api/stream")
-    def stream() -> Union[Answer, Response]:
+    def stream() -> Union[_JsonAndStatus, Response]:
         hub = _session(project).hub
         if not streams.take(_peer()):
             return {"error": "enough viewers are served already; this one polls"}, 503
@@ -264,7 +264,7 @@ def _add_analysis(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> Non
         opened, fields = _session(project), _body()
         hub = opened.hub
         board = (
-            hub.board_at(whole_number(fields, "event", 0, 0, 10**15))
+            hub.board_at(whole_field(fields, "event", 0, 0, 10**15))
             if "event" in fields
             else hub.board()
         )
@@ -292,7 +292,7 @@ def _add_optimised(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> No
 
     @app.route("/api/analysis/<job>/rows")
     def policy_rows(job: str) -> Dict[str, Any]:
-        return jobs.optimised(job).rows(_number("from"), _number("limit", ROWS))
+        return jobs.optimised(job).rows(_number("from"), _number("limit", ROWS_PER_PART))
 
     @app.route("/api/analysis/<job>/choices")
     def choices_at(job: str) -> Dict[str, Any]:

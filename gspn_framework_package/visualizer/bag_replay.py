@@ -16,7 +16,7 @@ from gspn_framework_package.visualizer.hub import Hub
 
 TYPE = "gspn_framework_package/FiredTransition"
 
-EVENTS = 400_000
+MOST_EVENTS = 400_000
 
 
 class BagReplay(Activity):
@@ -68,7 +68,9 @@ class BagReplay(Activity):
         follower = FiredFollower(self.plan)
         run = self._messages[0][1].run
         info: Dict[str, Any] = {"says": "run %s, recorded in a rosbag" % run}
-        hub.restart(self.mode, follower.board({"running": False}, self._names), info, ring=EVENTS)
+        hub.restart(
+            self.mode, follower.board({"running": False}, self._names), info, ring=MOST_EVENTS
+        )
         first = self._messages[0][0]
         events: List[Event] = []
         t = 0.0

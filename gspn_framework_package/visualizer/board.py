@@ -47,7 +47,7 @@ from gspn_framework_package.model.plan import Plan
 Event = Dict[str, Any]
 """See the module."""
 
-Move = Tuple[str, Optional[int], Optional[int]]
+RobotMove = Tuple[str, Optional[int], Optional[int]]
 """(robot, from, to) by place index; None for "from nowhere" and "to nowhere"."""
 
 NOTES_KEPT = 50
@@ -71,7 +71,7 @@ def fire_event(
     t: int,
     change: Change,
     who: str = "",
-    moves: Sequence[Move] = (),
+    moves: Sequence[RobotMove] = (),
     back: bool = False,
     why: str = "",
     tasks: Sequence[Sequence[str]] = (),

@@ -24,7 +24,7 @@ from werkzeug.http import parse_cookie
 
 from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER, Guard
 
-WAITING = 150
+MOST_WAITING_CONNECTIONS = 150
 """Number of connections in addition to those of the viewers."""
 
 HEADER_SECONDS = 10.0
@@ -117,7 +117,7 @@ class _Parser(HTTPRequestParser):
     completed: bool
     body_rcv: Any
 
-    def __init__(self, adj: Any, channel: Connection) -> None:
+    def __init__(self, adj: Any, channel: PeerConnection) -> None:
         super().__init__(adj)
         self._channel = channel
         self._refused: Optional[Refused] = None
@@ -172,7 +172,7 @@ class _Parser(HTTPRequestParser):
         return self.began + HEADER_SECONDS + BODY_SECONDS + length / SLOWEST
 
 
-class Connection(HTTPChannel):
+class PeerConnection(HTTPChannel):
     """A connection of a peer."""
 
     error_task_class = _RefusalTask
@@ -240,7 +240,7 @@ class Server(TcpWSGIServer):
     :param limit: the largest number of connections.
     """
 
-    channel_class = Connection
+    channel_class = PeerConnection
     rules: RequestRules
     """Must be set before the server runs."""
 
@@ -269,7 +269,7 @@ class Server(TcpWSGIServer):
         if len(self.active_channels) <= self._limit:
             return
         held = Counter(connection.peer for connection in self.active_channels.values())
-        waited_for: List[Connection] = [
+        waited_for: List[PeerConnection] = [
             c for n, c in self.active_channels.items() if n in known and c.waited_for
         ]
         if waited_for:

@@ -15,13 +15,13 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple
 import flask
 
 from gspn_framework_package.analysis.preflight.report import PreflightReport, Severity
-from gspn_framework_package.formats.difference import difference
-from gspn_framework_package.formats.edited_document import split
+from gspn_framework_package.formats.difference import document_difference
+from gspn_framework_package.formats.edited_document import document_from_json
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.errors import GspnError, InputError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.deploy_team import Votes
-from gspn_framework_package.visualizer.activity import Fields, text_field
+from gspn_framework_package.visualizer.activity import RequestFields, text_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.editing.findings import LEVELS
 from gspn_framework_package.visualizer.project import Project
@@ -55,7 +55,7 @@ class PageDeploys:
             found = self._latest.get(key)
         return found.to_json() if found is not None else {}
 
-    def begin(self, session: Session, plan: Plan, fields: Fields) -> None:
+    def begin(self, session: Session, plan: Plan, fields: RequestFields) -> None:
         """Deploy a plan, on a thread.
 
         :param fields: ``map``: names of the present net -> their names in the plan; ``run``: the
@@ -92,7 +92,7 @@ class PageDeploys:
         threading.Thread(target=work, name="deploy", daemon=True).start()
 
 
-def _mapping(fields: Fields) -> Dict[str, str]:
+def _mapping(fields: RequestFields) -> Dict[str, str]:
     found = fields.get("map", {})
     if not isinstance(found, dict) or not all(isinstance(v, str) for v in found.values()):
         raise UsageError("'map' is an object: present name -> new name")
@@ -107,8 +107,8 @@ def proposal(old: Plan, new: Plan, report: PreflightReport) -> Dict[str, Any]:
         ``changes``; the places and transitions that are ``gone``, each with its ``kind``
         and whether its tokens can be dropped; and the names that they may have got, by kind.
     """
-    before, after = (split(plan_to_json(plan)) for plan in (old, new))
-    changes = difference(before, after, positions=False)
+    before, after = (document_from_json(plan_to_json(plan)) for plan in (old, new))
+    changes = document_difference(before, after, positions=False)
     places, transitions = _kinds(old), [t.name for t in old.net.transitions]
     there = {**_kinds(new), **{t.name: "transition" for t in new.net.transitions}}
     gone = [(name, kind) for name, kind in places.items() if name not in there]

@@ -26,7 +26,7 @@ LOG_ENDINGS = (".jsonl", ".bag")
 
 FILES_LISTED = 500
 FOLDERS_DEEP = 4
-NODES = 20_000
+MOST_DRAWN_NODES = 20_000
 ARCS = 100_000
 UPLOAD_FILES = 10
 
@@ -260,9 +260,9 @@ def _checked(document: Document) -> Document:
 
 def check_size(nodes: int, arcs: int, file: Optional[str] = None) -> None:
     """Check that a browser can show a net of this size. :raises LimitError: it is too large."""
-    if nodes > NODES or arcs > ARCS:
+    if nodes > MOST_DRAWN_NODES or arcs > ARCS:
         raise LimitError(
             "a net of %d nodes and %d arcs is too large for the page" % (nodes, arcs),
             file=file,
-            hint="up to %d nodes and %d arcs are shown" % (NODES, ARCS),
+            hint="up to %d nodes and %d arcs are shown" % (MOST_DRAWN_NODES, ARCS),
         )

@@ -7,11 +7,11 @@ from typing import Dict, Optional
 
 from gspn_framework_package.visualizer.hub import Hub
 
-SECONDS = 0.2
+FEEDBACK_EVERY = 0.2
 
 
-class Feedback:
-    """Gathers feedback and passes it to a hub at most every :data:`SECONDS`."""
+class FeedbackStream:
+    """Gathers feedback and passes it to a hub at most every :data:`FEEDBACK_EVERY`."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -24,7 +24,7 @@ class Feedback:
         with self._lock:
             self._said[robot] = text[:200]
             if self._timer is None:
-                self._timer = threading.Timer(SECONDS, self._hand_over)
+                self._timer = threading.Timer(FEEDBACK_EVERY, self._hand_over)
                 self._timer.daemon = True
                 self._timer.start()
 

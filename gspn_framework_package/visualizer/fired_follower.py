@@ -31,9 +31,9 @@ from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
-from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event
+from gspn_framework_package.visualizer.board import Board, Event, RobotMove, fire_event, mark_event
 
-PATIENCE = 0.25
+GAP_PATIENCE = 0.25
 """Seconds for which a firing that does not fit waits for the missing ones."""
 
 _WAITING = 500
@@ -151,7 +151,7 @@ class FiredFollower:
                         events.append(self._fire(news))
                     again = True
                     break
-        late = any(now - waiting.at > PATIENCE for waiting in self._waiting)
+        late = any(now - waiting.at > GAP_PATIENCE for waiting in self._waiting)
         self.lost_track = self.lost_track or late or len(self._waiting) > _WAITING
         return events
 
@@ -241,7 +241,7 @@ class FiredFollower:
     def _fire(self, news: FiredMessage) -> Event:
         t = self.net.transition_index[news.transition]
         change = self._enabled.move_to(self._after(t))
-        moves: List[Move] = []
+        moves: List[RobotMove] = []
         for robot, name in zip(news.robots, news.robot_places):
             target = self.net.place_index.get(name)
             if target is None:

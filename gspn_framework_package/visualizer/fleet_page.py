@@ -7,7 +7,7 @@ import threading
 from typing import Any, Dict, List, Mapping
 
 from gspn_framework_package.fleet.database import duckdb
-from gspn_framework_package.fleet.reports import Question, known_names, moments, report
+from gspn_framework_package.fleet.reports import Question, history_report, known_names, moments
 from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.visualizer.replay import Replay
@@ -41,7 +41,7 @@ class FleetPage:
         """A report, as the page asks for it. :raises UsageError: the question makes no sense."""
         question = _question(fields)
         with self._lock:
-            rows = report(self._store, question)
+            rows = history_report(self._store, question)
         return {"rows": rows[:MOST_ROWS], "left_out": max(0, len(rows) - MOST_ROWS)}
 
     def moments(self, fields: Mapping[str, str]) -> Dict[str, Any]:

@@ -19,10 +19,8 @@ import subprocess
 from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from gspn_framework_package.model.kept import Kept
-from gspn_framework_package.model.net import Arc, Net, Place, Transition
+from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 from gspn_framework_package.model.subnet import Subnet
-
-Point = Tuple[float, float]
 
 PLACE_RADIUS = 20.0
 """Radius of a place, in the units of the drawing (CSS pixels at zoom 1)."""

@@ -41,21 +41,21 @@ from gspn_framework_package.analysis.monitoring.monitor import (
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
-from gspn_framework_package.visualizer.analysis_jobs import ALL, AnalysisJobs
+from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS, AnalysisJobs
 from gspn_framework_package.visualizer.board import Board, Event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
 
-PERIOD = 1.0
+COMPARISON_PERIOD = 1.0
 """Seconds between two messages to the page."""
 
-POINTS = 60
+TREND_POINTS = 60
 """Most points of a curve; when there are more, every second one is dropped."""
 
 CURVES = 12
 """Most curves: those of the transitions that fire most often."""
 
-SECONDS = 120.0
+PREDICTION_SECONDS = 120.0
 """Time limit of the prediction, in seconds."""
 
 
@@ -72,7 +72,7 @@ class Departures(NamedTuple):
     levels: Sequence[Tuple[str, float]]
 
 
-Listener = Callable[[Departures], None]
+_Listener = Callable[[Departures], None]
 """Called once per period."""
 
 
@@ -231,7 +231,7 @@ class LiveComparison:
         plan: Plan,
         hub: Hub,
         complete: bool,
-        listener: Optional[Listener] = None,
+        listener: Optional[_Listener] = None,
         number: int = 0,
     ) -> None:
         self._plan, self._hub, self._complete = plan, hub, complete
@@ -278,7 +278,11 @@ class LiveComparison:
 
     def _predict(self) -> Optional[Dict[str, Any]]:
         document = Document(self._plan.name, self._plan.net, self._plan)
-        asked = {"predict": {"time": _horizon(self._plan)}, "policy": True, "seconds": SECONDS}
+        asked = {
+            "predict": {"time": _horizon(self._plan)},
+            "policy": True,
+            "seconds": PREDICTION_SECONDS,
+        }
         key = self._jobs.start(document, self._plan.net.initial_marking, asked)
         while not self._stop.wait(0.1):
             report = self._jobs.report(key)
@@ -297,7 +301,7 @@ class LiveComparison:
         due = 0.0
         while not self._stop.is_set():
             try:
-                events = self._queue.get(timeout=PERIOD / 4)
+                events = self._queue.get(timeout=COMPARISON_PERIOD / 4)
             except queue.Empty:
                 events = ()
             for event in events or ():
@@ -305,7 +309,7 @@ class LiveComparison:
                     follower.take(event)
             now = self._hub.clock() - self._began
             if self._queue.empty() and (now >= due or follower.over):
-                due = now + PERIOD
+                due = now + COMPARISON_PERIOD
                 if not follower.over:
                     monitor.advance(now)
                 self._publish(monitor, follower, prediction, now)
@@ -328,12 +332,12 @@ class LiveComparison:
             levels = [(_name(stream), _level(stream)) for stream in monitor.streams]
             self._listener(Departures(lasting, new, levels))
         self._points.append((round(now, 2), [sum(follower.counts), *follower.counts]))
-        if len(self._points) > 2 * POINTS:
+        if len(self._points) > 2 * TREND_POINTS:
             self._points = self._points[::2]
         growths = prediction["growth"]
         transitions = [t.name for t in self._plan.net.transitions]
         often = sorted(range(len(transitions)), key=lambda t: -growths[transitions[t]][0])
-        chosen = [(ALL, 0)] + [(transitions[t], t + 1) for t in often[:CURVES]]
+        chosen = [(ALL_TRANSITIONS, 0)] + [(transitions[t], t + 1) for t in often[:CURVES]]
         self._say(
             "over" if follower.over else "watching",
             "%d alarm%s" % (len(lasting), "" if len(lasting) == 1 else "s")

@@ -18,14 +18,14 @@ the second with each addition."""
 Schema = Dict[str, Any]
 
 TEXT: Schema = {"type": "string"}
-WHOLE: Schema = {"type": "integer", "minimum": 0}
+_WHOLE: Schema = {"type": "integer", "minimum": 0}
 FLAG: Schema = {"type": "boolean"}
 OBJECT: Schema = {"type": "object"}
 NAMES: Schema = {"type": "array", "items": TEXT}
 NUMBER: Schema = {"type": "number"}
-COUNTS: Schema = {"type": "array", "items": WHOLE}
+_COUNTS: Schema = {"type": "array", "items": _WHOLE}
 OBJECTS: Schema = {"type": "array", "items": OBJECT}
-POINTS: Schema = {
+_POINTS: Schema = {
     "type": "object",
     "additionalProperties": {"type": "array", "items": NUMBER},
 }
@@ -35,16 +35,16 @@ def _or_null(schema: Schema) -> Schema:
     return {**schema, "type": [schema["type"], "null"]}
 
 
-PARAMETERS: Dict[str, Tuple[Schema, str]] = {
+API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
     "id": (TEXT, "the open net, as /api/open answered; in /api/hello, 'first' is the one shown"),
     "job": (TEXT, "the computation, as POST /api/analysis answered"),
-    "at": (WHOLE, "number of an event"),
-    "plan": (WHOLE, "number of the plan that the team went on under; 0: the one it began with"),
-    "slot": (WHOLE, "number of a slot of the log"),
-    "after": (WHOLE, "number of the event after which to begin"),
-    "to": (WHOLE, "number of the last event"),
-    "limit": (WHOLE, "how many at most"),
-    "from": (WHOLE, "number of the first row"),
+    "at": (_WHOLE, "number of an event"),
+    "plan": (_WHOLE, "number of the plan that the team went on under; 0: the one it began with"),
+    "slot": (_WHOLE, "number of a slot of the log"),
+    "after": (_WHOLE, "number of the event after which to begin"),
+    "to": (_WHOLE, "number of the last event"),
+    "limit": (_WHOLE, "how many at most"),
+    "from": (_WHOLE, "number of the first row"),
     "since": (
         TEXT,
         "of news: the cursor of the last answer; without it, the whole board comes first. Of the "
@@ -95,26 +95,26 @@ def _list(fields: Mapping[str, Schema]) -> Schema:
 
 BOARD = _object(
     {
-        "n": WHOLE,
+        "n": _WHOLE,
         "t": NUMBER,
-        "marking": COUNTS,
-        "enabled": COUNTS,
-        "counts": COUNTS,
+        "marking": _COUNTS,
+        "enabled": _COUNTS,
+        "counts": _COUNTS,
         "robots": _list({"name": TEXT, "place?": {"type": "integer"}, "phase?": TEXT}),
         "notes": OBJECTS,
         "status": OBJECT,
         "data?": OBJECT,
-        "plan?": WHOLE,
+        "plan?": _WHOLE,
     }
 )
-NODES = _list({"name": TEXT})
+_NODES = _list({"name": TEXT})
 SCENE = _object(
     {
         "name": TEXT,
         "hash": TEXT,
-        "places": NODES,
-        "transitions": NODES,
-        "arcs": {"type": "array", "items": COUNTS},
+        "places": _NODES,
+        "transitions": _NODES,
+        "arcs": {"type": "array", "items": _COUNTS},
         "layout": OBJECT,
         "subnets": OBJECTS,
         "plan": _or_null(OBJECT),
@@ -127,7 +127,7 @@ CHECKED = {**DOCUMENT, "page?": TEXT}
 EPOCH = {"epoch": TEXT}
 HISTORY = ("since?", "until?", "robot?", "place?")
 
-OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
+API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ("GET", "/api/openapi.json"): ApiOperation(
         "describe_interface",
         "This document.",
@@ -179,9 +179,9 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         {"command": TEXT, "run?": TEXT},
         {
             "message?": TEXT,
-            "fired?": WHOLE,
+            "fired?": _WHOLE,
             "dead?": FLAG,
-            "back?": WHOLE,
+            "back?": _WHOLE,
             "engine?": TEXT,
             "places?": {"type": "array", "items": {"type": "array", "items": NUMBER}},
             "transitions?": {"type": "array", "items": {"type": "array", "items": NUMBER}},
@@ -201,19 +201,19 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "reasons",
         "Why a transition cannot fire.",
         ("id", "transition", "at?"),
-        answer={"transition": TEXT, "enabled": FLAG, "reasons": NAMES, "at": WHOLE},
+        answer={"transition": TEXT, "enabled": FLAG, "reasons": NAMES, "at": _WHOLE},
     ),
     ("GET", "/api/slot"): ApiOperation(
         "after_slot",
         "The event that is the first after a slot of the log.",
         ("id", "slot"),
-        answer={**EPOCH, "event": _or_null(WHOLE)},
+        answer={**EPOCH, "event": _or_null(_WHOLE)},
     ),
     ("GET", "/api/events"): ApiOperation(
         "events",
         "Events of the past.",
         ("id", "after", "to", "limit?"),
-        answer={**EPOCH, "events": _list({"n": WHOLE, "t": NUMBER, "k": TEXT})},
+        answer={**EPOCH, "events": _list({"n": _WHOLE, "t": NUMBER, "k": TEXT})},
     ),
     ("GET", "/api/poll"): ApiOperation(
         "poll",
@@ -222,9 +222,9 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         answer={
             "cursor": TEXT,
             "snapshot?": _object(
-                {**EPOCH, "mode": TEXT, "info": OBJECT, "oldest": WHOLE, "board": BOARD}
+                {**EPOCH, "mode": TEXT, "info": OBJECT, "oldest": _WHOLE, "board": BOARD}
             ),
-            "events?": _list({"n": WHOLE, "t": NUMBER, "k": TEXT}),
+            "events?": _list({"n": _WHOLE, "t": NUMBER, "k": TEXT}),
             "latest?": OBJECT,
             "more?": FLAG,
         },
@@ -240,8 +240,8 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Begin a computation for the marking that is shown, or that of an event: an analysis, a "
         "simulation, a sweep, or a policy.",
         ("id",),
-        {"event?": WHOLE},
-        {"job": TEXT, "event": WHOLE},
+        {"event?": _WHOLE},
+        {"job": TEXT, "event": _WHOLE},
     ),
     ("GET", "/api/analysis/{job}"): ApiOperation(
         "analysis_progress",
@@ -266,13 +266,13 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "policy_rows",
         "Rows of a computed policy.",
         ("from?", "limit?"),
-        answer={"places": NAMES, "total": WHOLE, "changed": WHOLE, "rows": OBJECTS},
+        answer={"places": NAMES, "total": _WHOLE, "changed": _WHOLE, "rows": OBJECTS},
     ),
     ("GET", "/api/analysis/{job}/choices"): ApiOperation(
         "policy_choices",
         "What a computed policy chooses after an event.",
         ("id", "at?"),
-        answer={"at": WHOLE, "choices": OBJECTS},
+        answer={"at": _WHOLE, "choices": OBJECTS},
     ),
     ("GET", "/api/analysis/{job}/plan"): ApiOperation(
         "policy_plan",
@@ -327,7 +327,7 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "history_report",
         "A report on the fleet's history.",
         ("by?", *HISTORY),
-        answer={"rows": OBJECTS, "left_out": WHOLE},
+        answer={"rows": OBJECTS, "left_out": _WHOLE},
     ),
     ("GET", "/api/history/moments"): ApiOperation(
         "history_moments",
@@ -390,7 +390,7 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "valid?": FLAG,
             "doubts?": NAMES,
             "decided?": FLAG,
-            "states?": WHOLE,
+            "states?": _WHOLE,
             "findings?": _list(
                 {"level": TEXT, "text": TEXT, "hint": TEXT, "check": TEXT, "elements": OBJECTS}
             ),
@@ -416,7 +416,7 @@ OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Positions for the nodes of a document.",
         ("id",),
         DOCUMENT,
-        {"places": POINTS, "transitions": POINTS},
+        {"places": _POINTS, "transitions": _POINTS},
     ),
     ("GET", "/api/edit/palette"): ApiOperation(
         "edit_palette",
@@ -458,7 +458,7 @@ def interface(version: str) -> Dict[str, Any]:
     :param version: that of the package, for people.
     """
     paths: Dict[str, Dict[str, Any]] = {}
-    for (method, path), operation in OPERATIONS.items():
+    for (method, path), operation in API_OPERATIONS.items():
         paths.setdefault(path, {})[method.lower()] = _described(method, path, operation)
     return {
         "openapi": "3.1.0",
@@ -522,7 +522,7 @@ def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any
 
 
 def _parameter(name: str, where: str, required: bool) -> Dict[str, Any]:
-    schema, about = PARAMETERS[name]
+    schema, about = API_PARAMETERS[name]
     return {
         "name": name,
         "in": where,

@@ -11,19 +11,19 @@ from gspn_framework_package.analysis.plan.reading import RUN, checked_reading
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 
-ENTRIES = 100
+MOST_ENTRIES = 100
 """Most entries of each list of the form."""
 
-CONDITION = 2_000
+LONGEST_CONDITION = 2_000
 """Most characters of a condition."""
 
-SIMULATED = 60.0
+LONGEST_SIMULATION = 60.0
 """Longest time (s) for which the form may have the old and the new plan simulated."""
 
 _GOALS = (Aim.TIME_TO, Aim.COST_TO, Aim.REACH)
 _REWARDED = (Aim.LONG_RUN, Aim.COST_TO, Aim.DISCOUNTED)
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
 class FormError(UsageError):
@@ -36,7 +36,7 @@ class FormError(UsageError):
         self.fields = dict(fields)
 
 
-def request_of(form: object, plan: Plan, limits: Optional[Limits] = None) -> Request:
+def request_in_form(form: object, plan: Plan, limits: Optional[Limits] = None) -> Request:
     """Read the form.
 
     :param form: the JSON object that the page sends: ``aim``, ``maximise``, ``goal``, ``discount``,
@@ -52,8 +52,8 @@ def simulated_of(form: Mapping[str, Any]) -> float:
     """For how many seconds to simulate the old and the new plan. :raises FormError: no such
     time."""
     value = _number(form.get("simulated", 0.0), "simulated", "a number of seconds")
-    if not 0 <= value <= SIMULATED:
-        raise FormError({"simulated": "choose 0 to %g seconds" % SIMULATED})
+    if not 0 <= value <= LONGEST_SIMULATION:
+        raise FormError({"simulated": "choose 0 to %g seconds" % LONGEST_SIMULATION})
     return value
 
 
@@ -88,7 +88,7 @@ class _Form:
             raise FormError(self._wrong)
         return request
 
-    def _field(self, name: str, read: Callable[[], Value], instead: Value) -> Value:
+    def _field(self, name: str, read: Callable[[], _Value], instead: _Value) -> _Value:
         """What ``read`` returns; if it raises an error, keep that for the field ``name``, and
         return ``instead``."""
         try:
@@ -99,12 +99,12 @@ class _Form:
             self._wrong.setdefault(name, str(error))
         return instead
 
-    def _list(self, name: str, read: Callable[[str, Any], Value]) -> List[Value]:
+    def _list(self, name: str, read: Callable[[str, Any], _Value]) -> List[_Value]:
         items = self._form.get(name, [])
-        if not isinstance(items, list) or len(items) > ENTRIES:
-            self._wrong[name] = "give a list of at most %d entries" % ENTRIES
+        if not isinstance(items, list) or len(items) > MOST_ENTRIES:
+            self._wrong[name] = "give a list of at most %d entries" % MOST_ENTRIES
             return []
-        found: List[Value] = []
+        found: List[_Value] = []
         for i, item in enumerate(items):
             field = "%s.%d" % (name, i)
             self._field(field, lambda field=field, item=item: found.append(read(field, item)), None)  # type: ignore[misc]
@@ -189,8 +189,8 @@ class _Form:
     def _condition(self, text: Any) -> str:
         if not isinstance(text, str) or not text.strip():
             raise UsageError("write a condition", hint="e.g. p1 >= 1 and p2 == 0")
-        if len(text) > CONDITION:
-            raise UsageError("a condition has at most %d characters" % CONDITION)
+        if len(text) > LONGEST_CONDITION:
+            raise UsageError("a condition has at most %d characters" % LONGEST_CONDITION)
         self._check(Objective.reach(text.strip()))
         return text.strip()
 

@@ -22,7 +22,7 @@ from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 
-ROWS = 500
+ROWS_PER_PART = 500
 """Most rows of a policy that the page gets at once."""
 
 PROPOSALS = 1000
@@ -88,7 +88,7 @@ class Optimised:
             "changed": sum(self._states.values()),
             "rows": [
                 {"number": row + 1, "differs": self._states.get(row), **self._rows[row]}
-                for row in self._order[start : start + min(count, ROWS)]
+                for row in self._order[start : start + min(count, ROWS_PER_PART)]
             ],
         }
 

@@ -15,25 +15,30 @@ from gspn_framework_package.ros.check_all import check_all
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
 from gspn_framework_package.team.verdict import obey
-from gspn_framework_package.visualizer.activity import Fields, Handler, names_field, text_field
+from gspn_framework_package.visualizer.activity import (
+    Handler,
+    RequestFields,
+    names_field,
+    text_field,
+)
 from gspn_framework_package.visualizer.submissions import submission
 from gspn_framework_package.visualizer.team_connection import (
-    ANSWER_TIME,
-    ORDER_TIME,
+    LONGEST_ORDER_TIME,
+    STATUS_TIME,
     RobotLine,
     TeamConnection,
     UnreachableError,
-    ask,
+    ask_robot,
 )
 
 if TYPE_CHECKING:
     from gspn_framework_package.visualizer.team_connection import Replies
 
-Order = Tuple[str, str, str]
+PageOrder = Tuple[str, str, str]
 """An order to the team: the command, the robot and the argument of the Command service."""
 
 
-Answer = Tuple[str, Dict[str, Any]]
+StatusAnswer = Tuple[str, Dict[str, Any]]
 """The address of a robot, and the status in its answer."""
 
 
@@ -56,13 +61,13 @@ class OrderedTeam(Protocol):
     def gone(self) -> FrozenSet[str]:
         """Robots that have no token in the net any more."""
 
-    def obeyed(self, order: Order) -> None:
+    def obeyed(self, order: PageOrder) -> None:
         """Note that an order is in the team's log."""
 
     def ask_soon(self) -> None:
         """Have the team asked for its state soon."""
 
-    def statuses(self, addresses: List[str], line: RobotLine) -> List[Answer]:
+    def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
         """What robots answer about the team."""
 
 
@@ -76,7 +81,7 @@ class PageOrders:
 
     def __init__(self, team: OrderedTeam, connection: TeamConnection) -> None:
         self._team, self._connection = team, connection
-        self._line = connection.line(ORDER_TIME)
+        self._line = connection.line(LONGEST_ORDER_TIME)
         self.commands: Dict[str, Handler] = {
             "stop": self._ordered(
                 lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")
@@ -101,7 +106,7 @@ class PageOrders:
     ) -> DeployOutcome:
         """See :class:`Activity`; the robots find its functions where those of their plan are."""
         obey(check_all(plan), plan)
-        line = self._connection.line(ANSWER_TIME)
+        line = self._connection.line(STATUS_TIME)
 
         def order(command: str, text: str) -> Tuple[bool, str]:
             try:
@@ -120,27 +125,27 @@ class PageOrders:
         finally:
             line.close()
 
-    def _ordered(self, order_from: Callable[[Fields], Order]) -> Handler:
-        def run(fields: Fields) -> Dict[str, Any]:
+    def _ordered(self, order_from: Callable[[RequestFields], PageOrder]) -> Handler:
+        def run(fields: RequestFields) -> Dict[str, Any]:
             return self._order(order_from(fields))
 
         return run
 
-    def _set_place(self, fields: Fields) -> Order:
+    def _set_place(self, fields: RequestFields) -> PageOrder:
         place = text_field(fields, "place")
         self._team.plan.net.place_number(place)
         return "set_place", text_field(fields, "robot"), place
 
-    def _fire(self, fields: Fields) -> Order:
+    def _fire(self, fields: RequestFields) -> PageOrder:
         name = text_field(fields, "transition")
         self._team.plan.net.transition_number(name)
         return "fire", "", name
 
-    def _submit(self, fields: Fields) -> Order:
+    def _submit(self, fields: RequestFields) -> PageOrder:
         task = submission(self._team.plan, fields)
         return "submit", "", json.dumps(task._asdict())
 
-    def _order(self, order: Order) -> Dict[str, Any]:
+    def _order(self, order: PageOrder) -> Dict[str, Any]:
         """Send an order to the robots of the run in turn, until one answers.
 
         :raises RefusedError: the order was not carried out.
@@ -151,9 +156,9 @@ class PageOrders:
             robot_there = self._team.names.get(address, "")
             answers: Replies = queue.SimpleQueue()
             try:
-                if not ask(self._line, address, robot_there, request, answers):
+                if not ask_robot(self._line, address, robot_there, request, answers):
                     continue
-                _, answer = answers.get(timeout=ORDER_TIME + 0.2)
+                _, answer = answers.get(timeout=LONGEST_ORDER_TIME + 0.2)
             except queue.Empty:
                 continue
             except UnreachableError as error:
@@ -170,7 +175,7 @@ class PageOrders:
             else "no robot of the run has been heard of yet"
         )
 
-    def _set_breakpoints(self, fields: Fields) -> Dict[str, Any]:
+    def _set_breakpoints(self, fields: RequestFields) -> Dict[str, Any]:
         """Have every robot of the run stop at these places and transitions.
 
         :raises RefusedError: a robot did not take them.
@@ -181,13 +186,15 @@ class PageOrders:
         answers: Replies = queue.SimpleQueue()
         try:
             known = sorted(n for n, name in self._team.names.items() if name not in self._team.gone)
-            asked = [n for n in known if ask(self._line, n, self._team.names[n], request, answers)]
+            asked = [
+                n for n in known if ask_robot(self._line, n, self._team.names[n], request, answers)
+            ]
         except UnreachableError as error:
             raise RefusedError(str(error)) from None
         silent, refusals = set(asked), []
         with contextlib.suppress(queue.Empty):
             for _ in asked:
-                address, answer = answers.get(timeout=ORDER_TIME + 0.2)
+                address, answer = answers.get(timeout=LONGEST_ORDER_TIME + 0.2)
                 if answer is None:
                     continue
                 silent.discard(address)

@@ -11,7 +11,7 @@ from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY,
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Prediction
 from gspn_framework_package.ros.diagnostics import diagnostic_array
-from gspn_framework_package.ros.messages import filled
+from gspn_framework_package.ros.messages import stamped_message
 from gspn_framework_package.visualizer.live_comparison import Departures
 
 PREDICTION_TOPIC = "/gspn_prediction"
@@ -34,7 +34,7 @@ class RosPrediction:
         for alarm in found.new:
             rospy.logwarn("the run departs from the plan: %s", alarm.describe())
         self._prediction.publish(
-            filled(
+            stamped_message(
                 Prediction,
                 run=run,
                 plan=plan.hash(),

@@ -20,14 +20,14 @@ from gspn_framework_package.ros.transport.registration import (
 )
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
-from gspn_framework_package.team.addressing import QUESTIONS
+from gspn_framework_package.team.addressing import PLAIN_QUESTIONS
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.seal import TeamKey
 from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.ros_prediction import RosPrediction
-from gspn_framework_package.visualizer.team_connection import ANSWER_TIME, UnreachableError
+from gspn_framework_package.visualizer.team_connection import STATUS_TIME, UnreachableError
 
-ACTIVITY = "/activity"
+_ACTIVITY = "/activity"
 
 
 class RosConnection:
@@ -68,12 +68,12 @@ class RosConnection:
     def find(self) -> Set[str]:
         """See :class:`TeamConnection`."""
         try:
-            published = published_topics(ANSWER_TIME)
+            published = published_topics(STATUS_TIME)
         except MASTER_ERRORS as error:
             raise _no_master(error) from None
         for topic, kind in published.items():
-            namespace = topic[: -len(ACTIVITY)]
-            if topic.endswith(ACTIVITY) and kind == String._type and namespace not in self._found:
+            namespace = topic[: -len(_ACTIVITY)]
+            if topic.endswith(_ACTIVITY) and kind == String._type and namespace not in self._found:
                 self._found.add(namespace)
                 self._subscribe(topic, String, self._with_json("activity", namespace))
         return set(self._found)
@@ -145,12 +145,12 @@ class RosLine:
         def reply(response: CommandResponse) -> None:
             answered(OperatorAnswer(response.success, response.message))
 
-        if request.command in QUESTIONS:
+        if request.command in PLAIN_QUESTIONS:
             written = CommandRequest(*request)
         else:
             written = self._orders.request(robot, *request)
         try:
-            master: Any = master_proxy(ANSWER_TIME)
+            master: Any = master_proxy(STATUS_TIME)
             code, _, uri = master.lookupService(rospy.get_name(), name)
         except MASTER_ERRORS as error:
             raise _no_master(error) from None

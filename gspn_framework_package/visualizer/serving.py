@@ -11,7 +11,11 @@ from flask import Flask
 
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.app import body_limit, create_app, too_large_text
-from gspn_framework_package.visualizer.connections import WAITING, RequestRules, Server
+from gspn_framework_package.visualizer.connections import (
+    MOST_WAITING_CONNECTIONS,
+    RequestRules,
+    Server,
+)
 from gspn_framework_package.visualizer.guard import (
     OPERATOR,
     VIEWER,
@@ -62,7 +66,7 @@ class WebServer:
         try:
             self._server = Server(
                 self._call,
-                viewers + WAITING,
+                viewers + MOST_WAITING_CONNECTIONS,
                 host=_one_address(host),
                 port=port,
                 threads=viewers + THREADS_BESIDE_VIEWERS,

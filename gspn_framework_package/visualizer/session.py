@@ -7,7 +7,7 @@ from collections import OrderedDict
 from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
-from gspn_framework_package.visualizer.activity import Activity, Fields, text_field
+from gspn_framework_package.visualizer.activity import Activity, RequestFields, text_field
 from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
@@ -93,7 +93,7 @@ class Session:
             "scene": self.scene,
         }
 
-    def command(self, name: str, fields: Fields) -> Dict[str, Any]:
+    def command(self, name: str, fields: RequestFields) -> Dict[str, Any]:
         """Execute a command of the page: start or end an execution, or a command of the activity.
 
         An order for a run names it in the field ``run``; it is refused if another run has replaced
@@ -110,7 +110,7 @@ class Session:
             return self._simulate()
         return self.activity_meant(fields).command(name, fields)
 
-    def activity_meant(self, fields: Fields) -> Activity:
+    def activity_meant(self, fields: RequestFields) -> Activity:
         """The activity that an order is for.
 
         :raises RefusedError: the order names another run than the one that is shown.
@@ -138,7 +138,7 @@ class Session:
         finally:
             self._layout.release()
 
-    def _start(self, fields: Fields) -> Dict[str, Any]:
+    def _start(self, fields: RequestFields) -> Dict[str, Any]:
         if not self.document.executable:
             raise RefusedError(
                 "this net can be simulated, not executed",

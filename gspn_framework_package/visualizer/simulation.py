@@ -12,10 +12,10 @@ from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.visualizer.activity import (
     Activity,
-    Fields,
     Handler,
+    RequestFields,
     text_field,
-    whole_number,
+    whole_field,
 )
 from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
 from gspn_framework_package.visualizer.hub import Hub
@@ -79,7 +79,7 @@ class OfflineSimulation(Activity):
         hub.set_latest("choices", self._choices())
 
     def _locked(self, handler: Handler) -> Handler:
-        def run(fields: Fields) -> Dict[str, Any]:
+        def run(fields: RequestFields) -> Dict[str, Any]:
             with self._lock:
                 return handler(fields)
 
@@ -87,8 +87,8 @@ class OfflineSimulation(Activity):
 
     # -- commands ----------------------------------------------------------------------------------
 
-    def _step(self, fields: Fields) -> Dict[str, Any]:
-        steps = whole_number(fields, "steps", 1, 1, STEPS_AT_ONCE)
+    def _step(self, fields: RequestFields) -> Dict[str, Any]:
+        steps = whole_field(fields, "steps", 1, 1, STEPS_AT_ONCE)
         events: List[Event] = []
         while len(events) < steps:
             before = _Past(-1, self._simulator.marking, self._time)
@@ -99,7 +99,7 @@ class OfflineSimulation(Activity):
         self._publish(*events)
         return {"fired": len(events), "dead": len(events) < steps}
 
-    def _fire(self, fields: Fields) -> Dict[str, Any]:
+    def _fire(self, fields: RequestFields) -> Dict[str, Any]:
         t = self.net.transition_number(text_field(fields, "transition"))
         precedence = fields.get("any_priority") is not True
         waits = t not in self._simulator.enabled.now
@@ -118,8 +118,8 @@ class OfflineSimulation(Activity):
         self._past.append(before._replace(transition=t))
         return self._now(fire_event(self.net, t, self._simulator.change))
 
-    def _back(self, fields: Fields) -> Dict[str, Any]:
-        steps = whole_number(fields, "steps", 1, 1, STEPS_AT_ONCE)
+    def _back(self, fields: RequestFields) -> Dict[str, Any]:
+        steps = whole_field(fields, "steps", 1, 1, STEPS_AT_ONCE)
         events: List[Event] = []
         while self._past and len(events) < steps:
             past = self._past.pop()
@@ -140,7 +140,7 @@ class OfflineSimulation(Activity):
         self._publish(*events)
         return {"back": len(events)}
 
-    def _reset(self, fields: Fields) -> Dict[str, Any]:
+    def _reset(self, fields: RequestFields) -> Dict[str, Any]:
         counts = {t: count for t, count in enumerate(self._hub.board().counts) if count}
         self._past.append(_Past(-1, self._simulator.marking, self._time, counts))
         self._time = 0.0
@@ -148,14 +148,14 @@ class OfflineSimulation(Activity):
         self._publish({**self._whole("reset"), "restart": True})
         return {}
 
-    def _clear(self, fields: Fields) -> Dict[str, Any]:
+    def _clear(self, fields: RequestFields) -> Dict[str, Any]:
         """Remove every token from the net ("clear network")."""
         self._past.append(_Past(-1, self._simulator.marking, self._time))
         self._simulator.move_to((0,) * len(self.net.places))
         self._publish(self._whole("cleared"))
         return {}
 
-    def _move(self, fields: Fields) -> Dict[str, Any]:
+    def _move(self, fields: RequestFields) -> Dict[str, Any]:
         """Go to another marking."""
         marking = fields.get("marking")
         count = len(self.net.places)
@@ -170,7 +170,7 @@ class OfflineSimulation(Activity):
         self._publish(self._whole("another marking"))
         return {}
 
-    def _set_probabilities(self, fields: Fields) -> Dict[str, Any]:
+    def _set_probabilities(self, fields: RequestFields) -> Dict[str, Any]:
         given = fields.get("probabilities")
         if not isinstance(given, dict):
             raise UsageError("'probabilities' maps transitions to numbers")

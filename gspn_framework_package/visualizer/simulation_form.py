@@ -15,10 +15,10 @@ from gspn_framework_package.model.plan import Plan
 if TYPE_CHECKING:
     from gspn_framework_package.analysis.simulation import Asked
 
-REPLICATIONS = 100_000
+MOST_FORM_REPLICATIONS = 100_000
 """Largest number of simulated runs that the page may ask for."""
 
-POINTS = 400
+MOST_SWEEP_POINTS = 400
 """Most points of a sweep on the page."""
 
 _TEXTS = 20
@@ -26,7 +26,7 @@ _EVERY = 0.3
 """Seconds between two parts at least."""
 
 
-def asked_of(form: object, name: str) -> Asked:
+def asked_in_form(form: object, name: str) -> Asked:
     """What the fields ask of a simulation.
 
     :param name: of the form, for the message.
@@ -36,24 +36,24 @@ def asked_of(form: object, name: str) -> Asked:
 
     if not isinstance(form, dict):
         raise UsageError("'%s' is an object" % name)
-    replications = number(form, "replications", 1000.0)
-    if replications is None or not 1 <= replications <= REPLICATIONS:
-        raise UsageError("the number of runs is from 1 to %d" % REPLICATIONS)
-    time = number(form, "time")
+    replications = form_number(form, "replications", 1000.0)
+    if replications is None or not 1 <= replications <= MOST_FORM_REPLICATIONS:
+        raise UsageError("the number of runs is from 1 to %d" % MOST_FORM_REPLICATIONS)
+    time = form_number(form, "time")
     until = form.get("until") or None
     if until is not None and not isinstance(until, str):
         raise UsageError("'until' is a condition")
     return Asked(
         time=math.inf if time is None else time,
         replications=int(replications),
-        seed=int(number(form, "seed", 0.0) or 0),
-        warmup=number(form, "warmup", 0.0) or 0.0,
+        seed=int(form_number(form, "seed", 0.0) or 0),
+        warmup=form_number(form, "warmup", 0.0) or 0.0,
         until=until,
-        confidence=number(form, "confidence", 0.95) or 0.0,
+        confidence=form_number(form, "confidence", 0.95) or 0.0,
     )
 
 
-def number(form: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
+def form_number(form: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
     """A number of a form, at least 0. :raises UsageError: it is none."""
     value = form.get(key, default)
     if value is not None and (
@@ -76,22 +76,27 @@ def sweep_in_parts(
     :param tell: called with all points so far, now and then, and at the end.
     :raises GspnError: the form makes no sense, or a point cannot be measured.
     """
-    from gspn_framework_package.analysis.sweeps.sweep import Point, Sweep, chosen, read_variation
+    from gspn_framework_package.analysis.sweeps.sweep import (
+        Sweep,
+        SweepPoint,
+        chosen,
+        read_variation,
+    )
 
-    asked = asked_of(form, "sweep")
+    asked = asked_in_form(form, "sweep")
     variations = [read_variation(text) for text in _texts(form, "vary")]
     if not variations:
         raise UsageError("what is varied?", hint="write robots=1..5, for example")
     if any(variation.kind == "policy" for variation in variations):
         raise UsageError("the page reads no policies from files", hint="gspn sweep does")
-    if math.prod(len(variation.values) for variation in variations) > POINTS:
+    if math.prod(len(variation.values) for variation in variations) > MOST_SWEEP_POINTS:
         raise UsageError(
-            "the page shows at most %d points" % POINTS, hint="gspn sweep has no limit"
+            "the page shows at most %d points" % MOST_SWEEP_POINTS, hint="gspn sweep has no limit"
         )
     ends = asked.until is not None or isinstance(subject, Plan) and subject.until is not None
     wanted = chosen(subject, _texts(form, "measure"), ends)
     sweep = Sweep(subject, variations, asked)
-    points: List[Point] = []
+    points: List[SweepPoint] = []
     told = clock.monotonic()
     for point in sweep.run(watch=Watch(progress)):
         points.append(point)

@@ -30,14 +30,14 @@ from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.team.verdict import obey, verdict
 from gspn_framework_package.visualizer.activity import (
     Activity,
-    Fields,
     Handler,
+    RequestFields,
     names_field,
     text_field,
 )
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document
-from gspn_framework_package.visualizer.feedback import Feedback
+from gspn_framework_package.visualizer.feedback import FeedbackStream
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import LiveComparison
 from gspn_framework_package.visualizer.run_marks import RunMark
@@ -157,7 +157,7 @@ class StandaloneRun(Activity, Listener):
     def begin(self, hub: Hub) -> None:
         """Start the run."""
         self._hub = hub
-        self._feedback = Feedback(hub)
+        self._feedback = FeedbackStream(hub)
         info: Dict[str, Any] = {
             "commands": sorted([*self.commands, "deploy"]),
             "says": "%s runs on this server" % self._plan.name,
@@ -175,7 +175,7 @@ class StandaloneRun(Activity, Listener):
         if self._comparison is not None:
             self._comparison.end()
 
-    def _stop(self, fields: Fields) -> Dict[str, Any]:
+    def _stop(self, fields: RequestFields) -> Dict[str, Any]:
         """End the run; it is over when this returns."""
         if self._told_end:
             raise RefusedError("the run is over")
@@ -191,11 +191,11 @@ class StandaloneRun(Activity, Listener):
             text = "it did not react to the order to stop (%s) within %g s, and was given up"
             self._gave_way(text % (reason, seconds))
 
-    def _order(self, message: str, entry: Callable[[Fields], log_entries.Entry]) -> Handler:
+    def _order(self, message: str, entry: Callable[[RequestFields], log_entries.Entry]) -> Handler:
         """The handler of a command that becomes an entry of the log; ``message`` is the template of
         the reply, filled in with the fields of the entry."""
 
-        def run(fields: Fields) -> Dict[str, Any]:
+        def run(fields: RequestFields) -> Dict[str, Any]:
             if self._told_end:
                 raise RefusedError("the run is over")
             made = entry(fields)
@@ -205,7 +205,7 @@ class StandaloneRun(Activity, Listener):
 
         return run
 
-    def _set_breakpoints(self, fields: Fields) -> Dict[str, Any]:
+    def _set_breakpoints(self, fields: RequestFields) -> Dict[str, Any]:
         found = Breakpoints.of_names(names_field(fields), self._plan)
         try:
             self._breakpoints.write(found)
@@ -219,34 +219,34 @@ class StandaloneRun(Activity, Listener):
         if self._hub.info.get("breakpoints", []) != names:
             self._hub.change_info(breakpoints=names)
 
-    def _agent(self, fields: Fields) -> str:
+    def _agent(self, fields: RequestFields) -> str:
         return self._robot(fields).name
 
-    def _robot(self, fields: Fields) -> RobotState:
+    def _robot(self, fields: RequestFields) -> RobotState:
         name = text_field(fields, "robot")
         robot = self._executor.state.robots.get(name)
         if robot is None or robot.phase.gone:
             raise RefusedError("there is no agent '%s' in the run" % name[:80])
         return robot
 
-    def _whom(self, fields: Fields) -> str:
+    def _whom(self, fields: RequestFields) -> str:
         """The agent that a command is for, "" for all."""
         return self._agent(fields) if fields.get("robot") else ""
 
-    def _failed(self, fields: Fields) -> str:
+    def _failed(self, fields: RequestFields) -> str:
         robot = self._robot(fields)
         if robot.phase is not Phase.FAILED:
             raise RefusedError("the action of %s has not failed" % robot.name)
         return robot.name
 
-    def _place(self, fields: Fields) -> str:
+    def _place(self, fields: RequestFields) -> str:
         name = text_field(fields, "place")
         self._plan.net.place_number(name)
         if name in self._plan.resource_places:
             raise RefusedError("'%s' is a resource place: no agent can be in it" % name)
         return name
 
-    def _transition(self, fields: Fields) -> str:
+    def _transition(self, fields: RequestFields) -> str:
         name = text_field(fields, "transition")
         self._plan.net.transition_number(name)
         return name

@@ -5,10 +5,10 @@ from __future__ import annotations
 from gspn_framework_package.execution.log_entries import Submit, make_submit, new_task_id
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.activity import Fields, text_field
+from gspn_framework_package.visualizer.activity import RequestFields, text_field
 
 
-def submission(plan: Plan, fields: Fields) -> Submit:
+def submission(plan: Plan, fields: RequestFields) -> Submit:
     """The task in the fields ``transition``, ``id`` (made up if it is empty) and ``data``.
 
     :raises RefusedError: no tasks come in by that transition.

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     Replies = queue.SimpleQueue[Tuple[str, Optional[OperatorAnswer]]]
     """Answers, each with the address of the robot."""
 
-ANSWER_TIME = 1.5
+STATUS_TIME = 1.5
 """Seconds within which a robot must report the team's state."""
 
-ORDER_TIME = ADOPT_TIME + 1.0
+LONGEST_ORDER_TIME = ADOPT_TIME + 1.0
 """Time limit of an order in seconds; a robot answers within the time of the longest."""
 
 
@@ -40,7 +40,7 @@ class RobotLine(Protocol):
         """Ask the robot at an address; return whether an answer may come.
 
         :param robot: its name; a question (see
-            :data:`~gspn_framework_package.team.addressing.QUESTIONS`) may go without.
+            :data:`~gspn_framework_package.team.addressing.PLAIN_QUESTIONS`) may go without.
         :param answered: is called with the answer on any thread, once or not at all; None: there
             will be none.
         :raises UnreachableError: nobody can be asked.
@@ -97,7 +97,7 @@ class TeamConnection(Protocol):
         """Look no more."""
 
 
-def ask(
+def ask_robot(
     line: RobotLine, address: str, robot: str, request: OperatorRequest, answers: Replies
 ) -> bool:
     """Ask a robot, and have its answer put into a queue; return whether one may come.

@@ -22,7 +22,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import (
     Board,
     Event,
-    Move,
+    RobotMove,
     data_event,
     enter,
     fire_event,
@@ -160,7 +160,7 @@ class TeamEvents:
         if before != self._enabled.marking:
             events.append(self._whole(before, why))
         change = self._enabled.move_to(firing.marking)
-        moves: List[Move] = []
+        moves: List[RobotMove] = []
         for move in firing.moves:
             source = self.net.place_index[move.source] if move.source is not None else None
             target = self.net.place_index[move.target] if move.target is not None else None

@@ -42,7 +42,7 @@ from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Event, data_event, plan_event, renumbered
-from gspn_framework_package.visualizer.feedback import Feedback
+from gspn_framework_package.visualizer.feedback import FeedbackStream
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
     FiredMessage,
@@ -51,22 +51,22 @@ from gspn_framework_package.visualizer.fired_follower import (
 )
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures, LiveComparison
-from gspn_framework_package.visualizer.page_orders import Answer, Order, PageOrders
+from gspn_framework_package.visualizer.page_orders import PageOrder, PageOrders, StatusAnswer
 from gspn_framework_package.visualizer.team_connection import (
-    ANSWER_TIME,
+    STATUS_TIME,
     RobotLine,
     TeamConnection,
     UnreachableError,
-    ask,
+    ask_robot,
 )
 
 if TYPE_CHECKING:
     from gspn_framework_package.visualizer.team_connection import Replies
 
-LOOK_AROUND = 2.0
+SEARCH_EVERY = 2.0
 """Seconds between two searches for robots, and between two requests for the team's state."""
 
-SILENT = 3
+SILENT_SCANS = 3
 """Number of unanswered requests after which the run is considered over."""
 
 UNPLACED = 500
@@ -119,7 +119,7 @@ class TeamWatch(Activity):
         self._early: Dict[str, Dict[str, Any]] = {}
         self._comparison: Optional[LiveComparison] = None
         self._stop = threading.Event()
-        self._asking = connection.line(ANSWER_TIME)
+        self._asking = connection.line(STATUS_TIME)
         self._ask_now = threading.Event()
         self._turn = self._silent = 0
         self._before: Optional[TeamSeen] = None
@@ -148,7 +148,7 @@ class TeamWatch(Activity):
         """See :class:`OrderedTeam`."""
         return self._follower.gone
 
-    def obeyed(self, order: Order) -> None:
+    def obeyed(self, order: PageOrder) -> None:
         """See :class:`OrderedTeam`."""
         self._queue.put(("obeyed", order))
 
@@ -175,7 +175,7 @@ class TeamWatch(Activity):
     def begin(self, hub: Hub) -> None:
         """Subscribe, and start asking the team for its state."""
         self._hub = hub
-        self._feedback = Feedback(hub)
+        self._feedback = FeedbackStream(hub)
         self._status = {
             "run": self._run,
             "running": False,
@@ -326,7 +326,7 @@ class TeamWatch(Activity):
         """Show why the team cannot be reached, or "" once it can be again."""
         self._set_status(unreachable=why)
 
-    def _on_obeyed(self, order: Order) -> None:
+    def _on_obeyed(self, order: PageOrder) -> None:
         """Handle an order that is in the team's log: ask soon for its effect. A stop is shown at
         once: the robots leave, and there may be none left to ask."""
         command, _, argument = order
@@ -351,9 +351,9 @@ class TeamWatch(Activity):
                 self._connection.report("the page: %s" % why)
             if why != self._status["unreachable"]:
                 self._queue.put(("unreachable", why))
-            self._ask_now.wait(LOOK_AROUND)
+            self._ask_now.wait(SEARCH_EVERY)
 
-    def _ask_plan(self, heard: List[Answer]) -> Optional[DeployedPlan]:
+    def _ask_plan(self, heard: List[StatusAnswer]) -> Optional[DeployedPlan]:
         """The plan that the team of the run shown went on under, if it is not the one shown; on the
         asking thread."""
         others = [
@@ -367,16 +367,16 @@ class TeamWatch(Activity):
         for address, status in sorted(others, key=lambda a: -int(a[1]["log_length"])):
             answers: Replies = queue.SimpleQueue()
             request = OperatorRequest("plan", run=status["run"])
-            if not ask(self._asking, address, "", request, answers):
+            if not ask_robot(self._asking, address, "", request, answers):
                 continue
             with contextlib.suppress(queue.Empty):
-                _, answer = answers.get(timeout=ANSWER_TIME + 0.2)
+                _, answer = answers.get(timeout=STATUS_TIME + 0.2)
                 found = read_deployed(status["run"], answer.message) if answer else None
                 if found is not None and found.plan.hash() == status["plan"]:
                     return found if found.number > self._stage else None
         return None
 
-    def _follow(self, deployed: DeployedPlan, heard: List[Answer]) -> None:
+    def _follow(self, deployed: DeployedPlan, heard: List[StatusAnswer]) -> None:
         """Show the run under the plan that its team went on under.
 
         :param heard: what robots answered; at least one of them follows the plan.
@@ -409,7 +409,7 @@ class TeamWatch(Activity):
         return ours and status["run"] == self._run and status["plan"] != self._hash
 
     def _on_answers(
-        self, lost_track: bool, heard: List[Answer], deployed: Optional[DeployedPlan]
+        self, lost_track: bool, heard: List[StatusAnswer], deployed: Optional[DeployedPlan]
     ) -> None:
         answers = []
         if not self._run:
@@ -437,7 +437,7 @@ class TeamWatch(Activity):
             self._silent += 1
             if lost_track:
                 self._hub.publish(*self._follower.give_up("firings were missed"))
-            if self._silent >= SILENT and self._status["running"]:
+            if self._silent >= SILENT_SCANS and self._status["running"]:
                 self._set_status(
                     running=False, ended="no robot answers any more", stalled="", fault=True
                 )
@@ -496,7 +496,7 @@ class TeamWatch(Activity):
                     "warning",
                     "",
                     "the team moves, but no firing is heard%s: the page shows what robots answer "
-                    "every %g s" % (self._connection.why_unheard(), LOOK_AROUND),
+                    "every %g s" % (self._connection.why_unheard(), SEARCH_EVERY),
                 )
         self._heard = False
 
@@ -511,13 +511,13 @@ class TeamWatch(Activity):
             return [there[self._turn % len(there)]] if there else []
         return addresses
 
-    def statuses(self, addresses: List[str], line: RobotLine) -> List[Answer]:
+    def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
         """The robots' answers about the team, without those that come too late."""
         answers: Replies = queue.SimpleQueue()
         request = OperatorRequest("status", argument="brief", run=self._run)
-        asked = [ask(line, n, "", request, answers) for n in addresses]
+        asked = [ask_robot(line, n, "", request, answers) for n in addresses]
         found = []
-        give_up = time.monotonic() + ANSWER_TIME + 0.2
+        give_up = time.monotonic() + STATUS_TIME + 0.2
         try:
             for _ in range(sum(asked)):
                 address, answer = answers.get(timeout=max(0.0, give_up - time.monotonic()))
@@ -527,7 +527,7 @@ class TeamWatch(Activity):
             pass
         return found
 
-    def _read_answer(self, address: str, message: str) -> List[Answer]:
+    def _read_answer(self, address: str, message: str) -> List[StatusAnswer]:
         """A robot's answer about the team; an empty list if it cannot be read."""
         status = read_status(message)
         if status is not None:

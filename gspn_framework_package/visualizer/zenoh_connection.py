@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
-from gspn_framework_package.team.zenoh_session import TeamAccess, key_of, names_in
+from gspn_framework_package.team.zenoh_session import TeamAccess, key_of, names_in_key
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.team_connection import UnreachableError
@@ -192,4 +192,4 @@ class ZenohLine:
 
 
 def _robot_at(address: str) -> RobotAddress:
-    return RobotAddress(*names_in(address + "/status")[:2])
+    return RobotAddress(*names_in_key(address + "/status")[:2])

@@ -18,8 +18,9 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.grid import Grid
-from gspn_framework_package.world.room import Point, Pose
+from gspn_framework_package.world.room import Pose
 
 Rank = Tuple[float, ...]
 """The right of way: the robot with the smaller rank has it."""
@@ -89,7 +90,7 @@ def wrap(angle: float) -> float:
     return math.remainder(angle, math.tau)
 
 
-def choose(
+def choose_velocity(
     grid: Grid,
     pose: Pose,
     target: Point,
@@ -164,7 +165,7 @@ def _threat(gaps: np.ndarray, urgency: np.ndarray, keep: float) -> np.ndarray:
     return ((0.8 * near + 2.5 * hit) * urgency).max(axis=1)
 
 
-def follow(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
+def steer(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
     """The speed and turn rate (metres and radians per second) that bring a robot with heading
     ``yaw`` onto a direction.
 

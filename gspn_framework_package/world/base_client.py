@@ -259,7 +259,7 @@ def _moment() -> Tuple[float, float]:
 
 
 def carry_out(
-    steps: patrol.Action,
+    steps: patrol.ActionSteps,
     client: BaseClient,
     place: str,
     feedback: Feedback,

@@ -36,7 +36,7 @@ with quiet(2):
     from pybullet_utils.bullet_client import BulletClient
 
 
-def connect(gui: bool) -> BulletClient:
+def connect_bullet(gui: bool) -> BulletClient:
     """Create an empty PyBullet world.
 
     :param gui: open PyBullet's window.

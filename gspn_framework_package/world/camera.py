@@ -10,10 +10,10 @@ from typing import Any, Deque, Dict, Optional, Tuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.physics import Physics
-from gspn_framework_package.world.room import Point
 
 VIEWS: Dict[str, Tuple[float, float]] = {"corner": (28.0, -50.0), "top": (0.0, -89.9)}
 """Views by name: yaw and pitch of the camera in degrees; pitch -90 looks straight down."""

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gspn_framework_package.world.room import Point, Room
+from gspn_framework_package.model.net import Point
+from gspn_framework_package.world.room import Room
 
 RESOLUTION = 0.05
 """Side length of a cell, in metres."""

@@ -22,10 +22,11 @@ import random
 from dataclasses import dataclass
 from typing import Dict, List, Optional, Sequence, Tuple
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world import avoidance
 from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, OtherRobot, Rank, wrap
 from gspn_framework_package.world.grid import Disc, Field, Grid
-from gspn_framework_package.world.room import Point, Pose
+from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.yielding import (
     distance_to_path,
     spot_at_random,
@@ -213,7 +214,7 @@ class Navigator:
                 return (0.0, 0.0)
             self.path = ((goal.x, goal.y),)
             self._progress_time = seen.time
-            return (0.0, avoidance.follow(goal.yaw, 0.0, pose.yaw)[1])
+            return (0.0, avoidance.steer(goal.yaw, 0.0, pose.yaw)[1])
         self._turning = False
         self._watch(seen)
         self._plan(seen)
@@ -310,13 +311,13 @@ class Navigator:
         target = self._in_sight(here, path)
         speed = min(robot.max_speed, 1.5 * away + 0.02)
         near = avoidance.sort_near(pose, seen.peers, _NEIGHBOURHOOD)
-        direction, speed = avoidance.choose(
+        direction, speed = avoidance.choose_velocity(
             self._grid, pose, target, speed, near, rank, self._last_direction
         )
         self._last_direction = direction
         if speed == 0.0:
             return (0.0, 0.0)
-        drive, turn = avoidance.follow(direction, speed, pose.yaw)
+        drive, turn = avoidance.steer(direction, speed, pose.yaw)
         return (avoidance.brake(self._grid, pose, drive, dt, near), turn)
 
     def _in_sight(self, here: Point, path: Sequence[Point]) -> Point:

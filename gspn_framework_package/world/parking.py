@@ -34,7 +34,7 @@ class Park:
         steps = self._steps(client)
         return carry_out(steps, client, place, feedback, is_cancelled)
 
-    def _steps(self, client: patrol.Robot) -> patrol.Action:
+    def _steps(self, client: patrol.Robot) -> patrol.ActionSteps:
         first = patrol.preferred_slot(client.name)
         yield from patrol.park(client, self._slots, first, self._radius)
         return None

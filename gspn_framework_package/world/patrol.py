@@ -15,7 +15,7 @@ from typing import Dict, Generator, Optional, Protocol, Sequence, Tuple
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world.room import Location, Pose, Room
 
-Action = Generator[str, None, Optional[str]]
+ActionSteps = Generator[str, None, Optional[str]]
 """Yields feedback; returns a transition or None."""
 
 
@@ -49,7 +49,9 @@ class Robot(Protocol):
         """Drop the goal."""
 
 
-PLACE = re.compile(r"^p(\d+):(?P<what>Check_Temperature|Alarm|Decide|Wait)_(?P<location>\w+)$")
+PATROL_PLACE = re.compile(
+    r"^p(\d+):(?P<what>Check_Temperature|Alarm|Decide|Wait)_(?P<location>\w+)$"
+)
 """The names of the patrol's action places (thesis 6.2.2)."""
 
 
@@ -92,9 +94,9 @@ def drive(robot: Robot, goal: Pose, tries: int = 3) -> Generator[str, None, None
     raise ActionFailed("cannot reach (%.2f, %.2f): %s" % (goal.x, goal.y, robot.trouble()))
 
 
-def check_temperature(
+def measure_temperature(
     robot: Robot, room: Room, location: str, threshold: float, high: str, low: str
-) -> Action:
+) -> ActionSteps:
     """Sweep a location and read the thermometer.
 
     The robot waits at the entry until no other robot is in the location according to the poses: a
@@ -125,7 +127,7 @@ def check_temperature(
     return high if hottest > threshold else low
 
 
-def alarm(robot: Robot, location: str, seconds: float) -> Action:
+def sound_alarm(robot: Robot, location: str, seconds: float) -> ActionSteps:
     """Stand in the location and sound the alarm for ``seconds``."""
     start = robot.now()
     while robot.now() - start < seconds:
@@ -133,7 +135,9 @@ def alarm(robot: Robot, location: str, seconds: float) -> Action:
     return None
 
 
-def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: int = 0) -> Action:
+def wait_in_bay(
+    robot: Robot, room: Room, location: str, seconds: float, first_slot: int = 0
+) -> ActionSteps:
     """Drive to a free slot of the bay after a location and wait there for ``seconds``.
 
     :param first_slot: the preferred slot, different for different robots.

@@ -42,7 +42,7 @@ def check_temperature(
     client, room = _connect(robot, location)
     threshold = float(_parameter("patrol/threshold", 30.0))
     high, low = patrol.temperature_transitions(number, location)
-    steps = patrol.check_temperature(client, room, location, threshold, high, low)
+    steps = patrol.measure_temperature(client, room, location, threshold, high, low)
     return carry_out(steps, client, place, feedback, is_cancelled)
 
 
@@ -51,7 +51,7 @@ def alarm(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled)
     _, location = _read(place)
     client, _ = _connect(robot, location)
     seconds = float(_parameter("patrol/alarm_seconds", 5.0))
-    steps = patrol.alarm(client, location, seconds)
+    steps = patrol.sound_alarm(client, location, seconds)
     return carry_out(steps, client, place, feedback, is_cancelled)
 
 
@@ -66,7 +66,7 @@ def wait(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) 
     _, location = _read(place)
     client, room = _connect(robot, location)
     seconds = float(_parameter("patrol/wait_seconds", 4.0))
-    steps = patrol.wait(client, room, location, seconds, patrol.preferred_slot(robot))
+    steps = patrol.wait_in_bay(client, room, location, seconds, patrol.preferred_slot(robot))
     return carry_out(steps, client, place, feedback, is_cancelled)
 
 
@@ -75,7 +75,7 @@ def _read(place: str) -> Tuple[int, str]:
 
     :raises ActionFailed: it is no place of the patrol.
     """
-    match = patrol.PLACE.match(place)
+    match = patrol.PATROL_PLACE.match(place)
     if match is None:
         raise ActionFailed(
             "'%s' is not a place of the patrol, such as p1:Check_Temperature_L1" % place

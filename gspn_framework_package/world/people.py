@@ -12,19 +12,20 @@ import random
 from dataclasses import replace
 from typing import Optional, Sequence
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.grid import Field, Grid
-from gspn_framework_package.world.room import Person, Point, Pose, Room
+from gspn_framework_package.world.room import Person, Pose, Room
 
 PROTECTED = 0.4
 """Metres between a robot and a person within which the robot does not drive towards the person."""
 
-KEPT = 0.15
+KEPT_DISTANCE = 0.15
 """Metres that a person keeps from robots."""
 
 ENTRANCE = 0.6
 """Metres around the point of entry that must be free of robots when a person comes in."""
 
-PATIENCE = 5.0
+PEOPLE_PATIENCE = 5.0
 """Seconds that a person waits for a robot that stands where the person wants to go, or near it."""
 
 WITHIN_REACH = 1.0
@@ -105,7 +106,7 @@ class Walker:
             return
         goal = path[self._leg]
         away = math.dist(self.at, goal)
-        if away < _ARRIVED or (time - self._moved > PATIENCE and away < WITHIN_REACH):
+        if away < _ARRIVED or (time - self._moved > PEOPLE_PATIENCE and away < WITHIN_REACH):
             self._arrive(time)
             return
         self._plan(time, goal, robots)
@@ -125,7 +126,7 @@ class Walker:
         near = [pose for pose in robots if pose.distance(self.at) < _AWARE]
         if self._field is not None and (not near or time - self._planned < _PLANS_AGAIN):
             return
-        around = self._radius + self.person.radius + KEPT + 0.03
+        around = self._radius + self.person.radius + KEPT_DISTANCE + 0.03
         field = self._grid.field(goal, [(pose.x, pose.y, around) for pose in near])
         if math.isinf(field.cost(self.at)):
             # no way around them: as near as they let the person, until they leave
@@ -152,7 +153,7 @@ class Walker:
         assert self.at is not None
         if not self._grid.is_clear(self.at, there, 0.0):
             return False
-        least = self._radius + self.person.radius + KEPT
+        least = self._radius + self.person.radius + KEPT_DISTANCE
         return all(
             _distance_to_line(pose, self.at, there) >= min(least, pose.distance(self.at)) - 1e-9
             for pose in robots

@@ -11,18 +11,19 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import (
     AWAY,
     BODY_BOTTOM,
     BODY_HEIGHT,
-    connect,
+    connect_bullet,
     make_floor,
     make_person,
     make_robot,
     make_solid,
 )
-from gspn_framework_package.world.room import Point, Pose, Room
+from gspn_framework_package.world.room import Pose, Room
 from gspn_framework_package.world.window import set_up_window
 
 TIME_STEP = 1.0 / 120.0
@@ -91,7 +92,7 @@ class Physics:
         self.contacts = Contacts()
         self._steps = 0
         self._touching: Set[Tuple[str, str]] = set()
-        self._client = connect(gui)
+        self._client = connect_bullet(gui)
         self._client.setGravity(0, 0, -9.81)
         self._client.setTimeStep(TIME_STEP)
         self._floor = make_floor(self._client, room)

@@ -12,11 +12,12 @@ from typing import Any, Dict, Iterator, List, Mapping, Optional, TextIO, Tuple, 
 
 from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.driving_team import DrivingTeam
-from gspn_framework_package.world.room import Point, Pose, Room
+from gspn_framework_package.world.room import Pose, Room
 from gspn_framework_package.world.room_file import parse_room
 
-FORMAT = "gspn_world_1"
+RECORDING_FORMAT = "gspn_world_1"
 
 
 class Recorder:
@@ -36,7 +37,7 @@ class Recorder:
             raise InputError(
                 "cannot write the recording: %s" % error.strerror, file=str(file)
             ) from None
-        head = {"format": FORMAT, "robots": list(team.robots), "room": room_text}
+        head = {"format": RECORDING_FORMAT, "robots": list(team.robots), "room": room_text}
         self._out.write(json.dumps(head) + "\n")
 
     def record(self) -> None:
@@ -103,7 +104,7 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
     number = 1
     try:
         head = json.loads(lines[0])
-        if head["format"] != FORMAT:
+        if head["format"] != RECORDING_FORMAT:
             raise ValueError("its format is %r" % head["format"])
         robots = tuple(str(name) for name in head["robots"])
         room = parse_room(head["room"], str(file))

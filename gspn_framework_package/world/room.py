@@ -13,7 +13,7 @@ from typing import Any, Dict, List, Mapping, Tuple, Union
 
 import numpy as np
 
-Point = Tuple[float, float]
+from gspn_framework_package.model.net import Point
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import math
 from dataclasses import replace
 from typing import List, Tuple
 
-from gspn_framework_package.formats.yaml_file import Step, YamlDocument, path_text
+from gspn_framework_package.formats.json_file import KeyOrIndex
+from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.room import Location, Pose, Room
@@ -19,7 +20,7 @@ from gspn_framework_package.world.room import Location, Pose, Room
 LARGEST_FLOOR = 1_600.0
 """Largest floor in square metres; the grid of a larger one would take too much memory and time."""
 
-Path = Tuple[Step, ...]
+_Path = Tuple[KeyOrIndex, ...]
 
 
 def check_room(room: Room, document: YamlDocument) -> None:
@@ -38,7 +39,7 @@ def check_room(room: Room, document: YamlDocument) -> None:
             line=document.line(("walls",)),
             hint="up to %.0f square metres can be simulated" % LARGEST_FLOOR,
         )
-    poses: List[Tuple[Path, Pose]] = [(("spawn", i), pose) for i, pose in enumerate(room.spawn)]
+    poses: List[Tuple[_Path, Pose]] = [(("spawn", i), pose) for i, pose in enumerate(room.spawn)]
     for place in room.locations.values():
         poses += _check_location(room, place, document)
     for path, pose in poses:
@@ -48,7 +49,7 @@ def check_room(room: Room, document: YamlDocument) -> None:
         _check_apart(room, ("locations", name, "bay"), place.bay, document)
     _check_ways(room, poses, document)
     for number, person in enumerate(room.people):
-        points: List[Tuple[Path, Pose]] = [
+        points: List[Tuple[_Path, Pose]] = [
             (("people", number, "path", i), Pose(*p)) for i, p in enumerate(person.path)
         ]
         wide = replace(room, robot=replace(room.robot, radius=person.radius))
@@ -57,9 +58,11 @@ def check_room(room: Room, document: YamlDocument) -> None:
         _check_ways(wide, points, document, "a person")
 
 
-def _check_location(room: Room, place: Location, document: YamlDocument) -> List[Tuple[Path, Pose]]:
+def _check_location(
+    room: Room, place: Location, document: YamlDocument
+) -> List[Tuple[_Path, Pose]]:
     """Check the shape of a location; return the poses that robots are to stand in."""
-    where: Path = ("locations", place.name)
+    where: _Path = ("locations", place.name)
     radius = room.robot.radius
     if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:
         raise InputError(
@@ -69,7 +72,7 @@ def _check_location(room: Room, place: Location, document: YamlDocument) -> List
             element=path_text(where),
             hint="give its south-west corner, then its north-east corner",
         )
-    outside: List[Tuple[Path, Pose]] = [((*where, "entry"), place.entry)]
+    outside: List[Tuple[_Path, Pose]] = [((*where, "entry"), place.entry)]
     outside += [((*where, "bay", i), slot) for i, slot in enumerate(place.bay)]
     for path, pose in outside:
         if place.area.distance((pose.x, pose.y)) < radius:
@@ -80,7 +83,7 @@ def _check_location(room: Room, place: Location, document: YamlDocument) -> List
                 element=path_text(path),
                 hint="move it away from the area by the radius of a robot, %g m, or more" % radius,
             )
-    sweep: List[Tuple[Path, Pose]] = [
+    sweep: List[Tuple[_Path, Pose]] = [
         ((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)
     ]
     for path, pose in sweep:
@@ -96,7 +99,7 @@ def _check_location(room: Room, place: Location, document: YamlDocument) -> List
 
 
 def _check_fits(
-    room: Room, path: Path, pose: Pose, document: YamlDocument, who: str = "a robot"
+    room: Room, path: _Path, pose: Pose, document: YamlDocument, who: str = "a robot"
 ) -> None:
     clearance = float(room.clearance(pose.x, pose.y))
     if clearance < room.robot.radius:
@@ -111,7 +114,7 @@ def _check_fits(
 
 
 def _check_apart(
-    room: Room, group: Path, members: Tuple[Pose, ...], document: YamlDocument
+    room: Room, group: _Path, members: Tuple[Pose, ...], document: YamlDocument
 ) -> None:
     for i, pose in enumerate(members):
         for j, other in enumerate(members[:i]):
@@ -126,7 +129,7 @@ def _check_apart(
 
 
 def _check_ways(
-    room: Room, poses: List[Tuple[Path, Pose]], document: YamlDocument, who: str = "a robot"
+    room: Room, poses: List[Tuple[_Path, Pose]], document: YamlDocument, who: str = "a robot"
 ) -> None:
     """Check that a path leads from each pose to the first one, which suffices since paths work both
     ways."""

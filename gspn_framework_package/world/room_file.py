@@ -15,6 +15,7 @@ import jsonschema
 from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError, closest
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.room import (
     Area,
     Box,
@@ -23,7 +24,6 @@ from gspn_framework_package.world.room import (
     Location,
     Obstacle,
     Person,
-    Point,
     Pose,
     RobotType,
     Room,
@@ -56,7 +56,7 @@ _COLOR = {"type": "string", "pattern": "^#[0-9a-fA-F]{6}$"}
 _SOLID = {"at": _POINT, "height": _POSITIVE, "color": _COLOR}
 _POINTS = {"type": "array", "items": _POINT, "minItems": 1}
 
-SCHEMA: Dict[str, Any] = _record(
+ROOM_SCHEMA: Dict[str, Any] = _record(
     ["name", "walls"],
     name={"type": "string"},
     walls={"type": "array", "items": {"type": "array", "items": _POINT, "minItems": 2}},
@@ -165,7 +165,7 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
         use (:mod:`.room_check`).
     """
     document = YamlDocument(text, file)
-    problems = list(_VALIDATOR(SCHEMA).iter_errors(document.data))
+    problems = list(_VALIDATOR(ROOM_SCHEMA).iter_errors(document.data))
     if problems:
         # a misspelt name is also a missing one: report the misspelling first
         first = min(

@@ -34,7 +34,7 @@ def _record(**properties: Any) -> Dict[str, Any]:
     }
 
 
-SCHEMA = _record(
+_SCHEMA = _record(
     shelves={"type": "object", "minProperties": 1, "additionalProperties": _numbers(3)},
     orders=_record(mean=_POSITIVE, repeat_after=_POSITIVE),
     battery=_record(
@@ -68,7 +68,7 @@ class CustomerOrder:
 class Shop:
     """The customers and the batteries.
 
-    :param settings: an object that fits :data:`SCHEMA`.
+    :param settings: an object that fits :data:`_SCHEMA`.
     :param seed: of all that is random.
     :param run: what the ids of the orders begin with.
 
@@ -121,14 +121,14 @@ class Shop:
 def load_settings(file: str) -> Dict[str, Any]:
     """Read a file such as plans/warehouse/shop.yaml.
 
-    :raises InputError: it cannot be read, or does not fit :data:`SCHEMA`.
+    :raises InputError: it cannot be read, or does not fit :data:`_SCHEMA`.
     """
     try:
         text = read_text(file)
     except InputError as error:
         raise InputError("cannot read the shop: %s" % error, file=file) from None
     document = YamlDocument(text, file)
-    for problem in jsonschema.Draft7Validator(SCHEMA).iter_errors(document.data):
+    for problem in jsonschema.Draft7Validator(_SCHEMA).iter_errors(document.data):
         raise InputError(
             problem.message[:200],
             file=file,

@@ -29,7 +29,7 @@ from gspn_framework_package.world.parameters import number_parameter, robot_name
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.shop import Shop, load_settings
 
-PERIOD = 0.1
+SHOP_PERIOD = 0.1
 """Seconds of wall time between two looks at the clock."""
 
 BATTERY_PERIOD = 0.5
@@ -94,7 +94,7 @@ class ShopNode:
             if rospy.get_time() > 0.0:
                 begin = begin or now
                 self.step(begin, now)
-            time.sleep(PERIOD)
+            time.sleep(SHOP_PERIOD)
 
 
 def main() -> int:

@@ -70,7 +70,7 @@ class _Patroller:
         self.slot = slot
         self.at = at
         self.state = "wait"
-        self.action: Optional[patrol.Action] = None
+        self.action: Optional[patrol.ActionSteps] = None
         self.feedback = ""
 
 
@@ -176,11 +176,11 @@ class Patrol:
     def _start(self, member: _Patroller) -> None:
         room, robot = self.team.room, member.robot
         if member.state == "check":
-            member.action = patrol.check_temperature(
+            member.action = patrol.measure_temperature(
                 robot, room, member.at, self._threshold, "high", "low"
             )
         elif member.state == "alarm":
-            member.action = patrol.alarm(robot, member.at, 5.0)
+            member.action = patrol.sound_alarm(robot, member.at, 5.0)
         else:
             seconds = self._wait_seconds * self._random.uniform(0.5, 1.5)
-            member.action = patrol.wait(robot, room, member.at, seconds, member.slot)
+            member.action = patrol.wait_in_bay(robot, room, member.at, seconds, member.slot)

@@ -7,9 +7,9 @@ from typing import Optional, Sequence
 
 import numpy as np
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, OtherRobot
 from gspn_framework_package.world.grid import Disc, Grid
-from gspn_framework_package.world.room import Point
 
 FARTHEST = 4.0
 """Largest (weighted) distance that a robot drives to make room, in metres."""

@@ -9,7 +9,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.fleet.ingest import Ingest
-from gspn_framework_package.fleet.reports import Question, report
+from gspn_framework_package.fleet.reports import Question, history_report
 from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
@@ -55,7 +55,7 @@ def test_the_history_leads_to_the_replay_of_a_moment(store, site, open_page, axe
     axe(page, "history")
     page.select_option("#fleet-by", "day")
     page.wait_for_selector("#fleet-table th:has-text('1970-01-02')")
-    rows = report(store, Question(("day",)))
+    rows = history_report(store, Question(("day",)))
     assert [int(row[2].replace(",", "")) for row in _cells(page)] == [row["visits"] for row in rows]
     page.select_option("#fleet-robot", "robot_2")
     page.click("#fleet-table button:has-text('1970-01-02')")

@@ -257,7 +257,7 @@ def test_home_states_say_which_counters_they_are_told_without(show_net, open_pag
 def _open_long_analysis(show_net, open_page, monkeypatch):
     """A site, and a page whose state space takes most of a minute."""
     # the limit that ships is reached in two seconds
-    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)
+    monkeypatch.setattr(analysis_jobs, "MOST_STATES", 10**9)
     site = show_net(kanban(7))
     page = open_page(site.address)
     page.keyboard.press("3")

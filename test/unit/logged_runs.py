@@ -11,7 +11,7 @@ from agreement.world import World
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Ended
 from gspn_framework_package.execution.ledger import Ledger
-from gspn_framework_package.execution.log_writer import line_of
+from gspn_framework_package.execution.log_writer import record_line
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan
@@ -41,13 +41,13 @@ class Story:
         self.plan = plan
         self.ledger = Ledger(TokenGame(plan, agents=not robot))
         head = header(plan, run, robot, log, agents=not robot, host="boot")
-        text, self.sum = line_of({**head, "wall": 1e9, "mono": 100.0}, "")
+        text, self.sum = record_line({**head, "wall": 1e9, "mono": 100.0}, "")
         self.lines = [text]
         self.records: List[Dict[str, Any]] = []
 
     def write(self, t: float, **record: Any) -> None:
         record = {**record, "wall": 1e9 + t, "mono": 100.0 + t}
-        text, self.sum = line_of(record, self.sum)
+        text, self.sum = record_line(record, self.sum)
         self.lines.append(text)
         self.records.append(record)
 
@@ -74,7 +74,7 @@ def save_logs(world: World, folder: Path) -> List[str]:
     for number, disk in enumerate(world.logs()):
         chain, lines = "", []
         for record in [disk.header, *disk.records()]:
-            line, chain = line_of(record, chain)
+            line, chain = record_line(record, chain)
             lines.append(line)
         path = folder / ("log_%d.jsonl" % number)
         path.write_text("".join(lines))

@@ -11,8 +11,8 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.recorded_messages import recorded_messages
-from gspn_framework_package.execution.team_messages import STATES
-from gspn_framework_package.formats.message_files import KINDS, definition, full_name
+from gspn_framework_package.execution.team_messages import ROBOT_STATES
+from gspn_framework_package.formats.message_files import MESSAGE_KINDS, definition, ros_type_name
 
 PACKAGE = "gspn_framework_package"
 
@@ -144,9 +144,9 @@ def test_every_reported_state_has_a_number_in_the_message():
         if line.startswith("uint8 ") and "=" in line
     )
     assert {name: int(number) for name, number in constants.items()} == {
-        state.upper() or "UNKNOWN": number for number, state in enumerate(STATES)
+        state.upper() or "UNKNOWN": number for number, state in enumerate(ROBOT_STATES)
     }
-    assert {phase.report.state for phase in Phase} == set(STATES) - {"Done"} | {
+    assert {phase.report.state for phase in Phase} == set(ROBOT_STATES) - {"Done"} | {
         phase.report.state for phase in Phase if phase is Phase.DONE
     }
 
@@ -188,7 +188,7 @@ def _compare_bag(path, expected):
             for connection, at, data in bag.messages()
         ]
     assert sorted((topic, kind, at) for topic, kind, at, _ in read) == sorted(
-        (m.topic, full_name(m.kind), round(m.time * 1e9)) for m in expected
+        (m.topic, ros_type_name(m.kind), round(m.time * 1e9)) for m in expected
     )
     for topic in {
         topic for topic, _, _, _ in read
@@ -220,8 +220,8 @@ def test_the_types_are_those_of_ros():
     from gspn_framework_package.formats.message_files import Encoder
 
     store = Encoder().store
-    for kind in KINDS:
-        md5 = store.generate_msgdef(full_name(kind), ros_version=1)[1]
+    for kind in MESSAGE_KINDS:
+        md5 = store.generate_msgdef(ros_type_name(kind), ros_version=1)[1]
         assert md5 == getattr(messages, kind)._md5sum
 
 

@@ -22,7 +22,7 @@ PLACES = ["Room 1", "Küche", "B-2", "yard"]
 def _made(tmp_path_factory):
     """A folder with a plan from each template, and a larger one of each."""
     folder = tmp_path_factory.mktemp("made")
-    for name in templates.names():
+    for name in templates.templates_by_name():
         templates.write(name, str(folder / name))
         places = PLACES if templates.takes_places(name) else None
         templates.write(name, str(folder / ("large-" + name)), robots=5, places=places)
@@ -30,7 +30,7 @@ def _made(tmp_path_factory):
 
 
 @pytest.mark.parametrize("size", ["", "large-"])
-@pytest.mark.parametrize("name", templates.names())
+@pytest.mark.parametrize("name", templates.templates_by_name())
 def test_a_new_plan_has_no_warnings_and_runs(made, capsys, name, size):
     folder = str(made / (size + name))
     assert main(["check", folder, "--json"]) == 0
@@ -46,14 +46,14 @@ def test_a_new_plan_has_no_warnings_and_runs(made, capsys, name, size):
     assert run.fired
 
 
-@pytest.mark.parametrize("name", templates.names())
+@pytest.mark.parametrize("name", templates.templates_by_name())
 def test_a_new_plan_is_analysed(made, capsys, name):
     assert main(["analyse", str(made / name), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["steady_state"]
 
 
 def test_the_tests_of_the_new_plans_pass(made):
-    folders = [str(made / name) for name in (*templates.names(), "large-patrol")]
+    folders = [str(made / name) for name in (*templates.templates_by_name(), "large-patrol")]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *folders],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -103,7 +103,7 @@ def test_a_folder_that_cannot_be_written_is_not_left_half_made(tmp_path, monkeyp
 
 def test_it_lists_templates_and_tells_what_it_wrote(tmp_path, capsys):
     assert main(["new", "--list", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == templates.names()
+    assert json.loads(capsys.readouterr().out) == templates.templates_by_name()
     folder = tmp_path / "with space"
     assert main(["new", "patrol", str(folder), "--json"]) == 0
     written = json.loads(capsys.readouterr().out)

@@ -14,7 +14,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 
-WIDTH = 1e-6
+AIM_WIDTH = 1e-6
 """Default width of the certified interval, relative to its value."""
 
 NARROWEST = 1e-12
@@ -167,7 +167,7 @@ class Request:
     fitted: bool = True
     uncertain: Mapping[str, Tuple[float, float]] = field(default_factory=dict)
     team_sizes: Optional[Tuple[int, ...]] = None
-    width: float = WIDTH
+    width: float = AIM_WIDTH
     limits: Limits = Limits()
 
     def resolved(self, net: Net) -> Request:

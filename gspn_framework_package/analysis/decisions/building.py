@@ -261,7 +261,7 @@ class Built(NamedTuple):
     rated: Indices
 
 
-def build(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
+def build_automaton(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
     """Build the automaton of all states.
 
     :param may_wait: boolean array: the states in which robots may wait by choice.

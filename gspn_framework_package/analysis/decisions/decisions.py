@@ -23,7 +23,7 @@ from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tupl
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
-from gspn_framework_package.analysis.decisions.aims import WIDTH, AtLeast, Objective, Request
+from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, AtLeast, Objective, Request
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.analysis.decisions.export import Decided, policy_of
 from gspn_framework_package.analysis.decisions.grouping import (
@@ -38,7 +38,7 @@ from gspn_framework_package.analysis.decisions.solving import (
     Evaluated,
     Robust,
     constrained,
-    follow,
+    follow_policy,
     optimum,
     robust,
 )
@@ -146,7 +146,7 @@ class Decisions:
         *,
         at_least: Sequence[AtLeast] = (),
         uncertain: Mapping[str, Tuple[float, float]] = {},
-        width: float = WIDTH,
+        width: float = AIM_WIDTH,
     ) -> Solution:
         """The best policy for an aim.
 
@@ -356,7 +356,7 @@ class _Solver:
         weights[chosen] = 1.0
         grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
         # what the rows that were written guarantee, not what the solution would
-        part = follow(automaton, rewards, grouped.weights, goal)
+        part = follow_policy(automaton, rewards, grouped.weights, goal)
         own = worst(part.automaton, part.rewards, labels[part.arcs], part.speaks)
         lower, upper = found.lower, found.upper
         if objective.maximise:

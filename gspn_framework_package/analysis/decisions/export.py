@@ -27,15 +27,12 @@ from gspn_framework_package.analysis.watch import Cancel, Watch
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy import Cells, Policy, PolicyRow
 
-Choice = Tuple[Tuple[int, float], ...]
+Probabilities = Tuple[Tuple[int, float], ...]
 """Pairs (number of a transition, probability); the probabilities sum to 1. Empty: wait."""
 
-Cells = Tuple[Tuple[int, int], ...]
-"""Pairs (number of a place, tokens), by place."""
-
-TOLERANCE = 1e-12
+SAME_PROBABILITY = 1e-12
 """Two probabilities are the same if they differ by no more: rows of several places are rescaled."""
 
 
@@ -84,7 +81,7 @@ class _Group:
         self.places = sorted(places)
         self.transitions = [t for t in immediate if any(p in inside for p, _ in net.inputs[t])]
 
-    def spoken_of(self, choice: Choice, net: Net) -> FrozenSet[int]:
+    def spoken_of(self, choice: Probabilities, net: Net) -> FrozenSet[int]:
         """The places of the group that a row with this choice speaks of."""
         inputs = {p for t, _ in choice for p, _ in net.inputs[t]}
         return frozenset(inputs.intersection(self.places))
@@ -124,7 +121,7 @@ class _Asked:
                 found |= self.enabled[t]
         return found
 
-    def effective(self, transitions: Sequence[int]) -> Tuple[List[Choice], Indices]:
+    def effective(self, transitions: Sequence[int]) -> Tuple[List[Probabilities], Indices]:
         """What is asked of these transitions: the distinct choices, the empty one first, then in
         the order of the net; and the number of each marking's. A choice of which nothing is enabled
         is as good as none."""
@@ -141,7 +138,7 @@ class _Asked:
         return choices, labels
 
 
-def _choice(net: Net, written: Sequence[Tuple[str, float]]) -> Choice:
+def _choice(net: Net, written: Sequence[Tuple[str, float]]) -> Probabilities:
     """Transition numbers for names. :raises PolicyError: one is unknown or exponential."""
     found = []
     for name, probability in written:
@@ -153,7 +150,7 @@ def _choice(net: Net, written: Sequence[Tuple[str, float]]) -> Choice:
     return _restricted(sorted(found), {t for t, _ in found})
 
 
-def _restricted(choice: Sequence[Tuple[int, float]], inside: set[int]) -> Choice:
+def _restricted(choice: Sequence[Tuple[int, float]], inside: set[int]) -> Probabilities:
     kept = [(t, v) for t, v in choice if t in inside]
     total = math.fsum(v for _, v in kept)
     return tuple((t, v / total) for t, v in kept)
@@ -189,14 +186,14 @@ def _joint(net: Net, acts: Sequence[int], immediate: Sequence[int]) -> List[List
 # -- rows ------------------------------------------------------------------------------------------
 
 
-def _one_by_one(asked: _Asked) -> Dict[Cells, List[Choice]]:
+def _one_by_one(asked: _Asked) -> Dict[Cells, List[Probabilities]]:
     """A row for each marking in which anybody could fire something, over all places whose counts
     differ."""
     care = np.zeros(len(asked), dtype=bool)
     for enabled in asked.enabled.values():
         care |= enabled
     varying = np.flatnonzero((asked.markings != asked.markings[:1]).any(axis=0)).tolist()
-    found: Dict[Cells, List[Choice]] = {}
+    found: Dict[Cells, List[Probabilities]] = {}
     for number in np.flatnonzero(care).tolist():
         counts = asked.markings[number, varying].tolist()
         choice = asked.kinds[asked.kind[number]]
@@ -204,15 +201,15 @@ def _one_by_one(asked: _Asked) -> Dict[Cells, List[Choice]]:
     return found
 
 
-def _enter(found: Dict[Cells, List[Choice]], cells: Cells, choice: Choice) -> None:
+def _enter(found: Dict[Cells, List[Probabilities]], cells: Cells, choice: Probabilities) -> None:
     """Add a row. :raises PolicyError: the same marking has another one."""
     if found.setdefault(cells, [choice]) != [choice]:
         raise PolicyError("one marking has two decisions")
 
 
-def _merged(asked: _Asked, watch: Watch) -> Dict[Cells, List[Choice]]:
+def _merged(asked: _Asked, watch: Watch) -> Dict[Cells, List[Probabilities]]:
     """The rows of all groups, by their cells."""
-    found: Dict[Cells, List[Choice]] = {}
+    found: Dict[Cells, List[Probabilities]] = {}
     all_wait = np.zeros(len(asked), dtype=bool)
     speaks = np.zeros(len(asked), dtype=bool)
     for group in asked.groups:
@@ -234,7 +231,7 @@ def _merged(asked: _Asked, watch: Watch) -> Dict[Cells, List[Choice]]:
     return found
 
 
-def _written(net: Net, found: Mapping[Cells, Sequence[Choice]]) -> Policy:
+def _written(net: Net, found: Mapping[Cells, Sequence[Probabilities]]) -> Policy:
     """The policy with these rows, and only the places that they read."""
     columns = sorted({p for cells in found for p, _ in cells})
     column = {p: i for i, p in enumerate(columns)}
@@ -416,7 +413,7 @@ def _verify(asked: _Asked, policy: Policy, watch: Watch) -> None:
                     found = {}
                 if (
                     found.keys() != wanted.keys()
-                    or any(abs(found[t] - v) > TOLERANCE for t, v in wanted.items())
+                    or any(abs(found[t] - v) > SAME_PROBABILITY for t, v in wanted.items())
                     or not (distribution is not None or table.matches(marking, p))
                 ):
                     raise PolicyError(

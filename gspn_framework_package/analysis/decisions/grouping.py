@@ -29,7 +29,7 @@ from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.playing import Answers
 from gspn_framework_package.analysis.decisions.problem import Team
 from gspn_framework_package.analysis.decisions.run_net import Stage
-from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate
+from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
 from gspn_framework_package.analysis.decisions.solving.optima import Solved
@@ -42,7 +42,7 @@ _TIES = (1e-9, 1e-12, 0.0)
 takes such a difference again and again: if the policy is then worth less than the best, a smaller
 share is tried."""
 
-SILENT, OPEN = -1, -2
+_SILENT, OPEN = -1, -2
 """Instead of the number of a transition: the robots wait; nothing speaks for one or the other."""
 
 _ROUNDS = 12
@@ -435,20 +435,20 @@ class _Grouping:
         sure = first[everywhere[first]]
         chosen[pair[sure]] = transition[sure]
         ever = np.bincount(pair, weights=best_in, minlength=len(self._pairs)) > 0
-        chosen[(chosen == OPEN) & ~ever & (states > 0)] = SILENT
+        chosen[(chosen == OPEN) & ~ever & (states > 0)] = _SILENT
         # in zero time something else goes first: any decision will do
         order = np.lexsort((transition, -present, -priority, ~legal, pair))
         first = order[np.unique(pair[order], return_index=True)[1]]
         never = first[(states[pair[first]] == 0) & legal[first]]
         chosen[pair[never]] = transition[never]
-        chosen[(chosen == OPEN) & (states == 0)] = SILENT
+        chosen[(chosen == OPEN) & (states == 0)] = _SILENT
         torn = np.zeros(len(self._team.distinct), dtype=bool)
         torn[self._marking[chosen == OPEN]] = True
         # until that is improved: what is best most often
         order = np.lexsort((transition, -present, -best_in, ~legal, pair))
         first = order[np.unique(pair[order], return_index=True)[1]]
         unsure = first[chosen[pair[first]] == OPEN]
-        chosen[pair[unsure]] = np.where(legal[unsure], transition[unsure], SILENT)
+        chosen[pair[unsure]] = np.where(legal[unsure], transition[unsure], _SILENT)
         self._keep_waiting(chosen, worth, best, tolerance)
         torn[self._stuck(chosen)] = True
         return chosen, np.flatnonzero(torn), good & everywhere[of]
@@ -519,7 +519,7 @@ class _Grouping:
         stays[team.marking_of[team.decides & ~(good & waits)]] = False
         asked = np.zeros(len(team.distinct), dtype=bool)
         asked[team.marking_of[team.decides]] = True
-        chosen[(stays & asked)[self._marking]] = SILENT
+        chosen[(stays & asked)[self._marking]] = _SILENT
 
     def _stuck(self, chosen: Indices) -> Indices:
         """The markings with a state in which robots would wait that may not."""
@@ -590,7 +590,7 @@ class _Grouping:
             mine = entries[self._pair[entries] == pair]
             bad = set(self._transition[mine[~self._legal[mine]]].tolist())
             can = [t for t in np.unique(self._transition[mine]).tolist() if t not in bad]
-            options.append([int(chosen[pair]), *(t for t in can if t != chosen[pair]), SILENT])
+            options.append([int(chosen[pair]), *(t for t in can if t != chosen[pair]), _SILENT])
         states = np.unique(self._state[entries]).tolist()
         rows: Dict[int, List[Tuple[int, int, float, float]]] = {s: [] for s in states}
         index = {pair: i for i, pair in enumerate(pairs)}
@@ -672,7 +672,7 @@ class _Grouping:
         spoken[self._marking[[*amount]]] = True
         resting = np.zeros(len(team.distinct), dtype=bool)
         resting[team.marking_of[stays & team.decides]] = True
-        chosen = np.where((spoken | resting)[self._marking], SILENT, sure)
+        chosen = np.where((spoken | resting)[self._marking], _SILENT, sure)
         single = {pair: next(iter(d)) for pair, d in amount.items() if len(d) == 1}
         for pair, t in single.items():
             chosen[pair] = t
@@ -692,10 +692,10 @@ class _Grouping:
     # -- what comes out ----------------------------------------------------------------------------
 
     def _silent(self, chosen: Indices) -> int:
-        return int((chosen == SILENT).sum())
+        return int((chosen == _SILENT).sum())
 
     def _value(self, weights: Floats) -> Evaluated:
-        return evaluate(
+        return evaluate_policy(
             self._team.automaton,
             self._objective.aim,
             self._rewards,
@@ -725,7 +725,7 @@ class _Grouping:
         decisions."""
         team, table = self._team, self._table
         places = len(self._places)
-        columns = np.full((len(team.distinct), places + len(table.chance)), SILENT, dtype=np.int64)
+        columns = np.full((len(team.distinct), places + len(table.chance)), _SILENT, dtype=np.int64)
         columns[self._marking, self._pair_place] = chosen
         width = len(team.problem.plan.net.transitions)
         drawn = sorted(several)

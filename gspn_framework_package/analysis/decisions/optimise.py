@@ -25,7 +25,7 @@ from gspn_framework_package.analysis.decisions.report import (
     TeamResult,
 )
 from gspn_framework_package.analysis.decisions.rollout import improve
-from gspn_framework_package.analysis.decisions.solving import evaluate, sensitivities
+from gspn_framework_package.analysis.decisions.solving import evaluate_policy, sensitivities
 from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -266,7 +266,7 @@ class _Exactly:
         """The value of the present policy, and where the new one differs from it."""
         objective = self._objective
         try:
-            report.present = evaluate(
+            report.present = evaluate_policy(
                 own.team.automaton,
                 objective.aim,
                 own.rewards,

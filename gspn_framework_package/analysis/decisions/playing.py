@@ -15,7 +15,7 @@ from gspn_framework_package.analysis.plan.rules import Requests, first_to_fire
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
-SURE = 1e-12
+ROUNDING = 1e-12
 """A probability below this is a rounding error."""
 
 
@@ -133,7 +133,7 @@ class _Askers(NamedTuple):
     chances: Floats
 
 
-def play(
+def play_answers(
     plan: Plan,
     answers: Union[Answers, DecidedAnswers],
     stages: Stages,
@@ -203,7 +203,7 @@ class _Player:
                     for i, v in chances.items():
                         firsts[k, i] = v
                 stays[k] = max(1.0 - firsts[k].sum(), 0.0)
-                if stays[k] <= SURE:
+                if stays[k] <= ROUNDING:
                     stays[k] = 0.0
                     firsts[k] /= firsts[k].sum()
             waits[some] = stays[kind]
@@ -231,10 +231,10 @@ class _Player:
         several = np.zeros(len(unsettled), dtype=np.int64)
         late = np.zeros(len(unsettled), dtype=bool)
         for i, (group, askers) in enumerate(found):
-            goes = askers.states[firsts[place[askers.states], i] > SURE]
+            goes = askers.states[firsts[place[askers.states], i] > ROUNDING]
             several[goes] += 1
             late[goes] |= bool(self._late[group.at])
-            chancy = askers.states[(askers.able < 1 - SURE) & (askers.able > SURE)]
+            chancy = askers.states[(askers.able < 1 - ROUNDING) & (askers.able > ROUNDING)]
             unsettled[chancy] = True
         unsettled |= late & (several > 1)
 

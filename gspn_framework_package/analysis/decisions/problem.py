@@ -19,13 +19,18 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import Objective
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
-from gspn_framework_package.analysis.decisions.building import Built, Stages, build, part_of
+from gspn_framework_package.analysis.decisions.building import (
+    Built,
+    Stages,
+    build_automaton,
+    part_of,
+)
 from gspn_framework_package.analysis.decisions.playing import (
-    SURE,
+    ROUNDING,
     Answers,
     DecidedAnswers,
     Play,
-    play,
+    play_answers,
 )
 from gspn_framework_package.analysis.decisions.run_net import DecisionNet, Stage
 from gspn_framework_package.analysis.decisions.safety import Safety
@@ -163,7 +168,9 @@ class DecisionProblem:
         self._late = self._order_matters()
         self._plays: Dict[Policy, Play] = {}
         self.present = self._play(plan.policy)
-        self.built: Built = build(self.stages, self._voluntary(), self.present.waits > SURE)
+        self.built: Built = build_automaton(
+            self.stages, self._voluntary(), self.present.waits > ROUNDING
+        )
         self._check_chosen(plan.policy, found)
         self.found = found
         self.safety: Optional[Safety] = self._judge(never) if never else None
@@ -515,7 +522,7 @@ class DecisionProblem:
         found = self._plays.get(policy)
         if found is None:
             answers = Answers(self._largest, policy, self.stages)
-            found = play(self._largest, answers, self.stages, self._late)
+            found = play_answers(self._largest, answers, self.stages, self._late)
             self._plays = {policy: found}
         return found
 
@@ -541,7 +548,7 @@ class DecisionProblem:
         mine = np.flatnonzero(~team.twin)
         of_state[team.states_in[mine]] = kind[team.marking_of[mine]]
         answers = DecidedAnswers(self.plan, of_state, kinds)
-        return self._weights(team, play(self.plan, answers, self.stages, self._late))
+        return self._weights(team, play_answers(self.plan, answers, self.stages, self._late))
 
     def _weights(self, team: Team, played: Play) -> Floats:
         built, stages = self.built, self.stages
@@ -550,7 +557,7 @@ class DecisionProblem:
         weights[built.automaton.rows[states]] = 1.0
         arcs = np.flatnonzero(built.arc_row >= 0)
         weights[built.arc_row[arcs]] = played.shares[arcs]
-        waiting = np.flatnonzero(played.waits > SURE)
+        waiting = np.flatnonzero(played.waits > ROUNDING)
         waiting = waiting[np.isin(stages.stage[waiting], (Stage.NAMED, Stage.DECIDED))]
         unheard = np.zeros(len(built.original), dtype=bool)
         lost = waiting[built.wait_row[waiting] < 0]
@@ -560,7 +567,7 @@ class DecisionProblem:
         weights[built.wait_row[heard]] = played.waits[heard]
         single = states[states < len(stages)]
         single = single[stages.stage[single] == Stage.DECIDED]
-        unheard[single[played.waits[single] > SURE]] = True
+        unheard[single[played.waits[single] > ROUNDING]] = True
         mine = weights[team.rows_in]
         self._check_heard(team, mine, unheard, played)
         return mine

@@ -40,7 +40,7 @@ from gspn_framework_package.analysis.simulation.against import (
     Against,
     Measured,
     compare_plans,
-    mean,
+    paired_mean,
 )
 from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -49,16 +49,16 @@ from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyScope
 
-SECONDS = 60.0
+ROLLOUT_SECONDS = 60.0
 """Default time of the machine (s)."""
 
 ROUNDS = 5
 """Most rounds of improvement."""
 
-ERROR = 0.05
+SIGNIFICANCE = 0.05
 """Probability that a round takes up a row that is no better, over all its candidates."""
 
-VISITS = 1500
+ROLLOUT_VISITS = 1500
 """Decisions that are looked at in a round, at most."""
 
 PAIRS = 200
@@ -115,9 +115,9 @@ def improve(
     request: Request,
     *,
     seed: int = 0,
-    seconds: Optional[float] = SECONDS,
+    seconds: Optional[float] = ROLLOUT_SECONDS,
     rounds: int = ROUNDS,
-    visits: int = VISITS,
+    visits: int = ROLLOUT_VISITS,
     pairs: int = PAIRS,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
@@ -573,7 +573,7 @@ class _Search:
         for _ in self._roll(self._rollouts(horizon, seed + 1), promising, _TESTS):
             pass
         for candidate in promising:
-            low = mean(np.array(candidate.gains), 1 - 2 * ERROR / len(promising)).low
+            low = paired_mean(np.array(candidate.gains), 1 - 2 * SIGNIFICANCE / len(promising)).low
             if low is not None and low > 0:
                 passed.setdefault((candidate.group.place, candidate.group.cells), candidate)
         return sorted(passed.values(), key=lambda c: -c.score() * math.sqrt(len(c.group.visits)))

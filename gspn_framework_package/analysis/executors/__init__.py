@@ -6,7 +6,7 @@ numbers of its own, and whoever asked adds the results up in the order of the ta
 Modules: ``choosing``, ``dask_cluster``, ``executor``, ``processes``, ``remote``.
 """
 
-from gspn_framework_package.analysis.executors.choosing import FORMS, open_executor
+from gspn_framework_package.analysis.executors.choosing import EXECUTOR_FORMS, open_executor
 from gspn_framework_package.analysis.executors.executor import (
     Executor,
     LocalExecutor,
@@ -14,4 +14,4 @@ from gspn_framework_package.analysis.executors.executor import (
     Workload,
 )
 
-__all__ = ["FORMS", "Executor", "LocalExecutor", "WorkItem", "Workload", "open_executor"]
+__all__ = ["EXECUTOR_FORMS", "Executor", "LocalExecutor", "WorkItem", "Workload", "open_executor"]

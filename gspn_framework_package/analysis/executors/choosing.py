@@ -5,13 +5,13 @@ from __future__ import annotations
 from gspn_framework_package.analysis.executors.executor import Executor, LocalExecutor
 from gspn_framework_package.model.errors import UsageError
 
-FORMS = "local, processes, processes:N or dask:ADDRESS"
+EXECUTOR_FORMS = "local, processes, processes:N or dask:ADDRESS"
 
 _MOST_PROCESSES = 1024
 
 
 def open_executor(text: str) -> Executor:
-    """The executor that ``text`` names, one of :data:`FORMS`.
+    """The executor that ``text`` names, one of :data:`EXECUTOR_FORMS`.
 
     :raises UsageError: it names none.
     :raises WorkersError: the executor cannot be had: Dask is not installed or does not answer.
@@ -33,4 +33,6 @@ def open_executor(text: str) -> Executor:
         from gspn_framework_package.analysis.executors.dask_cluster import DaskExecutor
 
         return DaskExecutor(rest)
-    raise UsageError("--on %.80s: there is no such executor" % text, hint="take %s" % FORMS)
+    raise UsageError(
+        "--on %.80s: there is no such executor" % text, hint="take %s" % EXECUTOR_FORMS
+    )

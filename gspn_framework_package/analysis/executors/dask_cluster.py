@@ -12,8 +12,8 @@ from gspn_framework_package.analysis.executors.remote import (
     Packed,
     RemoteExecutor,
     cancel_work,
-    difference,
     different_versions,
+    version_difference,
     versions,
     work_on,
 )
@@ -78,7 +78,7 @@ class DaskExecutor(RemoteExecutor):
                 hint="install this package where the workers run, in the same version",
             ) from None
         for address, theirs in sorted(found.items()):
-            wrong = difference(theirs, versions())
+            wrong = version_difference(theirs, versions())
             if wrong:
                 raise different_versions("the worker %s" % address, wrong)
 

@@ -74,7 +74,7 @@ def _sources() -> str:
     return digest.hexdigest()[:8]
 
 
-def difference(theirs: Sequence[Tuple[str, str]], ours: Sequence[Tuple[str, str]]) -> str:
+def version_difference(theirs: Sequence[Tuple[str, str]], ours: Sequence[Tuple[str, str]]) -> str:
     """How the versions of a worker differ from those of the client, in words; empty if they do
     not."""
     mine = dict(ours)
@@ -194,7 +194,7 @@ def work_on(packed: Packed, piece: Any) -> Any:
 
     :raises WorkersError: this worker is of another version than the client.
     """
-    wrong = difference(versions(), packed.versions)
+    wrong = version_difference(versions(), packed.versions)
     if wrong:
         raise different_versions("a worker", wrong)
     if not hasattr(_kept, "workloads"):

@@ -26,7 +26,7 @@ from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import UsageError
 
-SHORTEST = 1e-6
+SHORTEST_FITTED = 1e-6
 """Seconds: the resolution of the clocks in a log. Shorter times count as this long."""
 
 CONFIDENCE = 0.95
@@ -34,7 +34,7 @@ CONFIDENCE = 0.95
 NEGLIGIBLE = 1e-3
 """Times whose coefficient of variation is at most this are called deterministic."""
 
-MOST_PHASES = 12
+MOST_FITTED_PHASES = 12
 """An Erlang distribution has at most so many phases; a gamma distribution takes its place then,
 because the exact analysis would need too many states for more."""
 
@@ -69,7 +69,7 @@ class Sample:
         self.observed = _times(observed)
         self.censored = _times(censored)
         # what was cut off at once carries no information
-        self.censored = self.censored[self.censored > SHORTEST]
+        self.censored = self.censored[self.censored > SHORTEST_FITTED]
         self.grouped = _grouped(self.censored)
 
     @property
@@ -87,7 +87,7 @@ def _times(values: Sequence[float]) -> Any:
     times = np.asarray(values, dtype=np.float64).reshape(-1)
     if not np.isfinite(times).all() or (times < 0).any():
         raise UsageError("a time is negative or not a number")
-    return np.maximum(times, SHORTEST)
+    return np.maximum(times, SHORTEST_FITTED)
 
 
 def _grouped(times: Any) -> Tuple[Any, Any]:
@@ -166,7 +166,7 @@ def fit_erlang(sample: Sample, gamma: DurationFit) -> Optional[DurationFit]:
     shape = gamma.duration.parameters[0]
     found = []
     for phases in {max(1, math.floor(shape)), math.ceil(shape)}:
-        if phases > MOST_PHASES:
+        if phases > MOST_FITTED_PHASES:
             return None
         mean = _best_mean(sample, float(phases), gamma.duration.mean)
         duration = Duration.erlang(phases, mean)
@@ -180,8 +180,8 @@ def fit_erlang(sample: Sample, gamma: DurationFit) -> Optional[DurationFit]:
 def fit_deterministic(sample: Sample) -> Optional[DurationFit]:
     """A fixed time; None if the observed times vary or contradict the censored ones."""
     mean, spread = float(sample.observed.mean()), _spread(sample.observed)
-    negligible = spread <= max(NEGLIGIBLE * mean, 2 * SHORTEST)
-    if not negligible or (sample.censored > mean + 4 * spread + 2 * SHORTEST).any():
+    negligible = spread <= max(NEGLIGIBLE * mean, 2 * SHORTEST_FITTED)
+    if not negligible or (sample.censored > mean + 4 * spread + 2 * SHORTEST_FITTED).any():
         return None
     return DurationFit(Duration.deterministic(mean), _of_mean(sample.observed), None, 1)
 
@@ -569,7 +569,7 @@ def _expectation_maximisation(
     k = np.array(phases, dtype=np.float64)
     constant = np.outer(k - 1, np.log(observed)) - special.gammaln(k)[:, None]
     levels = (np.arange(len(k)) + 0.5) / len(k)
-    means = np.maximum(np.quantile(observed, levels), SHORTEST)
+    means = np.maximum(np.quantile(observed, levels), SHORTEST_FITTED)
     means = np.maximum(means, np.arange(1, len(k) + 1) * means[0])
     chances = np.full(len(k), 1 / len(k))
     if start is not None:
@@ -603,7 +603,11 @@ def _expectation_maximisation(
     duration = Duration.hyper_erlang(
         [(float(p), int(shape), float(m)) for p, shape, m in zip(chances / chances.sum(), k, means)]
     )
-    half = quantiles.normal((1 + CONFIDENCE) / 2) * duration.variation / math.sqrt(sample.size)
+    half = (
+        quantiles.normal_quantile((1 + CONFIDENCE) / 2)
+        * duration.variation
+        / math.sqrt(sample.size)
+    )
     interval = duration.mean * math.exp(-half), duration.mean * math.exp(half)
     return DurationFit(duration, interval, likelihood(duration, sample), 2 * len(k) - 1)
 

@@ -35,7 +35,7 @@ from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.duration import Duration, Evidence, Kind
 from gspn_framework_package.model.plan import Plan
 
-ENOUGH = 5
+ENOUGH_ATTEMPTS = 5
 """With fewer observations than this, the old value is kept."""
 
 ENOUGH_FOR_QUANTILES = 200
@@ -363,7 +363,7 @@ class _Learning:
     def _duration(
         self, place: str, sample: Sample, generator: Any
     ) -> Tuple[Optional[DurationFit], Optional[FitTest]]:
-        if sample.size < ENOUGH:
+        if sample.size < ENOUGH_ATTEMPTS:
             self.notes.append(
                 "%s: %d observed durations are too few; %s"
                 % (
@@ -443,7 +443,7 @@ class _Learning:
         self, place: str, done: Sequence[AttemptLike], failed: Sequence[AttemptLike]
     ) -> None:
         times = [a.end - a.start for a in done], [a.end - a.start for a in failed]
-        if min(map(len, times)) < ENOUGH:
+        if min(map(len, times)) < ENOUGH_ATTEMPTS:
             return
         self._doubt(
             "failed attempts",
@@ -461,7 +461,7 @@ class _Learning:
             for t in net.consumers[net.place_number(place)]
             if net.transitions[t].name not in self.plan.events or net.transitions[t].name in named
         ]
-        if len(leaving) < 2 or len(done) < ENOUGH:
+        if len(leaving) < 2 or len(done) < ENOUGH_ATTEMPTS:
             return {}
         durations: Dict[str, List[float]] = {}
         for attempt in done:
@@ -471,7 +471,7 @@ class _Learning:
             names = [t.name for t in leaving if t.name in durations] + [""] * ("" in durations)
         else:
             names = timed
-        common = [times for times in durations.values() if len(times) >= ENOUGH]
+        common = [times for times in durations.values() if len(times) >= ENOUGH_ATTEMPTS]
         if len(common) > 1:
             means = {name or "(none)": sum(times) / len(times) for name, times in durations.items()}
             slow, fast = max(means, key=means.__getitem__), min(means, key=means.__getitem__)
@@ -497,12 +497,12 @@ class _Learning:
                 % (place, failed, share)
             )
             return OutcomeFit(failed, ended, share, wilson(failed, ended))
-        if ended < ENOUGH and failed:
+        if ended < ENOUGH_ATTEMPTS and failed:
             self.notes.append(
                 "%s: %d of %d attempts failed, which are too few to learn how often; the plan says "
                 "%g" % (place, failed, ended, self.plan.failures.get(place, 0.0))
             )
-        if ended < ENOUGH or (not failed and not self.plan.failures.get(place)):
+        if ended < ENOUGH_ATTEMPTS or (not failed and not self.plan.failures.get(place)):
             return None
         return OutcomeFit(failed, ended, failed / ended, wilson(failed, ended))
 
@@ -511,7 +511,7 @@ class _Learning:
     def _rates(self, events: Mapping[str, EventsLike]) -> Dict[str, EventFit]:
         found = {}
         for name, event in events.items():
-            if event.firings >= ENOUGH and event.exposure > 0:
+            if event.firings >= ENOUGH_ATTEMPTS and event.exposure > 0:
                 rate = event.firings / event.exposure
                 found[name] = EventFit(
                     event.firings, rate, rate_interval(event.firings, event.exposure)
@@ -546,7 +546,7 @@ def _of(attempts: Iterable[AttemptLike], robot: str) -> List[AttemptLike]:
 
 
 def _can_compare(sample: Sample) -> bool:
-    return sample.size >= ENOUGH and bool(np.ptp(sample.observed) > 1e-6)
+    return sample.size >= ENOUGH_ATTEMPTS and bool(np.ptp(sample.observed) > 1e-6)
 
 
 def _middles(attempts: Iterable[AttemptLike]) -> Dict[int, float]:

@@ -33,7 +33,7 @@ SAMPLES = 299
 _SLOW = 99
 """The same for hyper-Erlang distributions, which take long to fit."""
 
-LARGEST = 3_000
+LARGEST_SAMPLE = 3_000
 """Of a larger sample, so many times chosen at random are tested."""
 
 
@@ -66,9 +66,9 @@ def test_of_fit(
         return None
     duration = fit.duration
     size = sample.size + len(sample.censored)
-    if size > LARGEST:
+    if size > LARGEST_SAMPLE:
         sample = _part(sample, generator)
-        size = LARGEST
+        size = LARGEST_SAMPLE
         duration = most_likely(sample, duration)
     found = distance(duration, sample)
     runs = min(samples, _SLOW) if duration.kind is Kind.HYPER_ERLANG else samples
@@ -88,7 +88,7 @@ test_of_fit.__test__ = False  # type: ignore[attr-defined]  # pytest: not a test
 def _part(sample: Sample, generator: Any) -> Sample:
     """A random part of a large sample."""
     times = np.concatenate((sample.observed, sample.censored))
-    chosen = generator.choice(len(times), LARGEST, replace=False)
+    chosen = generator.choice(len(times), LARGEST_SAMPLE, replace=False)
     ended = chosen < sample.size
     return Sample(times[chosen[ended]], times[chosen[~ended]])
 
@@ -157,7 +157,7 @@ def wilson(count: int, total: int, confidence: float = CONFIDENCE) -> Tuple[floa
     success."""
     if total <= 0:
         return 0.0, 1.0
-    z = quantiles.normal((1 + confidence) / 2)
+    z = quantiles.normal_quantile((1 + confidence) / 2)
     share = count / total
     middle = (share + z**2 / (2 * total)) / (1 + z**2 / total)
     half = z / (1 + z**2 / total) * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))

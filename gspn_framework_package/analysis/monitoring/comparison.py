@@ -20,21 +20,25 @@ DEPARTS = 0.01
 """Runs that follow the plan are said to depart, by their measures together, in this share of the
 cases."""
 
-ENOUGH = 400
+ENOUGH_RUNS = 400
 """From this many replications on, the ends of an interval are quantiles of the sample; with fewer,
 they follow from its mean and standard deviation, by Student's distribution."""
 
-RESOLUTION = 2e-6
+CLOCK_RESOLUTION = 2e-6
 """Seconds by which the clocks of a log, which count microseconds, may shift each firing."""
 
-TOGETHER = 0.01
+SIMULTANEOUS = 0.01
 """By which share of the prediction its interval is wider, on both sides, than the simulated runs
 say: in the model durations are independent, but what slows down a real machine or robot (load,
 warmth, battery) slows down its actions together. A smaller difference is no departure."""
 
 THROUGHPUT, TOKENS, VISITS, TIME = "throughput", "mean tokens", "visits", "time to condition"
-ROBOTS, ENTRIES, EXITS = "robots in subnet", "entries of subnet", "exits of subnet"
-STAY = "time in subnet"
+SUBNET_ROBOTS, SUBNET_ENTRIES, SUBNET_EXITS = (
+    "robots in subnet",
+    "entries of subnet",
+    "exits of subnet",
+)
+SUBNET_STAY = "time in subnet"
 
 
 class Observed(NamedTuple):
@@ -128,11 +132,11 @@ def compare(plan: Plan, sample: RunSample, observed: Observed) -> RunComparison:
     measures: List[PredictedMeasure] = []
     deviations: List[Floats] = []
     actual: List[float] = []
-    blur = RESOLUTION * sum(observed.firings.values()) / observed.seconds
+    blur = CLOCK_RESOLUTION * sum(observed.firings.values()) / observed.seconds
     for kind, of, unit, values, value in _values(plan, sample, observed):
-        slack = blur if kind in (TOKENS, ROBOTS) else 0.0
+        slack = blur if kind in (TOKENS, SUBNET_ROBOTS) else 0.0
         measure = _measure(kind, of, unit, values, value)
-        margin = TOGETHER * abs(measure.predicted) if math.isfinite(measure.predicted) else 0.0
+        margin = SIMULTANEOUS * abs(measure.predicted) if math.isfinite(measure.predicted) else 0.0
         measures.append(
             measure._replace(
                 low=max(measure.low - margin, 0.0), high=measure.high + margin, slack=slack
@@ -222,11 +226,11 @@ def _subnet_values(
     seconds = np.maximum(sample.seconds, 1e-300)
     for name, counts in predicted.items():
         inside, entries, exits = (float(values[0]) for values in actual[name])
-        yield ROBOTS, name, "", counts.inside / seconds, inside / observed.seconds
-        yield ENTRIES, name, "1/s", counts.entries / seconds, entries / observed.seconds
-        yield EXITS, name, "1/s", counts.exits / seconds, exits / observed.seconds
+        yield SUBNET_ROBOTS, name, "", counts.inside / seconds, inside / observed.seconds
+        yield SUBNET_ENTRIES, name, "1/s", counts.entries / seconds, entries / observed.seconds
+        yield SUBNET_EXITS, name, "1/s", counts.exits / seconds, exits / observed.seconds
         if entries and counts.entries.all():  # else some visit has no length to compare
-            yield STAY, name, "s", counts.inside / counts.entries, inside / entries
+            yield SUBNET_STAY, name, "s", counts.inside / counts.entries, inside / entries
 
 
 def _measure(
@@ -247,7 +251,7 @@ def _measure(
 
 def interval(values: Floats, level: float = LEVEL) -> Tuple[float, float]:
     """The prediction interval for one more value like these."""
-    if len(values) >= ENOUGH:
+    if len(values) >= ENOUGH_RUNS:
         low, high = np.percentile(values, [50 * (1 - level), 50 * (1 + level)])
         return float(low), float(high)
     if len(values) < 2:

@@ -36,7 +36,7 @@ durations is taken to be longer by that factor, unless the durations vary by mor
 WIDE = 0.5
 
 KNOTS = 400
-MOST = 60.0
+LARGEST_HAZARD = 60.0
 """The integral is tabulated up to this value; beyond it grows in a straight line, so that it is
 finite for every time."""
 
@@ -59,7 +59,7 @@ class Hazard:
         self._steep = duration.variation < LEAST_VARIATION
         self._mixed = duration.variation <= WIDE
         times = self._knots(duration.mean)
-        values = np.maximum.accumulate(np.clip(self._exact(times), 0.0, MOST))
+        values = np.maximum.accumulate(np.clip(self._exact(times), 0.0, LARGEST_HAZARD))
         self._times: List[float] = times.tolist()
         self._values: List[float] = values.tolist()
         self._slope = 1.0 / duration.mean
@@ -90,13 +90,13 @@ class Hazard:
     def _plain(self, times: Floats) -> Floats:
         if self._steep:
             return (times / self.duration.mean) ** STEEP
-        # a far larger value than MOST takes the place of infinity, which has no logarithm
+        # a far larger value than LARGEST_HAZARD takes the place of infinity, which has no logarithm
         return np.nan_to_num(self.duration.hazard_integral(times), nan=1e9, posinf=1e9)
 
     def _knots(self, mean: float) -> Floats:
         """Times at which the integral is tabulated: equal steps of it, as nearly as can be."""
         last = mean
-        while self._exact(np.array([last]))[0] < MOST and last < 1e6 * mean:
+        while self._exact(np.array([last]))[0] < LARGEST_HAZARD and last < 1e6 * mean:
             last *= 1.5
         coarse = np.concatenate(
             [
@@ -104,7 +104,9 @@ class Hazard:
                 np.geomspace(2 * mean, max(last, 3 * mean), 2000),
             ]
         )
-        values = np.clip(self._exact(coarse), 0.0, MOST)
-        steps = np.concatenate([np.geomspace(1e-4, 4.0, KNOTS), np.linspace(4.0, MOST, KNOTS)])
+        values = np.clip(self._exact(coarse), 0.0, LARGEST_HAZARD)
+        steps = np.concatenate(
+            [np.geomspace(1e-4, 4.0, KNOTS), np.linspace(4.0, LARGEST_HAZARD, KNOTS)]
+        )
         chosen = np.unique(np.searchsorted(values, steps).clip(max=len(coarse) - 1))
         return np.unique(np.concatenate([[0.0], coarse[chosen], coarse[-1:]]))

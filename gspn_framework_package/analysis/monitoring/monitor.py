@@ -37,7 +37,7 @@ IMPOSSIBLE = 1e-3
 """An outcome or failure that the plan rules out is taken to have this probability, so that a single
 one is no alarm yet."""
 
-SHORTEST = 1e-3
+SHORTEST_EXPECTED = 1e-3
 """Durations with a shorter mean (s) are not watched: what a log shows of them is mostly the time of
 the machine itself."""
 
@@ -47,7 +47,7 @@ RAN_TO_THE_END = ("aborted", "bad result")
 RECENT = 4096
 """How many finished attempts are kept, to say by how much and where a run departs."""
 
-PLACE, ROBOT, TEAM, OUTCOME, FAILURE, CHOICE = (
+_PLACE, ROBOT, TEAM, OUTCOME, _FAILURE, CHOICE = (
     "place",
     "robot",
     "team",
@@ -56,7 +56,7 @@ PLACE, ROBOT, TEAM, OUTCOME, FAILURE, CHOICE = (
     "choice",
 )
 
-PACES = (PLACE, ROBOT, TEAM)
+PACES = (_PLACE, ROBOT, TEAM)
 """The kinds of streams that watch how fast something goes."""
 
 
@@ -106,7 +106,7 @@ class Alarm(NamedTuple):
             if self.change is not None:
                 text += " (%+.0f %%)" % (100 * self.change)
             return text
-        what = {OUTCOME: "the outcome %s", CHOICE: "the choice of %s", FAILURE: "failure%s"}
+        what = {OUTCOME: "the outcome %s", CHOICE: "the choice of %s", _FAILURE: "failure%s"}
         text = "%s: %s %s than planned" % (
             where,
             what[self.kind] % self.transition,
@@ -318,7 +318,7 @@ class Monitor:
         self._means: Dict[str, float] = {}
         self._hazards: Dict[str, Tuple[Hazard, Hazard]] = {}
         for p, place in timing.places.items():
-            if place.duration.mean >= SHORTEST and plan.net.consumers[p]:
+            if place.duration.mean >= SHORTEST_EXPECTED and plan.net.consumers[p]:
                 name = plan.net.places[p].name
                 self._means[name] = place.duration.mean
                 self._hazards[name] = self._of_interval(name, place.duration)
@@ -349,7 +349,7 @@ class Monitor:
         def thresholds(rate: float) -> List[float]:
             return [RateChart(ratio).threshold(events(rate)) for ratio in RATIOS]
 
-        self._places = {name: _Pace(PLACE, name, "", thresholds(pace[name])) for name in pace}
+        self._places = {name: _Pace(_PLACE, name, "", thresholds(pace[name])) for name in pace}
         self._robots: Dict[str, _Pace] = {}
         self._team: Optional[_Pace] = None
         if each_robot and pace:
@@ -452,7 +452,7 @@ class Monitor:
             for s, direction in stream.count(now):
                 raised.append(self._alarm(stream, s, direction, now))
         found = []
-        for share in self._shares.get((FAILURE, place), ()):
+        for share in self._shares.get((_FAILURE, place), ()):
             found += share.count(bool(failed), now)
         self.alarms += found
         if not failed and result is not None:
@@ -607,7 +607,9 @@ def _explains(one: Alarm, other: Alarm) -> bool:
         return False
     if one.kind == ROBOT:
         return other.kind != ROBOT and other.robot == one.robot
-    return one.kind == PLACE and not one.robot and other.kind != PLACE and other.place == one.place
+    return (
+        one.kind == _PLACE and not one.robot and other.kind != _PLACE and other.place == one.place
+    )
 
 
 def _outstanding(seen: Sequence[_Finished], direction: str, key: Any) -> str:
@@ -633,7 +635,7 @@ def _shares(
     if len(names) == 2:
         names = names[:1]  # the other one says the same
     found = [(OUTCOME, name, chance) for name, chance in names if chance < 1]
-    return [*found, (FAILURE, "", failure)]
+    return [*found, (_FAILURE, "", failure)]
 
 
 def _possible(chance: float) -> float:

@@ -8,7 +8,7 @@ from gspn_framework_package.analysis.monitoring.monitor import Monitor
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 
 
-def play(
+def play_to_monitor(
     monitor: Monitor,
     attempts: Iterable[Any],
     choices: Iterable[Any] = (),

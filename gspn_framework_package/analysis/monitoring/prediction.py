@@ -24,10 +24,10 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
-REPLICATIONS = 1000
+PREDICTION_REPLICATIONS = 1000
 """Default number of replications."""
 
-GROUPS = 40
+_GROUPS = 40
 """Groups of replications with the same parameters, if some parameters are uncertain."""
 
 _BATCH = 50
@@ -44,7 +44,7 @@ MOST_FIRINGS = 20_000_000
 _WORTH_WAITING = 2_000_000
 """More firings than this are worth the time that numba takes to compile, not only to load."""
 
-PATIENCE = 10.0
+PREDICTION_PATIENCE = 10.0
 """A run that came to its condition is compared with runs that may take this many times as long."""
 
 _NORMAL = 1.959963984540054
@@ -114,9 +114,9 @@ def predict(
     executor = on or LocalExecutor()
     watch = Watch(progress, cancel)
     most = USUAL_FIRINGS if replications is None else MOST_FIRINGS
-    wanted = REPLICATIONS if replications is None else replications
+    wanted = PREDICTION_REPLICATIONS if replications is None else replications
     # a first look at how long they are
-    first = min(math.ceil(wanted / GROUPS) if uncertain else _BATCH, 10, wanted)
+    first = min(math.ceil(wanted / _GROUPS) if uncertain else _BATCH, 10, wanted)
     done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
     each = max(done[0].firings.sum() / first, 1.0)
     affordable = max(int(most / each), min(wanted, LEAST_REPLICATIONS))
@@ -124,7 +124,7 @@ def predict(
     # so few that the simulation of a group alone does not find it worth while to compile
     usual = min(_BATCH, max(int(machine.WORTH_COMPILING / each), 1))
     if uncertain:
-        usual = max(math.ceil(rest / GROUPS), 1)
+        usual = max(math.ceil(rest / _GROUPS), 1)
     compiled = _worth_compiling(rest * each / executor.workers)
     items = [
         group(number, min(usual, rest - made), compiled=compiled)
@@ -164,7 +164,7 @@ def _play_group(spans: Sequence[Span], group: _Group, watch: Watch) -> RunSample
         plan = span.plan if parameters is None else parameters.apply(span.plan)
         result = simulate(
             plan,
-            time=span.seconds * (PATIENCE if span.to_condition else 1.0),
+            time=span.seconds * (PREDICTION_PATIENCE if span.to_condition else 1.0),
             replications=size,
             seed=(group.seed * 1_000_003 + number) % 2**62,
             samples=True,

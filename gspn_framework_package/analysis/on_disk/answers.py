@@ -11,7 +11,7 @@ from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
 from gspn_framework_package.analysis.on_disk.reach import cover, reach
 from gspn_framework_package.analysis.on_disk.scratch import Scratch
 from gspn_framework_package.analysis.on_disk.search import OnDiskSpace, search
-from gspn_framework_package.analysis.on_disk.steady import steady_state
+from gspn_framework_package.analysis.on_disk.steady import steady_state_on_disk
 from gspn_framework_package.analysis.plan.reading import NET, TimingNotes
 from gspn_framework_package.analysis.report import (
     MEASURES,
@@ -140,7 +140,7 @@ def _report_of(
 def _steady(
     space: OnDiskSpace, questions: Questions, memory: float, watch: Callable[[], Watch]
 ) -> Dict[str, Any]:
-    found = steady_state(OnDiskChain(space, memory, watch()), watch())
+    found = steady_state_on_disk(OnDiskChain(space, memory, watch()), watch())
     if questions.rewards:
         known = {**found["throughput"], **found["mean_tokens"]}
         found["reward"] = math.fsum(v * known[n] for n, v in questions.rewards.items())

@@ -22,7 +22,7 @@ from gspn_framework_package.analysis.on_disk.sorted_keys import (
     SortedKeys,
     Writer,
     by_ranges,
-    merged,
+    merge_sorted,
 )
 from gspn_framework_package.analysis.state_space.exploration import in_wide_fields
 from gspn_framework_package.analysis.state_space.numpy_engine import enabled, fire
@@ -205,7 +205,9 @@ class OnDiskSpace:
                     writer.append(some[~self._at_once(self.code.decode(some))])
             return writer.finished()
         if len(self._found) > 1:
-            whole = merged(self._found, self.scratch, self.budget, watch, "states", self._states)
+            whole = merge_sorted(
+                self._found, self.scratch, self.budget, watch, "states", self._states
+            )
             self._found = [whole]
         return self._found[0]
 
@@ -217,7 +219,7 @@ class OnDiskSpace:
             size += len(self._found[-1])
             together.append(self._found.pop())
         if len(together) > 1:
-            layer = merged(together, self.scratch, self.budget, watch, "states", self._states)
+            layer = merge_sorted(together, self.scratch, self.budget, watch, "states", self._states)
         self._found.append(layer)
 
     # -- ways --------------------------------------------------------------------------------------

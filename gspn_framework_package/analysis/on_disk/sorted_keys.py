@@ -198,7 +198,7 @@ def by_ranges(runs: Sequence[SortedKeys], most: int) -> Iterator[List[Keys]]:
         begins = stops
 
 
-def merged(
+def merge_sorted(
     runs: Sequence[SortedKeys],
     scratch: Scratch,
     budget: Budget,

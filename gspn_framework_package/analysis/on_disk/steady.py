@@ -12,13 +12,13 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
 from gspn_framework_package.analysis.on_disk.long_run import LongRun, recurrent_states
 from gspn_framework_package.analysis.on_disk.scratch import ScratchVector
-from gspn_framework_package.analysis.solution.anderson import DEPTH
+from gspn_framework_package.analysis.solution.anderson import ANDERSON_DEPTH
 from gspn_framework_package.analysis.solution.linear import (
     DIRECT_SIZE,
     LinearSolution,
     demand,
     iterate,
-    solve,
+    solve_linear,
     sweep_rows,
 )
 from gspn_framework_package.analysis.solution.measures import Measures
@@ -28,11 +28,13 @@ from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
 
-_VECTORS = 2 * DEPTH + 4
+_VECTORS = 2 * ANDERSON_DEPTH + 4
 """Vectors on disk while the system is solved."""
 
 
-def steady_state(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) -> Dict[str, Any]:
+def steady_state_on_disk(
+    chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE
+) -> Dict[str, Any]:
     """The steady state, with the keys that it has in the report of an analysis in memory.
 
     :param direct: up to this many recurrent states are solved in memory.
@@ -49,7 +51,7 @@ def steady_state(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) ->
 
 
 def long_run(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) -> LongRun:
-    """Where the chain is in the long run; see :func:`steady_state`."""
+    """Where the chain is in the long run; see :func:`steady_state_on_disk`."""
     dead = np.zeros(len(chain), dtype=bool)
     for part, exits in _with_exits(chain):
         dead[part] = exits == 0
@@ -75,7 +77,7 @@ def _solved_in_memory(chain: OnDiskChain, recurs: Booleans, watch: Watch) -> Lin
     kept = np.flatnonzero(recurs)
     rows = [rates[recurs[part]][:, kept] for part, rates in chain.blocks()]
     exits = np.concatenate([exits[recurs[part]] for part, exits in _with_exits(chain)])
-    solution = solve(sparse.vstack(rows).tocsr(), exits, None, watch=watch)
+    solution = solve_linear(sparse.vstack(rows).tocsr(), exits, None, watch=watch)
     values = np.zeros(len(chain))
     values[kept] = solution.values
     return solution._replace(values=values)

@@ -35,7 +35,7 @@ PLAN_STATE_LIMIT = 200_000
 _STATE_BYTES, _ARC_BYTES = 400, 100
 """Memory of a state during the exploration, besides its counts, and of an arc."""
 
-WAITING = "(waits)"
+WAITS_LABEL = "(waits)"
 """Entry of a firing sequence at which robots wait, having drawn transitions that are not
 enabled."""
 
@@ -183,15 +183,17 @@ class PlanSpace(StateSpace):
         return self._vanishing
 
     def transition_name(self, transition: int) -> str:
-        """The name of a transition, WAITING or GOES_ON."""
+        """The name of a transition, WAITS_LABEL or GOES_ON."""
         nothing = transition - len(self.net.transitions)
-        return (WAITING, GOES_ON)[nothing] if nothing >= 0 else super().transition_name(transition)
+        return (
+            (WAITS_LABEL, GOES_ON)[nothing] if nothing >= 0 else super().transition_name(transition)
+        )
 
     def _way_to(self, state: int) -> List[Tuple[int, int]]:
         ends = len(self.net.transitions) + 1
         return [(t, s) for t, s in super()._way_to(state) if t != ends]
 
-    further_steps = 2  # WAITING and GOES_ON
+    further_steps = 2  # WAITS_LABEL and GOES_ON
 
     @property
     def starts(self) -> Booleans:

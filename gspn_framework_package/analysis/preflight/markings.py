@@ -17,7 +17,7 @@ from gspn_framework_package.analysis.preflight.report import (
     Checklist,
     Severity,
     marking_text,
-    names,
+    name_list,
     sequence,
 )
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
@@ -74,7 +74,7 @@ class MarkingChecks:
                 "exploration",
                 Severity.WARNING,
                 "not decided within %d markings: %s; what was found so far is "
-                "listed" % (len(markings.space), names(self._structure.open)),
+                "listed" % (len(markings.space), name_list(self._structure.open)),
                 open=list(self._structure.open),
             )
         answers = {
@@ -93,7 +93,7 @@ class MarkingChecks:
                 self._list.add(
                     "never_fire",
                     Severity.WARNING,
-                    "%s can never fire" % names(never),
+                    "%s can never fire" % name_list(never),
                     transitions=never,
                 )
         return markings
@@ -127,7 +127,7 @@ class MarkingChecks:
             self._list.add(
                 "conservative",
                 Severity.OK,
-                "%s would create or destroy robots, but never fires" % names(culprits),
+                "%s would create or destroy robots, but never fires" % name_list(culprits),
                 transitions=culprits,
                 decided_by="exploration",
             )
@@ -135,7 +135,7 @@ class MarkingChecks:
             self._undecided(
                 markings,
                 "conservative",
-                "whether %s, which would create or destroy robots, can fire" % names(culprits),
+                "whether %s, which would create or destroy robots, can fire" % name_list(culprits),
             )
 
     def _decide_agents_left(self, markings: PlanMarkings) -> None:
@@ -189,7 +189,7 @@ class MarkingChecks:
         listed = [p for p in places if self.net.place_number(p) in idle]
         return (
             "; robots have no action (null) in %s, and pass at once: give one of these places an "
-            "action" % names(listed)
+            "action" % name_list(listed)
             if listed
             else ""
         )
@@ -207,7 +207,7 @@ class MarkingChecks:
             self._list.add(
                 "resource_bounds",
                 Severity.WARNING,
-                "%s can grow without bound" % names(grows),
+                "%s can grow without bound" % name_list(grows),
                 grows=grows,
                 places=unknown,
             )

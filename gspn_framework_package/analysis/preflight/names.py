@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.analysis.plan.structure import asked_at_once, idle_places
-from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
+from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
 from gspn_framework_package.model.action import Action
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Transition
@@ -72,14 +72,14 @@ class NameChecks:
                 "actions",
                 Severity.REFUSED,
                 "no action is mapped to %s; map null where robots have nothing to "
-                "do, or list it as a resource place" % names(unmapped),
+                "do, or list it as a resource place" % name_list(unmapped),
                 places=unmapped,
             )
         if mapped_resources:
             self._list.add(
                 "actions",
                 Severity.REFUSED,
-                "%s: a resource place has no action" % names(mapped_resources),
+                "%s: a resource place has no action" % name_list(mapped_resources),
                 places=mapped_resources,
             )
         if not unmapped and not mapped_resources:
@@ -178,7 +178,7 @@ class NameChecks:
                     Severity.REFUSED,
                     "%s has no action, and only exponential outputs (%s): nobody "
                     "says which one to ask for, so robots fail there at once; give it an action"
-                    % (name, names(t.name for t in leaving)),
+                    % (name, name_list(t.name for t in leaving)),
                     place=name,
                 )
 
@@ -219,7 +219,7 @@ class NameChecks:
                 "decision_actions",
                 Severity.OK,
                 "%s: robots run an action there before they decide; with --timing net, "
-                "analysis takes these places as taking no time" % names(places),
+                "analysis takes these places as taking no time" % name_list(places),
                 places=places,
             )
 

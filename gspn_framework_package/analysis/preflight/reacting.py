@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Set, Tuple
 
-from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
+from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
 from gspn_framework_package.model.action import (
     EXEC_GSPN,
     FunctionAction,
@@ -78,7 +78,7 @@ class ReactingChecks:
                 "events",
                 Severity.WARNING,
                 "%s can never have an effect: no robot gets into its place, or no token to another "
-                "one that it takes from (by structure)" % names(listed),
+                "one that it takes from (by structure)" % name_list(listed),
                 transitions=listed,
                 decided_by="structure",
             )
@@ -149,14 +149,14 @@ class ReactingChecks:
                 self._warn(
                     "%s gives a task to a robot that may still carry one from before (in %s): the "
                     "first one is dropped; end it before, by a transition in tasks.done or one "
-                    "that leads into a queue" % (transition.name, names(laden)),
+                    "that leads into a queue" % (transition.name, name_list(laden)),
                     transition=transition.name,
                     places=laden,
                 )
             elif kept and not given and places < movers:
                 self._warn(
                     "%s ends a robot that may carry a task (in %s): the task is dropped"
-                    % (transition.name, names(laden)),
+                    % (transition.name, name_list(laden)),
                     transition=transition.name,
                     places=laden,
                 )
@@ -165,7 +165,7 @@ class ReactingChecks:
         ends = [net.places[p].name for p in sorted(carrying) if not net.consumers[p]]
         if ends:
             self._warn(
-                "a robot can end in %s with a task that is not done" % names(ends), places=ends
+                "a robot can end in %s with a task that is not done" % name_list(ends), places=ends
             )
         alone = [
             net.places[p].name
@@ -178,7 +178,7 @@ class ReactingChecks:
         if alone and plan.timing.evict_after > 0 and not self._standalone:
             self._warn(
                 "a robot that is lost in %s keeps its task, and nobody else does it; let on_evict "
-                "give a token back to the queue there" % names(alone),
+                "give a token back to the queue there" % name_list(alone),
                 places=alone,
             )
         if len(self._list.items) == before:
@@ -186,7 +186,7 @@ class ReactingChecks:
                 "tasks",
                 Severity.OK,
                 "tasks queue in %s and are done at %s; none gets lost on the way (by structure)"
-                % (names(plan.tasks.queues), names(plan.tasks.done)),
+                % (name_list(plan.tasks.queues), name_list(plan.tasks.done)),
                 queues=list(plan.tasks.queues),
                 done=list(plan.tasks.done),
                 comes_in=list(plan.submissions),
@@ -242,7 +242,7 @@ class ReactingChecks:
         before = len(self._list.items)
         for name, places in read.items():
             scope = name.split(".")[0]
-            who = "the action of %s reads '%s'" % (names(places), name)
+            who = "the action of %s reads '%s'" % (name_list(places), name)
             if scope == "task" and not self._queues:
                 self._data(
                     Severity.WARNING,
@@ -260,7 +260,7 @@ class ReactingChecks:
                 self._data(
                     Severity.OK,
                     "%s: only the functions and ExecGSPN servers of %s can write it"
-                    % (who, names(dict.fromkeys(open_ended))),
+                    % (who, name_list(dict.fromkeys(open_ended))),
                     name,
                     places,
                 )

@@ -160,7 +160,7 @@ class Checklist:
         )
 
 
-def names(listed: Iterable[str]) -> str:
+def name_list(listed: Iterable[str]) -> str:
     """Names for a sentence, abbreviated if there are many."""
     everyone = list(listed)
     more = ", ... (%d in all)" % len(everyone) if len(everyone) > LISTED else ""

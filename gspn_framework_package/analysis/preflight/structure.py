@@ -18,7 +18,7 @@ from gspn_framework_package.analysis.plan.structure import (
     terminal_places,
     timeless_transitions,
 )
-from gspn_framework_package.analysis.preflight.report import Checklist, Severity, names
+from gspn_framework_package.analysis.preflight.report import Checklist, Severity, name_list
 from gspn_framework_package.model.plan import Plan
 
 
@@ -123,7 +123,8 @@ class StructureChecks:
                 Severity.WARNING,
                 "by the plan, the actions of %s take no time, and robots may go round there "
                 "without any: a run takes the time that the actions take, but the simulation and "
-                "the analysis may refuse the plan; give these places 'durations'" % names(acting),
+                "the analysis may refuse the plan; give these places 'durations'"
+                % name_list(acting),
                 places=acting,
             )
 
@@ -155,7 +156,8 @@ class StructureChecks:
                     severity,
                     "%s: %s; robots work in parallel, so runs and the analysis of the plan have "
                     "as many servers as "
-                    "robots; the analysis of the net takes the file's word" % (names(listed), what),
+                    "robots; the analysis of the net takes the file's word"
+                    % (name_list(listed), what),
                     transitions=listed,
                 )
 
@@ -165,7 +167,7 @@ class StructureChecks:
                 "counters",
                 Severity.OK,
                 "%s: only written, so that they may grow without bound; left out of the "
-                "exploration" % names(self.written),
+                "exploration" % name_list(self.written),
                 places=list(self.written),
             )
         if set(self.plan.resource_places) <= set(self.written):
@@ -240,7 +242,8 @@ class StructureChecks:
                 "policy",
                 Severity.WARNING,
                 "a row of the policy always matches, and none speaks of a robot in %s: "
-                "it waits there for good, unless its action names a transition" % names(ignored),
+                "it waits there for good, unless its action names a transition"
+                % name_list(ignored),
                 places=ignored,
                 waits=True,
             )
@@ -262,7 +265,7 @@ class StructureChecks:
             self._list.add(
                 "policy",
                 Severity.OK,
-                "there is no policy: the weights decide in %s" % names(asking),
+                "there is no policy: the weights decide in %s" % name_list(asking),
                 places=asking,
                 decided_by="structure",
             )

@@ -50,7 +50,7 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
-SECONDS = 10.0
+BATCH_SECONDS = 10.0
 """Default time of the machine for a comparison (s)."""
 
 LEAST_PAIRS = 20
@@ -170,7 +170,7 @@ def compare_plans(
     new: Plan,
     objective: Objective,
     *,
-    seconds: Optional[float] = SECONDS,
+    seconds: Optional[float] = BATCH_SECONDS,
     replications: Optional[int] = None,
     precision: Optional[float] = None,
     time: Optional[float] = None,
@@ -479,7 +479,7 @@ class _Comparison:
             return paired_shares(old > 0, new > 0, confidence)
         if any(self._missed):
             return Measured(None, why="not every run comes to the condition")
-        return mean(new - old, confidence)
+        return paired_mean(new - old, confidence)
 
     def result(self, confidence: float, expected: Optional[float]) -> Against:
         """What the pairs say."""
@@ -531,7 +531,7 @@ class _Comparison:
         if len(values) < 2:
             return Measured(None, why=self._gave_up or "there are no runs")
         if self.objective.aim is Aim.REACH:
-            return share(values > 0, confidence)
+            return paired_share(values > 0, confidence)
         missed = self._missed[which]
         if missed:
             come = values[np.isfinite(values)]
@@ -539,7 +539,7 @@ class _Comparison:
             if len(come):
                 text += "; the others have %.6g on average" % come.mean()
             return Measured(None, why=text)
-        return mean(values, confidence)
+        return paired_mean(values, confidence)
 
     def _note_ends(self) -> None:
         for which, name in enumerate(("old", "new")):
@@ -562,7 +562,7 @@ class _Comparison:
             return True
         if len(self._drifts[which]) < LEAST_PAIRS:
             return False
-        drift = mean(np.array(self._drifts[which]), 0.999)
+        drift = paired_mean(np.array(self._drifts[which]), 0.999)
         least = _ROUNDING * float(np.mean(np.abs(self._values[which])))
         return (drift.low or 0.0) > least or (drift.high or 0.0) < -least
 
@@ -608,13 +608,13 @@ def truncation(values: Floats) -> int:
     return best if 2 * best <= count else count
 
 
-def mean(values: Floats, confidence: float) -> Measured:
+def paired_mean(values: Floats, confidence: float) -> Measured:
     """The mean of independent values, with Student's interval."""
     found = estimates.mean(values, confidence)
     return Measured(found.mean, found.mean - found.half_width, found.mean + found.half_width)
 
 
-def share(values: Booleans, confidence: float) -> Measured:
+def paired_share(values: Booleans, confidence: float) -> Measured:
     """A share, with Wilson's interval."""
     return Measured(float(values.mean()), *wilson(int(values.sum()), len(values), confidence))
 
@@ -626,7 +626,7 @@ def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
     count = len(old)
     gained, lost = int((new & ~old).sum()), int((old & ~new).sum())
     up, down = (gained + 1) / (count + 2), (lost + 1) / (count + 2)
-    z = quantiles.normal(0.5 + confidence / 2)
+    z = quantiles.normal_quantile(0.5 + confidence / 2)
     half = z * math.sqrt((up + down - (up - down) ** 2) / (count + 2))
     low, high = max(up - down - half, -1.0), min(up - down + half, 1.0)
     return Measured((gained - lost) / count, low, high)
@@ -635,7 +635,7 @@ def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
 def pairs_needed(spread: float, size: float, confidence: float) -> int:
     """How many pairs it takes to notice a mean difference of ``size``, if differences have the
     standard deviation ``spread``, with the probability :data:`POWER`."""
-    z = quantiles.normal(0.5 + confidence / 2) + quantiles.normal(POWER)
+    z = quantiles.normal_quantile(0.5 + confidence / 2) + quantiles.normal_quantile(POWER)
     return max(2, math.ceil((z * spread / size) ** 2))
 
 

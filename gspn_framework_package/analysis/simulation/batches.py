@@ -105,7 +105,7 @@ def _deadlock_or(condition: Optional[str], net: Net) -> Optional[Condition]:
     return None if condition is None else parse_condition(condition, names, ["deadlock"])
 
 
-def joined(parts: Sequence[Samples]) -> Samples:
+def join_batches(parts: Sequence[Samples]) -> Samples:
     """The rows of several batches, one after the other."""
     return Samples(*(np.concatenate(arrays) for arrays in zip(*parts)))
 

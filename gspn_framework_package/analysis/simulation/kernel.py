@@ -68,10 +68,10 @@ BAD_RESULT = -1
 NOWHERE = -2
 
 # What to do when an action fails.
-WAIT = 0
-RETRY = 1
-FIRE = 2
-STOP = 3
+ON_FAILURE_WAIT = 0
+ON_FAILURE_RETRY = 1
+ON_FAILURE_FIRE = 2
+ON_FAILURE_STOP = 3
 
 # What happens to a robot next.
 ENTERS = 0
@@ -80,7 +80,7 @@ STARTS = 2
 FAILS = 3
 IS_DONE = 4
 ASKS = 5
-NOTHING = 6
+NO_MORE = 6
 
 # Where a robot is in its visit.
 GONE = 0
@@ -90,9 +90,9 @@ FAILED = 3
 INACTIVE = 4
 
 # Positions in ``numbers`` of the state.
-VERSION = 0
+MARKING_VERSION = 0
 SEQUENCE = 1
-ORDERS = 2
+ORDER_COUNT = 2
 STAMP = 3
 DIRTY = 4
 VOLATILE = 5
@@ -171,7 +171,7 @@ _WORD = 0xFFFFFFFF
 # -- random numbers ----------------------------------------------------------------------------
 
 
-def uniform(random: Indices) -> float:
+def draw_uniform(random: Indices) -> float:
     """A number in [0, 1) of 53 bits: two steps of xoshiro128++, whose four words are ``random``."""
     s0, s1, s2, s3 = random[0], random[1], random[2], random[3]
     x = (s0 + s3) & _WORD
@@ -201,14 +201,14 @@ def uniform(random: Indices) -> float:
 
 def exponential(random: Indices) -> float:
     """An exponential time of mean 1."""
-    return -math.log(1.0 - uniform(random))
+    return -math.log(1.0 - draw_uniform(random))
 
 
-def normal(random: Indices) -> float:
+def draw_normal(random: Indices) -> float:
     """A standard normal number, by Marsaglia's polar method."""
     while True:
-        x = 2.0 * uniform(random) - 1.0
-        y = 2.0 * uniform(random) - 1.0
+        x = 2.0 * draw_uniform(random) - 1.0
+        y = 2.0 * draw_uniform(random) - 1.0
         square = x * x + y * y
         if 0.0 < square < 1.0:
             return x * math.sqrt(-2.0 * math.log(square) / square)
@@ -218,16 +218,16 @@ def gamma(shape: float, random: Indices) -> float:
     """A gamma number of scale 1, by the method of Marsaglia and Tsang."""
     boost = 1.0
     if shape < 1.0:
-        boost = math.exp(math.log(1.0 - uniform(random)) / shape)
+        boost = math.exp(math.log(1.0 - draw_uniform(random)) / shape)
         shape += 1.0
     d = shape - 1.0 / 3.0
     c = 1.0 / math.sqrt(9.0 * d)
     while True:
-        x = normal(random)
+        x = draw_normal(random)
         v = 1.0 + c * x
         if v > 0.0:
             v = v * v * v
-            if math.log(1.0 - uniform(random)) < 0.5 * x * x + d - d * v + d * math.log(v):
+            if math.log(1.0 - draw_uniform(random)) < 0.5 * x * x + d - d * v + d * math.log(v):
                 return boost * d * v
 
 
@@ -237,12 +237,14 @@ def erlang(phases: float, random: Indices) -> float:
         return gamma(phases, random)
     product = 1.0
     while phases > 0.5:
-        product *= 1.0 - uniform(random)
+        product *= 1.0 - draw_uniform(random)
         phases -= 1.0
     return -math.log(product)
 
 
-def duration(kind: int, mean: float, begin: int, end: int, table: Floats, random: Indices) -> float:
+def draw_duration(
+    kind: int, mean: float, begin: int, end: int, table: Floats, random: Indices
+) -> float:
     """A duration (s); its parameters are ``table[begin:end]``."""
     if kind == EXPONENTIAL:
         return mean * exponential(random)
@@ -256,17 +258,17 @@ def duration(kind: int, mean: float, begin: int, end: int, table: Floats, random
         return mean / shape * gamma(shape, random)
     if kind == LOGNORMAL:
         sigma = table[begin]
-        return mean * math.exp(sigma * normal(random) - 0.5 * sigma * sigma)
+        return mean * math.exp(sigma * draw_normal(random) - 0.5 * sigma * sigma)
     if kind == UNIFORM:
         low = table[begin]
-        return low + (table[begin + 1] - low) * uniform(random)
+        return low + (table[begin + 1] - low) * draw_uniform(random)
     if kind == EMPIRICAL:
-        at = uniform(random) * (end - begin - 1)
+        at = draw_uniform(random) * (end - begin - 1)
         k = int(at)
         low = table[begin + k]
         return low + (table[begin + k + 1] - low) * (at - k)
     if kind == HYPER_ERLANG:
-        left = uniform(random)
+        left = draw_uniform(random)
         k = begin
         while k + 3 < end and left >= table[k]:
             left -= table[k]
@@ -732,7 +734,7 @@ def pick(count: int, kinds: int, weights: Floats, random: Indices) -> int:
         total = 0.0
         for k in range(count):
             total += weights[k]
-        u = uniform(random) * total
+        u = draw_uniform(random) * total
     drawn = 0
     for k in range(count):
         if weights[k] > 0.0:
@@ -1185,9 +1187,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     with_until = len(until_operations)
 
     now = clocks[NOW]
-    version = numbers[VERSION]
+    version = numbers[MARKING_VERSION]
     sequence = numbers[SEQUENCE]
-    orders = numbers[ORDERS]
+    orders = numbers[ORDER_COUNT]
     n_dirty = numbers[DIRTY]
     n_volatile = numbers[VOLATILE]
     n_heap = numbers[HEAP]
@@ -1262,14 +1264,14 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 else:
                     what = STARTS
             elif what == ENDS:
-                if failure[timing] > 0.0 and uniform(random) < failure[timing]:
+                if failure[timing] > 0.0 and draw_uniform(random) < failure[timing]:
                     what = FAILS
                 else:
                     what = IS_DONE
                     i = outcome_from[timing]
                     end = outcome_from[timing + 1] - 1
                     if i < end:
-                        u = uniform(random)
+                        u = draw_uniform(random)
                         while i < end and u >= outcome_chance[i]:
                             i += 1
                     wish = outcome_list[i]
@@ -1282,21 +1284,21 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 else:
                     what = ASKS
             if what == FAILS:
-                if rule[timing] == RETRY and failures[robot] < rule_times[timing]:
+                if rule[timing] == ON_FAILURE_RETRY and failures[robot] < rule_times[timing]:
                     failures[robot] += 1
                     delay = rule_delay[timing]
                     what = STARTS
-                elif rule[timing] == FIRE and rule_list[timing] >= 0:
+                elif rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:
                     wish = rule_list[timing]
                     what = ASKS
-                elif rule[timing] == STOP:
+                elif rule[timing] == ON_FAILURE_STOP:
                     status = STOPPED
                     break
                 else:
                     phase[robot] = FAILED
             if what == STARTS:
                 phase[robot] = DOING
-                length = duration(
+                length = draw_duration(
                     timing_kind[timing],
                     timing_mean[timing],
                     timing_from[timing],
@@ -1396,7 +1398,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                         first = t
             firing = first  # without weights, the first one of the file
             if total > 0.0:
-                u = uniform(random) * total
+                u = draw_uniform(random) * total
                 for i in range(n_spontaneous):
                     t = may_spontaneous[i]
                     if priority[t] == top and weight[t] > 0.0:
@@ -1603,7 +1605,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 continue
             if source == 3:
                 numbers[LOST] = -1
-                numbers[LOST_ROBOT] = active[int(uniform(random) * n_active)]
+                numbers[LOST_ROBOT] = active[int(draw_uniform(random) * n_active)]
                 status = LOSS
                 break
             if source == 4:
@@ -1617,7 +1619,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     total = 0.0
                     for i in range(begin, end):
                         total += event_rate[i]
-                    u = uniform(random) * total
+                    u = draw_uniform(random) * total
                     for i in range(begin, end):
                         if event_rate[i] > 0.0:
                             event = i
@@ -1656,7 +1658,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 requester = robot
                 interrupted = True
             else:
-                firing = environment_transition[find_leaf(tree, leaves, uniform(random) * tree[1])]
+                firing = environment_transition[
+                    find_leaf(tree, leaves, draw_uniform(random) * tree[1])
+                ]
                 numbers[ENVIRONMENT_DIRTY] = 1
 
         # -- fire ----------------------------------------------------------------------------------
@@ -1778,7 +1782,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         if spare > 0:
             # some become void; the others take the slots, routes first
             for k in range(spare):
-                left = int(uniform(random) * (n_movers - k))
+                left = int(draw_uniform(random) * (n_movers - k))
                 for i in range(n_movers):
                     if targets[i] >= 0:
                         if left == 0:
@@ -1839,9 +1843,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     if status in (AT_STOP, UNTIL, FINISHED, STOPPED):
         book_times(now, places, level, since, area, spent, spent_from)
     clocks[NOW] = now
-    numbers[VERSION] = version
+    numbers[MARKING_VERSION] = version
     numbers[SEQUENCE] = sequence
-    numbers[ORDERS] = orders
+    numbers[ORDER_COUNT] = orders
     numbers[DIRTY] = n_dirty
     numbers[VOLATILE] = n_volatile
     numbers[HEAP] = n_heap
@@ -1985,7 +1989,7 @@ def race(r: Any, s: Any, stop: float, budget: int) -> int:
                 break
             u = 0.0
             if count > 1:
-                u = uniform(random) * total
+                u = draw_uniform(random) * total
             fired = ready[0]
             for i in range(n_ready):
                 t = ready[i]
@@ -2007,7 +2011,7 @@ def race(r: Any, s: Any, stop: float, budget: int) -> int:
                 break
             now = time
             timeless = 0
-            fired = find_leaf(tree, leaves, uniform(random) * tree[1])
+            fired = find_leaf(tree, leaves, draw_uniform(random) * tree[1])
         numbers[EVENTS] += 1
         numbers[FIRINGS] += 1
         firings[fired] += 1

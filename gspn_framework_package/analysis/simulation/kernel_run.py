@@ -130,7 +130,7 @@ def first_rows(marking: Sequence[int]) -> Any:
     return np.cumsum([0, *rows]).astype(np.int64)
 
 
-def whole(size: int, fill: int = 0) -> Any:
+def whole_numbers(size: int, fill: int = 0) -> Any:
     """An array of whole numbers."""
     return np.full(size, fill, dtype=np.int64)
 

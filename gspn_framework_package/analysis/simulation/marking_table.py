@@ -18,7 +18,7 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking
 
-REMEMBERED = 500_000
+REMEMBERED_MARKINGS = 500_000
 """Most markings in the cache before it is cleared."""
 
 TIMELESS_FIRINGS = 10_000
@@ -151,7 +151,7 @@ class TableRuns:
         spent = np.zeros(len(graph.exit))  # seconds in each state, over all runs
         rounds = 0
         while len(active):
-            if len(graph) > REMEMBERED:
+            if len(graph) > REMEMBERED_MARKINGS:
                 self._fold(spent)
                 state, spent = self._forget(state, active), np.zeros(len(graph.exit))
             here = state[active]

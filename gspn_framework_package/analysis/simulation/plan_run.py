@@ -13,7 +13,7 @@ from gspn_framework_package.analysis.simulation.kernel_run import (
     KernelRun,
     first_rows,
     real,
-    whole,
+    whole_numbers,
 )
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.model.errors import RefusedError
@@ -100,7 +100,7 @@ class PlanRun(KernelRun):
                 rules.until_reads,
                 numbers,
             )
-        numbers[kernel.VERSION] += 1
+        numbers[kernel.MARKING_VERSION] += 1
         if rules.sizes[7]:
             stuck = [
                 other
@@ -136,7 +136,7 @@ class PlanRun(KernelRun):
                 continue
             count = kernel.weigh(
                 p,
-                s.numbers[kernel.VERSION],
+                s.numbers[kernel.MARKING_VERSION],
                 rules.sizes[5],
                 rules.sizes[6],
                 book.any_of,
@@ -242,9 +242,9 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     at = [net.place_index[robot.place] for robot in robots]
     for p in at:
         marking[p] += 1
-    level = whole(places + lists + 1)
+    level = whole_numbers(places + lists + 1)
     level[:places] = marking
-    numbers = whole(kernel.NUMBERS)
+    numbers = whole_numbers(kernel.NUMBERS)
     numbers[kernel.ACTIVE] = count
     numbers[kernel.PENDING] = count
     numbers[kernel.CHECK_UNTIL] = 1
@@ -253,18 +253,23 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     numbers[kernel.FREE] = room - count
     spontaneous = tables.spontaneous
     numbers[kernel.SPONTANEOUS_DIRTY] = len(spontaneous)
-    spontaneous_dirty, is_spontaneous_dirty = whole(transitions), whole(transitions)
+    spontaneous_dirty, is_spontaneous_dirty = whole_numbers(transitions), whole_numbers(transitions)
     spontaneous_dirty[: len(spontaneous)] = spontaneous
     is_spontaneous_dirty[spontaneous] = 1
     clocks = real(kernel.CLOCKS)
     clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
-    robots_at, kind, active, active_at = whole(room), whole(room), whole(room), whole(room)
+    robots_at, kind, active, active_at = (
+        whole_numbers(room),
+        whole_numbers(room),
+        whole_numbers(room),
+        whole_numbers(room),
+    )
     robots_at[:count] = at
     kind[:count] = tables.class_of
     active[:count] = active_at[:count] = np.arange(count)
-    free = whole(room)
+    free = whole_numbers(room)
     free[: room - count] = np.arange(room - 1, count - 1, -1)
-    pending_robot, pending_what = whole(room + 1), whole(room + 1)
+    pending_robot, pending_what = whole_numbers(room + 1), whole_numbers(room + 1)
     pending_robot[:count] = np.arange(count)  # all of them enter
     leaves = 1
     while leaves < len(tables.environment):
@@ -286,61 +291,61 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     return kernel.PlanState(
         numbers=numbers,
         clocks=clocks,
-        random=whole(4),
+        random=whole_numbers(4),
         level=level,
         since=real(places),
         area=real(places),
         spent=real(int(spent_from[-1])),
         spent_from=spent_from,
-        firings=whole(transitions),
+        firings=whole_numbers(transitions),
         at=robots_at,
-        phase=whole(room),
+        phase=whole_numbers(room),
         kind=kind,
-        failures=whole(room),
-        in_list=whole(room),
-        following=whole(room),
-        preceding=whole(room),
-        order=whole(room),
-        due_tag=whole(room),
-        due_what=whole(room),
-        draw=whole(room),
-        draw_stamp=whole(room),
+        failures=whole_numbers(room),
+        in_list=whole_numbers(room),
+        following=whole_numbers(room),
+        preceding=whole_numbers(room),
+        order=whole_numbers(room),
+        due_tag=whole_numbers(room),
+        due_what=whole_numbers(room),
+        draw=whole_numbers(room),
+        draw_stamp=whole_numbers(room),
         active=active,
         active_at=active_at,
         free=free,
-        head=whole(lists, -1),
-        tail=whole(lists, -1),
-        waits=whole(groups),
-        dirty=whole(groups),
-        is_dirty=whole(groups),
-        volatile=whole(groups),
-        is_volatile=whole(groups),
-        group_version=whole(places, -1),
-        group_signature=whole(places),
-        group_stamp=whole(places),
+        head=whole_numbers(lists, -1),
+        tail=whole_numbers(lists, -1),
+        waits=whole_numbers(groups),
+        dirty=whole_numbers(groups),
+        is_dirty=whole_numbers(groups),
+        volatile=whole_numbers(groups),
+        is_volatile=whole_numbers(groups),
+        group_version=whole_numbers(places, -1),
+        group_signature=whole_numbers(places),
+        group_stamp=whole_numbers(places),
         heap_time=real(2 * room + 1),
-        heap_tag=whole(2 * room + 1),
-        heap_robot=whole(2 * room + 1),
-        queue_tag=whole(2 * room + 1),
-        queue_robot=whole(2 * room + 1),
+        heap_tag=whole_numbers(2 * room + 1),
+        heap_robot=whole_numbers(2 * room + 1),
+        queue_tag=whole_numbers(2 * room + 1),
+        queue_robot=whole_numbers(2 * room + 1),
         pending_robot=pending_robot,
         pending_what=pending_what,
-        movers=whole(max(tables.most_movers, 1)),
-        targets=whole(max(tables.most_movers, 1)),
-        candidate=whole(choices),
-        candidate_ok=whole(choices),
+        movers=whole_numbers(max(tables.most_movers, 1)),
+        targets=whole_numbers(max(tables.most_movers, 1)),
+        candidate=whole_numbers(choices),
+        candidate_ok=whole_numbers(choices),
         candidate_weight=real(choices),
-        may_spontaneous=whole(transitions),
-        spontaneous_at=whole(transitions, -1),
+        may_spontaneous=whole_numbers(transitions),
+        spontaneous_at=whole_numbers(transitions, -1),
         spontaneous_dirty=spontaneous_dirty,
         is_spontaneous_dirty=is_spontaneous_dirty,
         tree=tree,
         stack=real(len(tables.rules.until_operations) + 1),
-        visit_from=whole(room, kernel.NO_VISIT),
+        visit_from=whole_numbers(room, kernel.NO_VISIT),
         arrival_time=real(arrivals),
-        arrival_tag=whole(arrivals),
-        arrival_who=whole(arrivals),
-        held_robot=whole(held),
-        held_tag=whole(held),
-        held_event=whole(held),
+        arrival_tag=whole_numbers(arrivals),
+        arrival_who=whole_numbers(arrivals),
+        held_robot=whole_numbers(held),
+        held_tag=whole_numbers(held),
+        held_event=whole_numbers(held),
     )

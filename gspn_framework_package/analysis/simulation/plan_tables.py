@@ -33,10 +33,10 @@ _KINDS = {
     Kind.HYPER_ERLANG: kernel.HYPER_ERLANG,
 }
 _RULES = {
-    FailureKind.WAIT: kernel.WAIT,
-    FailureKind.RETRY: kernel.RETRY,
-    FailureKind.FIRE: kernel.FIRE,
-    FailureKind.STOP: kernel.STOP,
+    FailureKind.WAIT: kernel.ON_FAILURE_WAIT,
+    FailureKind.RETRY: kernel.ON_FAILURE_RETRY,
+    FailureKind.FIRE: kernel.ON_FAILURE_FIRE,
+    FailureKind.STOP: kernel.ON_FAILURE_STOP,
 }
 
 

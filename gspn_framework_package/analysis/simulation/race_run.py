@@ -12,7 +12,7 @@ from gspn_framework_package.analysis.simulation.kernel_run import (
     KernelRun,
     first_rows,
     real,
-    whole,
+    whole_numbers,
 )
 from gspn_framework_package.analysis.simulation.machine import ragged
 from gspn_framework_package.analysis.simulation.plan_tables import compile_condition
@@ -79,7 +79,7 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
     )
     touched_from, flat_touched = ragged(touched)
     operations, arguments = compile_condition(until)
-    reads = whole(places)
+    reads = whole_numbers(places)
     if until is not None:
         reads[[net.place_index[name] for name in until.places]] = 1
     transitions = net.transitions
@@ -105,14 +105,14 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
 def _new_state(net: Net, arrays: kernel.RaceArrays) -> kernel.RaceState:
     marking = net.initial_marking
     transitions = len(net.transitions)
-    level = whole(len(marking) + 1)
+    level = whole_numbers(len(marking) + 1)
     level[:-1] = marking
     leaves = 1
     while leaves < transitions:
         leaves *= 2
     tree = real(2 * leaves)
-    ready, ready_at = whole(max(transitions, 1)), whole(max(transitions, 1), -1)
-    numbers = whole(kernel.NUMBERS)
+    ready, ready_at = whole_numbers(max(transitions, 1)), whole_numbers(max(transitions, 1), -1)
+    numbers = whole_numbers(kernel.NUMBERS)
     numbers[kernel.CHECK_UNTIL] = 1
     n_ready = 0
     for t, transition in enumerate(net.transitions):
@@ -131,13 +131,13 @@ def _new_state(net: Net, arrays: kernel.RaceArrays) -> kernel.RaceState:
     return kernel.RaceState(
         numbers=numbers,
         clocks=clocks,
-        random=whole(4),
+        random=whole_numbers(4),
         level=level,
         since=real(len(marking)),
         area=real(len(marking)),
         spent=real(int(spent_from[-1])),
         spent_from=spent_from,
-        firings=whole(transitions),
+        firings=whole_numbers(transitions),
         tree=tree,
         ready=ready,
         ready_at=ready_at,

@@ -24,7 +24,7 @@ from gspn_framework_package.analysis.simulation.batches import (
     RunBatch,
     Subject,
     added,
-    joined,
+    join_batches,
     play_batch,
     player,
 )
@@ -35,7 +35,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
-MOST_REPLICATIONS = 10**6
+PRECISION_GIVEN_UP_AT = 10**6
 """Most replications until a wanted precision is given up."""
 
 FIRST_REPLICATIONS = 30
@@ -138,7 +138,7 @@ class SimulationWork:
     ) -> None:
         plan = subject if isinstance(subject, Plan) else None
         as_run = checked_reading(asked.timing) == RUN and plan is not None
-        few = 1000 if asked.precision is None else MOST_REPLICATIONS
+        few = 1000 if asked.precision is None else PRECISION_GIVEN_UP_AT
         self._most = few if asked.replications is None else asked.replications
         _check_numbers(subject, asked, self._most)
         _check_options(as_run, plan is not None and not as_run, asked)
@@ -209,7 +209,7 @@ class SimulationWork:
             }
 
     def _samples(self) -> Samples:
-        self._parts = [joined(self._parts)]
+        self._parts = [join_batches(self._parts)]
         return self._parts[0]
 
     def result(self, samples: bool = False) -> Simulation:

@@ -15,7 +15,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Floats
 
-DEPTH = 5
+ANDERSON_DEPTH = 5
 """Number of earlier steps that are combined."""
 
 _DEPENDENT = 1e-12
@@ -53,7 +53,7 @@ class Anderson:
     """
 
     def __init__(
-        self, size: int, depth: int = DEPTH, vector: Callable[[int], Vector] = np.empty
+        self, size: int, depth: int = ANDERSON_DEPTH, vector: Callable[[int], Vector] = np.empty
     ) -> None:
         """:param vector: makes a vector of a given size; its entries do not matter."""
         self._size, self._depth = size, depth

@@ -21,7 +21,7 @@ from gspn_framework_package.analysis.solution.anderson import Anderson, Vector, 
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
-TOLERANCE = 1e-12
+RESIDUAL_TOLERANCE = 1e-12
 """Residual at which the sweeps stop."""
 
 ACCEPTED = 1e-9
@@ -90,7 +90,7 @@ class LinearSolution(NamedTuple):
     sweeps: int = 0
 
 
-def solve(
+def solve_linear(
     matrix: Matrix,
     diagonal: Floats,
     rhs: Optional[Floats],
@@ -222,7 +222,7 @@ def polished(
 
     Sweeps add only what is positive, so each unknown gets as many digits as those that it depends
     on. The error is estimated from how fast the changes become smaller. The arguments are those of
-    :func:`solve`, with the solution.
+    :func:`solve_linear`, with the solution.
     """
     size = len(diagonal)
     rounding = np.finfo(float).eps * size
@@ -356,12 +356,12 @@ def iterate(
         unchecked += 1
         # The change made by the sweeps shows, at no cost, when to compute the residual.
         largest, changed = _largest_terms(diagonal, point, image)
-        tolerance = TOLERANCE
+        tolerance = RESIDUAL_TOLERANCE
         if scale is None:
             changed /= largest or 1.0
         else:
             changed /= scale
-            tolerance = max(TOLERANCE, _ROUNDING * largest / scale)
+            tolerance = max(RESIDUAL_TOLERANCE, _ROUNDING * largest / scale)
         if changed <= 2 * tolerance or unchecked >= _CHECKED:
             unchecked = 0
             now = residual_of(image)
@@ -442,10 +442,10 @@ def sweep_rows(matrix: Matrix, diagonal: Floats, values: Floats, first: int) -> 
 def _compiled_sweep() -> Optional[Callable[..., None]]:
     """The compiled sweep, if numba is installed."""
     try:
-        from gspn_framework_package.analysis.solution.numba_sweeps import sweep
+        from gspn_framework_package.analysis.solution.numba_sweeps import gauss_seidel_sweep
     except ImportError:
         return None
-    compiled: Callable[..., None] = sweep
+    compiled: Callable[..., None] = gauss_seidel_sweep
     return compiled
 
 

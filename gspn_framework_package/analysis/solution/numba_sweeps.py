@@ -7,7 +7,7 @@ from gspn_framework_package.analysis.compiling import compiled
 
 
 @compiled
-def sweep(
+def gauss_seidel_sweep(
     offsets: Indices,
     columns: Indices,
     data: Floats,

@@ -27,7 +27,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.graph import can_reach, reachable_from
-from gspn_framework_package.analysis.solution.linear import solve
+from gspn_framework_package.analysis.solution.linear import solve_linear
 from gspn_framework_package.analysis.solution.ordering import sweep_order
 from gspn_framework_package.analysis.solution.transient import transient
 from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
@@ -85,14 +85,14 @@ def first_passage(
     worst = 0.0
     if lost:
         into = np.asarray(chain.rates[inside][:, there].sum(axis=1)).reshape(-1)
-        solution = solve(among, exits, into, backward=True, order=order, watch=watch)
+        solution = solve_linear(among, exits, into, backward=True, order=order, watch=watch)
         probability = float(chain.initial[there].sum() + chain.initial[inside] @ solution.values)
         mean = math.inf
         worst = solution.residual
     else:
         probability, mean = 1.0, 0.0
         if len(inside):
-            solution = solve(
+            solution = solve_linear(
                 among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch
             )
             mean = float(chain.initial[inside] @ solution.values)

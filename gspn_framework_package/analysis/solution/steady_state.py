@@ -37,7 +37,7 @@ from gspn_framework_package.analysis.solution.linear import (
     ACCEPTED,
     LinearSolution,
     polished,
-    solve,
+    solve_linear,
 )
 from gspn_framework_package.analysis.solution.ordering import sweep_order
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -69,7 +69,7 @@ class SteadyState(NamedTuple):
         return sorted(self.components, key=lambda c: (-c.probability, int(c.states[0])))[:number]
 
 
-TOGETHER = 2_000
+BLOCK_SIZE = 2_000
 """If there are several recurrent classes, those of up to this many states are solved together."""
 
 
@@ -108,7 +108,7 @@ def _stationary_in_each(
 ) -> Iterator[Tuple[LinearSolution, Floats]]:
     """The stationary distribution over each recurrent class, in their order, and the relative error
     of its entries."""
-    several = [states for states in classes if 1 < len(states) <= TOGETHER]
+    several = [states for states in classes if 1 < len(states) <= BLOCK_SIZE]
     together = iter(_stationary_together(chain, several) if len(several) > 1 else [])
     for count, states in enumerate(classes):
         if count % 64 == 0:
@@ -116,7 +116,7 @@ def _stationary_in_each(
         if len(states) == 1:
             yield LinearSolution(np.ones(1), 0.0, "LU"), np.zeros(1)
             continue
-        solution = next(together, None) if len(states) <= TOGETHER else None
+        solution = next(together, None) if len(states) <= BLOCK_SIZE else None
         if solution is None or not solution.residual <= ACCEPTED:
             yield stationary(chain, states, watch)
             continue
@@ -182,7 +182,7 @@ def stationary(
     inflow = chain.inflow if whole else _part(chain.inflow, states, len(chain))
     exits = chain.exit_rates if whole else chain.exit_rates[states]
     order = sweep_order(chain, states)
-    found = solve(inflow, exits, None, order=order, watch=watch)
+    found = solve_linear(inflow, exits, None, order=order, watch=watch)
     return polished(inflow, exits, None, found, order, watch)
 
 
@@ -201,7 +201,7 @@ def _absorption(
     if len(inside) and chain.initial[inside].any():
         among = _part(chain.inflow, inside, len(chain))
         order = sweep_order(chain, inside)
-        times = solve(
+        times = solve_linear(
             among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch
         )
         times, relative = polished(

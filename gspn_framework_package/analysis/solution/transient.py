@@ -8,7 +8,7 @@ chain seen at the ticks of a Poisson clock of rate ``c`` has the transition matr
     p(t) = p0 * exp(Q * t) = sum over k >= 0 of exp(-c * t) * (c * t)**k / k! * p0 * P**k
 
 All terms are non-negative, so that nothing cancels; the omitted terms have a total weight of less
-than :data:`ERROR`. See A. Jensen, "Markoff chains as an aid in the study of Markoff
+than :data:`TRUNCATION_ERROR`. See A. Jensen, "Markoff chains as an aid in the study of Markoff
 processes", *Skandinavisk Aktuarietidskrift* 36 (1953), and W. J. Stewart, *Introduction to the
 Numerical Solution of Markov Chains* (Princeton University Press, 1994), chapter 8.
 
@@ -30,7 +30,7 @@ from gspn_framework_package.analysis.solution.steady_state import SteadyState, s
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
 
-ERROR = 1e-12
+TRUNCATION_ERROR = 1e-12
 """Probability that the sums over the Poisson distribution may omit."""
 
 
@@ -85,7 +85,7 @@ class Evolution:
             if k % 16 == 15:
                 self._watch.step("ticks", k)
                 change = float(np.abs(following - vector).sum())
-                if change * (first + len(weights) - k) < ERROR:
+                if change * (first + len(weights) - k) < TRUNCATION_ERROR:
                     vector = following
                     break  # it no longer changes
             vector = following
@@ -180,7 +180,7 @@ def time_to_steady_state(
 
 def poisson(mean: float) -> Tuple[int, Floats]:
     """The Poisson weights that matter: the first count, and the weights from there on; the omitted
-    ones sum to less than :data:`ERROR`."""
+    ones sum to less than :data:`TRUNCATION_ERROR`."""
     spread = 8 * math.sqrt(mean) + 24
     first = max(0, int(mean - spread))
     counts = np.arange(first, int(mean + spread) + 1)

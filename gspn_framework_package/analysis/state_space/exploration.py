@@ -16,7 +16,7 @@ from gspn_framework_package.analysis.arrays import Indices, Words
 from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
 from gspn_framework_package.model.net import Net
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
 class RawGraph(NamedTuple):
@@ -74,11 +74,11 @@ class FieldOverflowError(Exception):
 def in_wide_fields(
     net: Net,
     bounds: Sequence[Optional[int]],
-    work: Callable[[PackedNet], Result],
+    work: Callable[[PackedNet], _Result],
     *,
     by_priority: bool = True,
     alike: Optional[Indices] = None,
-) -> Result:
+) -> _Result:
     """Do ``work`` on a packed net, and again with wider fields as often as a count outgrows its
     field.
 

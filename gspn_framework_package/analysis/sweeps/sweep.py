@@ -27,8 +27,8 @@ from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.simulation import Asked, Simulation, SimulationWork, finished
 from gspn_framework_package.analysis.sweeps.variation import (
-    Value,
     Variation,
+    VariedValue,
     grid,
     read_variation,
     varied,
@@ -41,15 +41,15 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
-Measures = Dict[str, Dict[str, Tuple[float, Optional[float]]]]
+PointMeasures = Dict[str, Dict[str, Tuple[float, Optional[float]]]]
 """Measure -> name of the place, transition or subnet (or "") -> mean, half width (None: unbounded).
 """
 
-WHOLE = ("end_time", "reached", "time_to_condition")
+_OF_A_RUN = ("end_time", "reached", "time_to_condition")
 """Measures of a run as a whole."""
 
 
-class Point(NamedTuple):
+class SweepPoint(NamedTuple):
     """A point of the grid that was measured.
 
     :ivar number: in the order of the grid, from 0.
@@ -59,9 +59,9 @@ class Point(NamedTuple):
     """
 
     number: int
-    values: Tuple[Value, ...]
+    values: Tuple[VariedValue, ...]
     key: str
-    measures: Measures
+    measures: PointMeasures
     replications: int
 
 
@@ -113,10 +113,10 @@ class Sweep:
 
     def run(
         self,
-        known: Optional[Mapping[str, Point]] = None,
+        known: Optional[Mapping[str, SweepPoint]] = None,
         on: Optional[Executor] = None,
         watch: Optional[Watch] = None,
-    ) -> Iterator[Point]:
+    ) -> Iterator[SweepPoint]:
         """Yield each point as soon as it is measured.
 
         :param known: points that were measured before, by their keys; they come first.
@@ -135,7 +135,9 @@ class Sweep:
         measured = self._analysed if self.exact else self._simulated
         yield from measured(missing, executor, watch)
 
-    def to_json(self, points: Sequence[Point], wanted: Sequence[Tuple[str, str]]) -> Dict[str, Any]:
+    def to_json(
+        self, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
+    ) -> Dict[str, Any]:
         """What was varied, and the wanted measures of these points, as plain JSON values."""
         found = []
         for point in sorted(points):
@@ -152,12 +154,12 @@ class Sweep:
         named = [{"measure": measure, "name": name} for measure, name in wanted]
         return {"vary": vary, "measures": named, "points": found}
 
-    def _point(self, number: int, measures: Measures, replications: int) -> Point:
-        return Point(number, self.points[number], self.keys[number], measures, replications)
+    def _point(self, number: int, measures: PointMeasures, replications: int) -> SweepPoint:
+        return SweepPoint(number, self.points[number], self.keys[number], measures, replications)
 
     def _simulated(
         self, numbers: Sequence[int], executor: Executor, watch: Watch
-    ) -> Iterator[Point]:
+    ) -> Iterator[SweepPoint]:
         works = [
             SimulationWork(self._subjects[n], self.asked, executor.workers, self.title(n))
             for n in numbers
@@ -168,7 +170,7 @@ class Sweep:
 
     def _analysed(
         self, numbers: Sequence[int], executor: Executor, watch: Watch
-    ) -> Iterator[Point]:
+    ) -> Iterator[SweepPoint]:
         shared = (self._limits, self.asked.timing)
         workload = Workload(tuple, _analyse, shared)
         items = [WorkItem(workload, self._subjects[n], 1, self.title(n)) for n in numbers]
@@ -176,7 +178,7 @@ class Sweep:
             yield self._point(numbers[i], measures, 0)
 
 
-def _analyse(shared: Any, subject: Any, watch: Watch) -> Measures:
+def _analyse(shared: Any, subject: Any, watch: Watch) -> PointMeasures:
     limits, timing = shared
     found = Analysis(
         subject,
@@ -191,14 +193,14 @@ def _analyse(shared: Any, subject: Any, watch: Watch) -> Measures:
     }
 
 
-def measures_of(result: Simulation) -> Measures:
+def measures_of(result: Simulation) -> PointMeasures:
     """All means of a simulation."""
     found: Dict[str, Mapping[str, Any]] = {
         "mean_tokens": result.mean_tokens,
         "throughput": result.throughput,
         **result.subnets,
     }
-    for name in WHOLE:
+    for name in _OF_A_RUN:
         estimate = getattr(result, name)
         if estimate is not None:
             found[name] = {"": estimate}
@@ -217,8 +219,8 @@ def chosen(
 ) -> List[Tuple[str, str]]:
     """The measures that names stand for, as pairs (measure, name).
 
-    :param wanted: transitions (throughput), places (mean tokens), :data:`WHOLE`, or a measure of
-        subnets with a subnet (``subnet_time:lift``); names may be patterns. If there are none:
+    :param wanted: transitions (throughput), places (mean tokens), :data:`_OF_A_RUN`, or a measure
+        of subnets with a subnet (``subnet_time:lift``); names may be patterns. If there are none:
         when runs end if they end at a condition, else all throughputs.
     :raises UsageError: nothing has such a name.
     """
@@ -229,7 +231,7 @@ def chosen(
         return [("end_time", ""), ("reached", "")] if conditional else every
     every += [("mean_tokens", p.name) for p in net.places]
     named = [(name, (measure, name)) for measure, name in every]
-    named += [(name, (name, "")) for name in WHOLE]
+    named += [(name, (name, "")) for name in _OF_A_RUN]
     named += [(m + ":" + s, (m, s)) for m in TITLES for s in subnets]
     found: Dict[Tuple[str, str], None] = {}
     for pattern in wanted:
@@ -237,10 +239,10 @@ def chosen(
         if not pairs:
             raise UsageError(
                 "there is no '%s' to measure" % pattern,
-                hint="--measure takes transitions, places, %s" % ", ".join(WHOLE),
+                hint="--measure takes transitions, places, %s" % ", ".join(_OF_A_RUN),
             )
         found.update(dict.fromkeys(pairs))
     return list(found)
 
 
-__all__ = ["Point", "Sweep", "chosen", "read_variation"]
+__all__ = ["SweepPoint", "Sweep", "chosen", "read_variation"]

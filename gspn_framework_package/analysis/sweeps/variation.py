@@ -22,14 +22,14 @@ from gspn_framework_package.model.policy import Policy
 MOST_POINTS = 100_000
 """Most points of a grid."""
 
-MOST_ROBOTS = 10_000
+LARGEST_TEAM = 10_000
 
-FORMS = (
+VARIATION_FORMS = (
     "robots=1..20, rate:TRANSITION=0.5,1,2, duration:PLACE=1,2 (means, s), failure:PLACE=0,0.1 "
     "(probabilities), tokens:PLACE=1..5 or policy=FILE,FILE"
 )
 
-Value = Union[int, float, str]
+VariedValue = Union[int, float, str]
 
 
 class Variation(NamedTuple):
@@ -41,7 +41,7 @@ class Variation(NamedTuple):
 
     kind: str
     element: str
-    values: Tuple[Value, ...]
+    values: Tuple[VariedValue, ...]
 
     @property
     def name(self) -> str:
@@ -57,10 +57,10 @@ def read_variation(text: str) -> Variation:
     name, equals, values = text.partition("=")
     kind, colon, element = name.partition(":")
     known = _KINDS.get(kind)
-    wrong = UsageError("--vary '%.80s'" % text, hint="write %s" % FORMS)
+    wrong = UsageError("--vary '%.80s'" % text, hint="write %s" % VARIATION_FORMS)
     if not equals or not values or known is None or (element != "") != known.of_element:
         raise wrong
-    found: List[Value] = []
+    found: List[VariedValue] = []
     for part in values.split(","):
         try:
             found += (
@@ -75,7 +75,7 @@ def read_variation(text: str) -> Variation:
     return Variation(kind, element, tuple(found))
 
 
-def _range(part: str, kind: _Kind) -> List[Value]:
+def _range(part: str, kind: _Kind) -> List[VariedValue]:
     low, _, high = part.partition("..")
     first, last = int(low), int(high)
     if not first <= last < first + MOST_POINTS:
@@ -83,7 +83,7 @@ def _range(part: str, kind: _Kind) -> List[Value]:
     return [kind.read(str(n)) for n in range(first, last + 1)]
 
 
-def grid(variations: Sequence[Variation]) -> List[Tuple[Value, ...]]:
+def grid(variations: Sequence[Variation]) -> List[Tuple[VariedValue, ...]]:
     """Every combination of the values.
 
     :raises UsageError: there are too many, or a parameter is varied twice.
@@ -104,7 +104,7 @@ def grid(variations: Sequence[Variation]) -> List[Tuple[Value, ...]]:
 def varied(
     subject: Union[Net, Plan],
     variations: Sequence[Variation],
-    values: Sequence[Value],
+    values: Sequence[VariedValue],
     policies: Mapping[str, Policy],
     timing: str = RUN,
 ) -> Union[Net, Plan]:
@@ -228,14 +228,14 @@ def _named(text: str) -> str:
 
 
 class _Kind(NamedTuple):
-    read: Callable[[str], Value]
+    read: Callable[[str], VariedValue]
     what: str
     change: Callable[[Union[Net, Plan], str, Any, str], Union[Net, Plan]]
     of_element: bool = True
 
 
 _KINDS: Dict[str, _Kind] = {
-    "robots": _Kind(_whole(1, MOST_ROBOTS), "a number of robots", _robots, False),
+    "robots": _Kind(_whole(1, LARGEST_TEAM), "a number of robots", _robots, False),
     "rate": _Kind(_number(0, math.inf), "a rate above 0", _rate),
     "duration": _Kind(_number(0, math.inf), "a time above 0", _duration),
     "failure": _Kind(_probability, "a probability from 0 to below 1", _failure),

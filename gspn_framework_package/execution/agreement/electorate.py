@@ -15,7 +15,7 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.ledger import Item, Ledger
 from gspn_framework_package.execution.team_state import RobotState
 
-NAMESAKE = 4
+NAMESAKE_CONTACTS = 4
 """Heartbeats after which a process that is not heard any more does not keep another one of its name
 out of the team."""
 
@@ -44,7 +44,7 @@ class Electorate:
         return (
             not state.active
             and state.namesake_heard is not None
-            and state.now < state.namesake_heard + NAMESAKE * self.config.pace.heartbeat
+            and state.now < state.namesake_heard + NAMESAKE_CONTACTS * self.config.pace.heartbeat
         )
 
     def members(self) -> List[str]:
@@ -372,7 +372,7 @@ class Electorate:
         return (
             heard is not None
             and join.log != self.known_log(robot)
-            and state.now < heard + NAMESAKE * self.config.pace.heartbeat
+            and state.now < heard + NAMESAKE_CONTACTS * self.config.pace.heartbeat
         )
 
     def with_one_who_stays(self, items: List[Item]) -> List[Item]:

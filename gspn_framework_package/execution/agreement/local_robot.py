@@ -32,7 +32,7 @@ from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking
 from gspn_framework_package.model.plan import Plan
 
-Command = Union[StartAction, CancelAction]
+_ActionCommand = Union[StartAction, CancelAction]
 
 
 class LocalRobot:
@@ -271,14 +271,14 @@ class LocalRobot:
             self.state.running = None
             self._put(cancelled)
 
-    def _put(self, command: Command) -> None:
+    def _put(self, command: _ActionCommand) -> None:
         self.outbox.persist(_goal_record(command))
         self.outbox.put(command)
 
-    def _commands(self, delays: Mapping[Tuple[int, int], float]) -> List[Command]:
+    def _commands(self, delays: Mapping[Tuple[int, int], float]) -> List[_ActionCommand]:
         """What to start and to cancel, so that the robot does what its position says."""
         state, name = self.state, self.config.name
-        out: List[Command] = []
+        out: List[_ActionCommand] = []
         at = state.position
         if at is not None and at.incarnation != state.incarnation:
             at = None  # what the log says of another life is not for us to act on
@@ -347,7 +347,7 @@ class LocalRobot:
         return []
 
 
-def _goal_record(command: Command) -> Dict[str, Any]:
+def _goal_record(command: _ActionCommand) -> Dict[str, Any]:
     """The record of a command to the robot's actions."""
     if isinstance(command, CancelAction):
         return {"kind": "cancel", "visit": command.visit}

@@ -45,7 +45,7 @@ OTHERS = ("others", "not understood")
 GUESTS = 16
 """Robots that are not in the team, as far as we know, to which we listen at once."""
 
-STAY = 4
+GUEST_STAY = 4
 """Heartbeats of silence after which such a robot is forgotten."""
 
 LINGER = 20
@@ -338,7 +338,7 @@ class Membership:
         state = self.state
         for robot in self._guests():
             heard = state.peers.all[robot].heard
-            if heard is None or state.now > heard + STAY * self.config.pace.heartbeat:
+            if heard is None or state.now > heard + GUEST_STAY * self.config.pace.heartbeat:
                 del state.peers.all[robot]
                 state.astray.pop(robot, None)
                 self.proposals.drop_others(robot)

@@ -1,9 +1,9 @@
 """The messages of the protocol: one value each, with its meaning, its sender, and what may follow.
 
-A peer's message is input. :func:`parse` accepts nothing that has a wrong type, is out of bounds or
-comes from another version of the protocol, and names what was wrong; a replica drops such a message
-and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``, and the
-fields of its body.
+A peer's message is input. :func:`parse_envelope` accepts nothing that has a wrong type, is out of
+bounds or comes from another version of the protocol, and names what was wrong; a replica drops such
+a message and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``,
+and the fields of its body.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.model.errors import LogError
 
-VERSION = 4
+PROTOCOL_VERSION = 4
 """Version of the protocol; replicas of different versions do not understand each other."""
 
 MOST_ITEMS = 10_000
@@ -30,7 +30,7 @@ MOST_ROBOTS = 10_000
 LONGEST_NAME = 1_000
 """Characters of a name, an id or a hash."""
 
-LARGEST = 2**53
+LARGEST_NUMBER = 2**53
 """The largest number; every JSON reader reads it exactly."""
 
 
@@ -102,7 +102,7 @@ def _numbers(data: Dict[str, Any], names: Sequence[str]) -> List[int]:
     found = []
     for name in names:
         value = data.get(name)
-        if type(value) is not int or not 0 <= value <= LARGEST:
+        if type(value) is not int or not 0 <= value <= LARGEST_NUMBER:
             value = _number(data, name)
         found.append(value)
     return found
@@ -113,7 +113,7 @@ def _number(data: Dict[str, Any], name: str) -> int:
 
 
 def _number_of(value: Any, name: str) -> int:
-    if type(value) is not int or not 0 <= value <= LARGEST:
+    if type(value) is not int or not 0 <= value <= LARGEST_NUMBER:
         raise MessageError("'%s' is not a whole number from 0 to 2^53" % name)
     return value
 
@@ -157,7 +157,10 @@ def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
     except LogError as error:
         raise MessageError("'%s' holds what is %s" % (name, error)) from None
     for entry, origin, _ in items:
-        if not 0 <= origin.incarnation <= LARGEST or not 0 <= origin.number <= LARGEST:
+        if (
+            not 0 <= origin.incarnation <= LARGEST_NUMBER
+            or not 0 <= origin.number <= LARGEST_NUMBER
+        ):
             raise MessageError("'%s' holds an entry whose origin is out of bounds" % name)
         if isinstance(entry, log_entries.Start) and not start:
             raise MessageError("'%s' holds another start of the run" % name)
@@ -491,7 +494,7 @@ class Envelope(NamedTuple):
         """The message as a JSON object."""
         torn = {"goes_on_from": self.torn} if self.torn else {}
         return {
-            "version": VERSION,
+            "version": PROTOCOL_VERSION,
             "kind": _KIND_OF[type(self.body)],
             "from": self.sender,
             "team": self.team,
@@ -505,7 +508,7 @@ class Envelope(NamedTuple):
         }
 
 
-def parse(data: Any) -> Envelope:
+def parse_envelope(data: Any) -> Envelope:
     """The message of a JSON object.
 
     :raises MessageError: it does not belong to this version of the protocol.
@@ -513,9 +516,9 @@ def parse(data: Any) -> Envelope:
     if not isinstance(data, dict):
         raise MessageError("it is not a JSON object")
     version = data.get("version", 1)
-    if version != VERSION:
+    if version != PROTOCOL_VERSION:
         raise MessageError(
-            "it is of version %.20r of the protocol, this is %d" % (version, VERSION)
+            "it is of version %.20r of the protocol, this is %d" % (version, PROTOCOL_VERSION)
         )
     kind = data.get("kind")
     body = _KINDS.get(kind) if isinstance(kind, str) else None

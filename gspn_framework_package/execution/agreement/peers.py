@@ -8,13 +8,13 @@ from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, T
 
 from gspn_framework_package.execution.agreement.messages import Envelope
 
-MEMORY = 60.0
+FORGETTING_TIME = 60.0
 """Seconds after which half of a silence that a robot came back from is forgotten."""
 
 MARGIN = 1.5
 """A silence has to be this many times longer than the longest that the robot came back from."""
 
-PATIENCE = 4.0
+LARGEST_FACTOR = 4.0
 """At most this many times the plan's limit is granted to a robot that is often silent."""
 
 
@@ -103,7 +103,7 @@ class Peers:
         peer = self.all.setdefault(robot, Peer())
         if peer.heard is not None:
             silence = now - max(peer.heard, self.since)
-            peer.gap = max(silence, peer.gap * 0.5 ** (silence / MEMORY))
+            peer.gap = max(silence, peer.gap * 0.5 ** (silence / FORGETTING_TIME))
         peer.heard = now
         return peer
 
@@ -134,7 +134,7 @@ class Peers:
         peer = self.get(robot)
         if peer.heard is None:
             return 3 * limit
-        return min(PATIENCE * limit, max(limit, MARGIN * peer.gap))
+        return min(LARGEST_FACTOR * limit, max(limit, MARGIN * peer.gap))
 
     def accusers(self, robot: str) -> Set[str]:
         """The robots that say that the robot is silent."""

@@ -29,7 +29,7 @@ from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.chance import uniform
-from gspn_framework_package.execution.team_state import POLICY
+from gspn_framework_package.model.plan_timing import POLICY
 
 BUSY = 4.0
 """A leader whose slots are at most this many round trips apart gathers proposals."""

@@ -206,7 +206,7 @@ class Replica:
 
     def _receive(self, data: Any) -> None:
         try:
-            message = messages.parse(data)
+            message = messages.parse_envelope(data)
         except messages.MessageError as error:
             self.membership.refuse_message(data, str(error))
             return

@@ -13,8 +13,8 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.verifier.merge import Merged
 from gspn_framework_package.execution.verifier.robots import (
+    LoggedOrigin,
     LoggedProposals,
-    Origin,
     RobotCheck,
     check_real_time,
 )
@@ -130,7 +130,7 @@ class _Check:
             check_votes(merged, members, situations, self.complete)
             if self.complete:
                 self._check_presence(merged, replay)
-        invoked: Dict[Origin, float] = {}
+        invoked: Dict[LoggedOrigin, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
             check = RobotCheck(

@@ -14,7 +14,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.model.plan import Plan
 
-REMEMBERED = 10_000
+REMEMBERED_TASKS = 10_000
 """Of each transition, so many ids of tasks count as known."""
 
 MOST_OUTSIDE = 10_000
@@ -128,7 +128,7 @@ class Cargo:
         self._known_set.add(key)
         self.outside.append((entry.transition, LoggedTask(entry.id, entry.data)))
         waiting = next(task.id for t, task in self.outside if t == entry.transition)
-        while len(ids) > REMEMBERED and ids[0] != waiting:
+        while len(ids) > REMEMBERED_TASKS and ids[0] != waiting:
             self._known_set.discard((entry.transition, ids.pop(0)))
 
     def returned(self, robot: str, place: str, tokens: int) -> None:

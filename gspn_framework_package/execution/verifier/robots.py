@@ -16,9 +16,9 @@ from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError
 from gspn_framework_package.execution.verifier.stages import LoggedStages
 from gspn_framework_package.model.plan import Plan
 
-Origin = Tuple[str, int, int, str]
+LoggedOrigin = Tuple[str, int, int, str]
 
-Position = Tuple[str, int, int, int, Phase]
+_Position = Tuple[str, int, int, int, Phase]
 """A robot's place, incarnation, visit, attempt and phase."""
 
 
@@ -32,7 +32,7 @@ class LoggedProposals:
     """
 
     def __init__(self, merged: Merged, length: int) -> None:
-        self.where: Dict[Origin, Tuple[int, Record]] = {}
+        self.where: Dict[LoggedOrigin, Tuple[int, Record]] = {}
         self.tasks: Set[Tuple[str, str]] = set()
         self._newest: Dict[str, Tuple[int, int]] = {}
         self._newest_of: Dict[Tuple[str, int, str], int] = {}
@@ -69,11 +69,11 @@ class LoggedProposals:
                         )
                     moved.add((robot, visit))
 
-    def newest_before(self, key: Origin) -> bool:
+    def newest_before(self, key: LoggedOrigin) -> bool:
         """Whether a newer proposal of the same robot, incarnation and log is in the agreed log."""
         return self._newest_of.get((key[0], key[1], key[3]), -1) > key[2]
 
-    def overtaken(self, key: Origin) -> bool:
+    def overtaken(self, key: LoggedOrigin) -> bool:
         """Whether a proposal of the same robot that is at least as new is in the agreed log."""
         return self._newest.get(key[0], (-1, -1)) >= key[1:3]
 
@@ -83,7 +83,7 @@ class LoggedProposals:
 
 
 def check_real_time(
-    merged: Merged, proposals: LoggedProposals, invoked: Mapping[Origin, float]
+    merged: Merged, proposals: LoggedProposals, invoked: Mapping[LoggedOrigin, float]
 ) -> None:
     """Check that every slot known before a proposal was made precedes it in the log; rule 5. Use
     this only for logs of one host, which share a clock.
@@ -149,16 +149,16 @@ class RobotCheck:
         self._ended_at = ended_at
         self._lost = lost
         self._jumped = False
-        self.invoked: Dict[Origin, float] = {}
-        self.open: List[Origin] = []
+        self.invoked: Dict[LoggedOrigin, float] = {}
+        self.open: List[LoggedOrigin] = []
         """Proposals that never got into the agreed log."""
         self._length = 0
         self._incarnation = 0
-        self._ahead: OrderedDict[Origin, Tuple[Record, Record]] = OrderedDict()
+        self._ahead: OrderedDict[LoggedOrigin, Tuple[Record, Record]] = OrderedDict()
         """Local transitions that are not in the agreed log yet: entry, firing."""
-        self._from: Optional[Position] = None
+        self._from: Optional[_Position] = None
         """Where the robot was before them."""
-        self._at: Optional[Position] = None
+        self._at: Optional[_Position] = None
         """Where it is with them."""
         self._astray = True
         """Whether this has to be worked out anew."""
@@ -166,7 +166,7 @@ class RobotCheck:
         """How often they led it to each place."""
         self._goals: Set[Tuple[int, int, int]] = set()
         self._last_goal: Optional[Tuple[int, int, int]] = None
-        self._void: Set[Origin] = set()
+        self._void: Set[LoggedOrigin] = set()
         self._offered: Set[Tuple[str, str]] = set()
         """(transition, id) of the tasks that reached the robot."""
         self._givers: Set[Tuple[str, str]] = set()
@@ -174,7 +174,7 @@ class RobotCheck:
 
     def check(self) -> None:
         """Check the log. :raises BrokenRuleError: a rule is broken."""
-        known: Dict[Origin, Record] = {}
+        known: Dict[LoggedOrigin, Record] = {}
         given_up = {i for n, i in self.merged.void if n == self.number}
         if given_up:
             return  # the operator gave up what this robot did alone
@@ -217,7 +217,7 @@ class RobotCheck:
         for origin, record in known.items():
             self._proposal(origin, record)
 
-    def _ordered(self, origin: Origin, entry: Record) -> None:
+    def _ordered(self, origin: LoggedOrigin, entry: Record) -> None:
         """Check that whoever a proposal names as its giver had given this robot an order."""
         by = entry.get("by")
         if by is not None and tuple(by) not in self._givers:
@@ -230,7 +230,7 @@ class RobotCheck:
         """The plan that the team followed, as this log knew it."""
         return self.plans[min(self._length, len(self.plans)) - 1]
 
-    def _ruled_out(self, origin: Origin, known: Mapping[Origin, Record]) -> None:
+    def _ruled_out(self, origin: LoggedOrigin, known: Mapping[LoggedOrigin, Record]) -> None:
         """Check that a local transition is void only if the robot was lost or has left, or the run
         is over."""
         record = known.get(origin)
@@ -245,11 +245,11 @@ class RobotCheck:
                 % _name(origin),
             )
 
-    def _in_log(self, origin: Origin) -> bool:
+    def _in_log(self, origin: LoggedOrigin) -> bool:
         where = self.proposals.where.get(origin)
         return where is not None and where[0] < self._length
 
-    def _proposal(self, origin: Origin, record: Record) -> None:
+    def _proposal(self, origin: LoggedOrigin, record: Record) -> None:
         where = self.proposals.where.get(origin)
         if where is None:
             private = record["kind"] == "private"
@@ -268,7 +268,7 @@ class RobotCheck:
 
     # -- local transitions -------------------------------------------------------------------------
 
-    def _base(self) -> Optional[Position]:
+    def _base(self) -> Optional[_Position]:
         """The robot's position as this log knew it, without local transitions that are not in the
         agreed log; None if the log did not know it."""
         if not 0 < self._length <= len(self.situations):
@@ -288,7 +288,7 @@ class RobotCheck:
                 self._from = target, entry["incarnation"], after, 1, self._from[4]
         self._astray = self._astray or self._base() != self._from
 
-    def _position(self) -> Optional[Position]:
+    def _position(self) -> Optional[_Position]:
         """The robot's position as this log knew it, including local transitions; None if the log
         did not know it."""
         if self._astray:
@@ -309,7 +309,7 @@ class RobotCheck:
         if (entry["incarnation"], entry["visit"]) == (incarnation, visit):
             self._at = target, incarnation, visit + 1, 1, phase
 
-    def _local_transition(self, origin: Origin, record: Record) -> None:
+    def _local_transition(self, origin: LoggedOrigin, record: Record) -> None:
         entry, firing = record["entry"], record["firing"]
         at = self._position()
         what = "the local transition %s" % _name(origin)
@@ -358,7 +358,7 @@ class RobotCheck:
                 % (what, firing["transition"], place),
             )
 
-    def _merged_transition(self, origin: Origin, record: Record, slot: int) -> None:
+    def _merged_transition(self, origin: LoggedOrigin, record: Record, slot: int) -> None:
         """Check that a local transition has the same effect in the agreed log as it had for its
         robot."""
         before = self.situations[slot - 1].get(self.robot) if slot else None
@@ -439,14 +439,14 @@ class RobotCheck:
             )
 
 
-def _origin(record: Record) -> Origin:
+def _origin(record: Record) -> LoggedOrigin:
     return _key(record["origin"])
 
 
-def _key(origin: Any) -> Origin:
+def _key(origin: Any) -> LoggedOrigin:
     robot, incarnation, number, log_id = origin
     return str(robot), int(incarnation), int(number), str(log_id)
 
 
-def _name(origin: Origin) -> str:
+def _name(origin: LoggedOrigin) -> str:
     return "proposal %d of %s (incarnation %d)" % (origin[2], origin[0], origin[1])

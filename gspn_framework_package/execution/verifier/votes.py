@@ -14,14 +14,14 @@ from gspn_framework_package.execution.verifier.merge import Merged
 from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError
 from gspn_framework_package.model.compact_json import compact_sorted
 
-Ballot = Tuple[int, str, str]
+_Ballot = Tuple[int, str, str]
 
 
 class Vote(NamedTuple):
     """A vote: the ballot, and the text of the batch. ``torn``: the robots whose votes count under
     this ballot although their logs lost their ends; then it needs the votes of all."""
 
-    ballot: Ballot
+    ballot: _Ballot
     batch: str
     torn: FrozenSet[str] = frozenset()
 
@@ -121,7 +121,7 @@ def _lost(log: EventLog) -> List[Lost]:
 def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
     """Check that one log keeps its promises; returns its votes as (slot, number of resets before,
     vote)."""
-    promised: Optional[Ballot] = None
+    promised: Optional[_Ballot] = None
     active = False
     length = resets = 0
     out = []
@@ -153,7 +153,7 @@ def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int
     return out
 
 
-def _ballot(value: Any) -> Ballot:
+def _ballot(value: Any) -> _Ballot:
     counter, robot, *log_id = value
     return int(counter), str(robot), str(log_id[0]) if log_id else ""
 
@@ -170,7 +170,7 @@ def _given_up(number: int, at: int, log: EventLog, merged: Merged) -> bool:
 
 
 def _one_value_per_ballot(slot: int, by_robot: Dict[str, List[Vote]]) -> None:
-    batches: Dict[Ballot, str] = {}
+    batches: Dict[_Ballot, str] = {}
     for votes in by_robot.values():
         for ballot, batch, _ in votes:
             if batches.setdefault(ballot, batch) != batch:

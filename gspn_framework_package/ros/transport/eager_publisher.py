@@ -13,7 +13,7 @@ from rospy.topics import _PublisherImpl
 
 from gspn_framework_package.ros.transport.registration import registered_together
 
-LIMIT = 1000
+QUEUE_LIMIT = 1000
 """Maximum number of messages that wait for a stuck subscriber; then the oldest is dropped."""
 
 
@@ -28,7 +28,7 @@ def eager_publisher(name: str, data_class: Any) -> Any:
     :param data_class: the class of its messages.
     """
     with registered_together():  # nobody connects before the end of the block
-        publisher = rospy.Publisher(name, data_class, queue_size=LIMIT)
+        publisher = rospy.Publisher(name, data_class, queue_size=QUEUE_LIMIT)
         implementation = publisher.impl
         implementation.queue_size = None
 
@@ -63,7 +63,7 @@ class _EagerConnection:
             if self._error is not None:
                 raise TransportTerminated(str(self._error))
             if self._stuck:
-                if len(self._waiting) >= LIMIT:
+                if len(self._waiting) >= QUEUE_LIMIT:
                     self._waiting.popleft()
                 self._waiting.append(data)
                 return True

@@ -10,9 +10,9 @@ from rospy.impl import registration
 
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
-    Entry,
+    MasterEntry,
     master_proxy,
-    register,
+    register_with_master,
 )
 
 
@@ -73,9 +73,13 @@ def register_again() -> None:
     publishers. :raises OSError: or another of ``MASTER_ERRORS``, the master does not answer."""
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
     kinds = registration.Registration
-    entries = [Entry(kinds.PUB, name, data_type) for name, data_type in topics.get_publications()]
-    entries += [
-        Entry(kinds.SRV, name, service_uri) for name, service_uri in services.get_services()
+    entries = [
+        MasterEntry(kinds.PUB, name, data_type) for name, data_type in topics.get_publications()
     ]
-    entries += [Entry(kinds.SUB, name, data_type) for name, data_type in topics.get_subscriptions()]
-    register(entries)
+    entries += [
+        MasterEntry(kinds.SRV, name, service_uri) for name, service_uri in services.get_services()
+    ]
+    entries += [
+        MasterEntry(kinds.SUB, name, data_type) for name, data_type in topics.get_subscriptions()
+    ]
+    register_with_master(entries)

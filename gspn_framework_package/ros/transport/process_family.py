@@ -17,7 +17,7 @@ from typing import Callable, Dict, List, NamedTuple, NoReturn, Optional
 if __name__ != "__main__":  # the program that only waits has none of the package
     from gspn_framework_package.execution.parent_death import end_with_parent
 
-PATIENCE = 10.0
+ENDING_PATIENCE = 10.0
 """Seconds that processes have to shut down when the parent has to end; ``roslaunch`` gives the
 parent 15."""
 
@@ -36,8 +36,8 @@ class FamilyMember(NamedTuple):
 
 def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     """Fork a process for each member, and wait until all have ended. On SIGINT or SIGTERM, all of
-    them get SIGTERM; a second signal, or :data:`PATIENCE` seconds, kills them. When this process is
-    killed, they also get SIGTERM.
+    them get SIGTERM; a second signal, or :data:`ENDING_PATIENCE` seconds, kills them. When this
+    process is killed, they also get SIGTERM.
 
     The parent must have no other thread: a fork does not copy other threads, only the locks that
     they hold. Unless it has to restart processes, it becomes another program with the same process
@@ -55,7 +55,7 @@ def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     gc.freeze()  # objects that exist now are shared: no collection should write to their pages
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
     try:
-        return _Parent(members, PATIENCE, respawn, mask).run()
+        return _Parent(members, ENDING_PATIENCE, respawn, mask).run()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
@@ -86,7 +86,14 @@ class _Parent:
         """Go on in a program without the modules of the processes: :func:`_wait_for`. The signals
         are blocked there too, and what arrives meanwhile is pending."""
         names = json.dumps({pid: member.name for pid, member in self._running.items()})
-        program = [sys.executable, "-I", "-S", os.path.abspath(__file__), names, str(PATIENCE)]
+        program = [
+            sys.executable,
+            "-I",
+            "-S",
+            os.path.abspath(__file__),
+            names,
+            str(ENDING_PATIENCE),
+        ]
         sys.stdout.flush()
         sys.stderr.flush()
         with contextlib.suppress(OSError):  # then this process waits itself
@@ -181,7 +188,7 @@ def _wait_for(names: Dict[str, str], patience: float) -> NoReturn:
     """Wait for processes that this process has forked; exit with the code of the family.
 
     :param names: process id -> name.
-    :param patience: as :data:`PATIENCE`.
+    :param patience: as :data:`ENDING_PATIENCE`.
     """
     running = {int(pid): FamilyMember(name, lambda: 0) for pid, name in names.items()}
     sys.exit(_Parent([], patience, running=running).wait())

@@ -28,7 +28,7 @@ CALLS = 500
 """Maximum number of registrations in one request, so that the master can answer others between two
 requests."""
 
-RETRY = 0.2
+RETRY_AFTER = 0.2
 """Seconds until a master that did not answer is called again (as in rospy)."""
 
 MASTER_ERRORS = (OSError, http.client.HTTPException, xmlrpc.client.Error)
@@ -36,7 +36,7 @@ MASTER_ERRORS = (OSError, http.client.HTTPException, xmlrpc.client.Error)
 answer in time, or its answer is invalid."""
 
 
-class Entry(NamedTuple):
+class MasterEntry(NamedTuple):
     """A topic or service to register: ``kind`` is a value of rospy's ``Registration``; ``detail``
     is the type of a topic or the address of a service."""
 
@@ -172,21 +172,21 @@ def _managers() -> List[Any]:
 
 class _Collected(RegistrationListener):
     def __init__(self) -> None:
-        self.entries: List[Entry] = []
+        self.entries: List[MasterEntry] = []
 
     def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
-        self.entries.append(Entry(reg_type, resolved_name, data_type_or_uri))
+        self.entries.append(MasterEntry(reg_type, resolved_name, data_type_or_uri))
 
     def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
         removed = (reg_type, resolved_name)
         self.entries = [entry for entry in self.entries if (entry.kind, entry.name) != removed]
 
 
-def _register_for_sure(entries: Sequence[Entry]) -> None:
+def _register_for_sure(entries: Sequence[MasterEntry]) -> None:
     told = False
     while not rospy.is_shutdown():
         try:
-            register(entries)
+            register_with_master(entries)
             return
         except MASTER_ERRORS as error:
             if not told:
@@ -194,10 +194,10 @@ def _register_for_sure(entries: Sequence[Entry]) -> None:
                     "the master does not register: %s", error
                 )
             told = True
-            time.sleep(RETRY)
+            time.sleep(RETRY_AFTER)
 
 
-def register(entries: Sequence[Entry], timeout: float = 30.0) -> None:
+def register_with_master(entries: Sequence[MasterEntry], timeout: float = 30.0) -> None:
     """Register entries with the master, and connect subscribers among them to their publishers.
 
     :param entries: what to register.

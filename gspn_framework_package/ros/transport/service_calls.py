@@ -15,7 +15,7 @@ from rospy.exceptions import TransportException
 from rospy.impl.tcpros_base import DEFAULT_BUFF_SIZE, TCPROSTransport
 from rospy.impl.tcpros_service import TCPROSServiceClient
 
-LINES = 3
+CONNECTIONS_PER_ROBOT = 3
 """Maximum number of simultaneous calls to one robot."""
 
 
@@ -61,7 +61,7 @@ class ServiceCalls:
             if not line.busy:
                 break
         else:
-            if len(lines) >= LINES:
+            if len(lines) >= CONNECTIONS_PER_ROBOT:
                 return False
             line = _Line(self, peer)
             lines.append(line)

@@ -10,7 +10,7 @@ from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import GspnError, LimitError
 from gspn_framework_package.visualizer.documents import Folder
 
-FILES, BYTES = 300, 20_000_000
+MOST_BELONGINGS, MOST_BELONGING_BYTES = 300, 20_000_000
 """The most files, and the most bytes in all, that are copied with a plan."""
 
 
@@ -89,9 +89,10 @@ class Belongings:
             return
         self._contents[name] = read_bytes(path)
         total = sum(map(len, self._contents.values()))
-        if len(self._contents) > FILES or total > BYTES:
+        if len(self._contents) > MOST_BELONGINGS or total > MOST_BELONGING_BYTES:
             raise LimitError(
-                "more than %d files or %d MB belong to the plan" % (FILES, BYTES // 1_000_000),
+                "more than %d files or %d MB belong to the plan"
+                % (MOST_BELONGINGS, MOST_BELONGING_BYTES // 1_000_000),
                 hint="copy the folder instead",
             )
 

@@ -20,27 +20,27 @@ import traceback
 from typing import Any, Dict, Optional, Set, Tuple
 
 from gspn_framework_package.execution.plan_modules import allow_modules
-from gspn_framework_package.formats.difference import difference
+from gspn_framework_package.formats.difference import document_difference
 from gspn_framework_package.formats.edited_document import (
     EditedDocument,
+    document_from_json,
     plan_of_document,
-    split,
 )
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.errors import CancelledError, GspnError
 from gspn_framework_package.visualizer.editing.choices import choices
 from gspn_framework_package.visualizer.editing.findings import findings
 
-MEMORY_BYTES = 3 << 30
+CHECK_MEMORY = 3 << 30
 
-Request = Dict[str, Any]
+_Request = Dict[str, Any]
 
 
 class CheckingProcess:
     """Answers one request after the other; a thread reads them meanwhile."""
 
     def __init__(self) -> None:
-        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
         self._cancelled: Set[int] = set()
         self._out = os.fdopen(os.dup(1), "w", encoding="utf-8")
         os.dup2(2, 1)  # whatever else prints must not come between the answers
@@ -70,7 +70,7 @@ class CheckingProcess:
         except BrokenPipeError:
             os._exit(0)
 
-    def _answer(self, request: Request) -> Dict[str, Any]:
+    def _answer(self, request: _Request) -> Dict[str, Any]:
         def cancel() -> bool:
             return request["id"] in self._cancelled
 
@@ -83,13 +83,13 @@ class CheckingProcess:
         except GspnError as error:
             return {"error": str(error)}
         except MemoryError:
-            return {"error": "it takes more than %d GB of memory" % (MEMORY_BYTES >> 30)}
+            return {"error": "it takes more than %d GB of memory" % (CHECK_MEMORY >> 30)}
         except Exception as error:
             traceback.print_exc()
             return {"error": "a fault of this program: %s" % type(error).__name__}
 
 
-def _check(request: Request, cancel: Any) -> Dict[str, Any]:
+def _check(request: _Request, cancel: Any) -> Dict[str, Any]:
     return findings(
         *_document(request),
         cancel,
@@ -99,21 +99,21 @@ def _check(request: Request, cancel: Any) -> Dict[str, Any]:
     )
 
 
-def _choices(request: Request, cancel: Any) -> Dict[str, Any]:
+def _choices(request: _Request, cancel: Any) -> Dict[str, Any]:
     return choices(*_document(request), request["marking"])
 
 
-def _against_running(request: Request, cancel: Any) -> Dict[str, Any]:
+def _against_running(request: _Request, cancel: Any) -> Dict[str, Any]:
     """What differs between the plan that runs and the document, both with their subnets in
     place."""
     plan = plan_of_document(*_document(request))
     running = plan_from_json(request["running"])
-    old, new = (split(plan_to_json(each)) for each in (running, plan))
-    changes = difference(old, new, positions=False)
+    old, new = (document_from_json(plan_to_json(each)) for each in (running, plan))
+    changes = document_difference(old, new, positions=False)
     return {"changes": [change.to_json() for change in changes]}
 
 
-def _document(request: Request) -> Tuple[EditedDocument, str, str]:
+def _document(request: _Request) -> Tuple[EditedDocument, str, str]:
     return request["document"], request["path"], request["root"]
 
 
@@ -133,7 +133,7 @@ def _import_ros() -> Optional[str]:
 def main() -> None:
     """Answer until stdin ends."""
     allow_modules(sys.argv[1:])
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (CHECK_MEMORY, CHECK_MEMORY))
     worker = CheckingProcess()
     _import_ros()
     worker.run()

@@ -23,21 +23,21 @@ from gspn_framework_package.visualizer.analysis_jobs import kill, worker_environ
 WORKERS = 2
 """How many documents are checked at once. While only one is, the other process is a spare."""
 
-PATIENCE = 1.0
+WORKER_PATIENCE = 1.0
 """Seconds after which a process that does not let itself be cancelled is killed."""
 
 START = 60.0
 """Seconds that a process has to start, on a busy machine."""
 
-WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.editing.check_worker"]
+_WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.editing.check_worker"]
 
-Answer = Dict[str, Any]
+_Answer = Dict[str, Any]
 
 
 class _Request:
     def __init__(self, number: int, key: str) -> None:
         self.number, self.key = number, key
-        self.answer: Optional[Answer] = None
+        self.answer: Optional[_Answer] = None
         self.cancelled = False
 
 
@@ -46,7 +46,7 @@ class _Worker:
 
     def __init__(self) -> None:
         self.process = subprocess.Popen(
-            [*WORKER, *allowed_modules()],
+            [*_WORKER, *allowed_modules()],
             env=worker_environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -86,7 +86,7 @@ class CheckWorkers:
                     target=self._listen, args=(worker,), name="checks", daemon=True
                 ).start()
 
-    def ask(self, key: str, what: str, seconds: float, **fields: Any) -> Answer:
+    def ask(self, key: str, what: str, seconds: float, **fields: Any) -> _Answer:
         """Have a request answered.
 
         :param key: what it is about: a newer request with the same key cancels this one.
@@ -109,7 +109,7 @@ class CheckWorkers:
                 if self._newest.get(key) is request:
                     del self._newest[key]
 
-    def _ask(self, request: _Request, fields: Dict[str, Any], seconds: float) -> Answer:
+    def _ask(self, request: _Request, fields: Dict[str, Any], seconds: float) -> _Answer:
         worker = self._take(request)
         if worker is None:
             return {"cancelled": True}
@@ -143,13 +143,13 @@ class CheckWorkers:
                         return worker
                 now = time.monotonic()
                 for worker in list(self._workers):
-                    if worker.given_up and now - worker.given_up > PATIENCE:
+                    if worker.given_up and now - worker.given_up > WORKER_PATIENCE:
                         self._kill(worker)
                         break
                 else:
                     if now > end:
                         raise LimitError("too many plans are being checked", hint="try again")
-                    self._news.wait(PATIENCE / 4)
+                    self._news.wait(WORKER_PATIENCE / 4)
 
     def _give_up(self, request: _Request) -> None:
         request.cancelled = True

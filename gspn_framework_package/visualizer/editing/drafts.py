@@ -18,10 +18,10 @@ from gspn_framework_package.visualizer.editing.atomic import write_all
 DRAFTS = ".gspn_drafts"
 """The folder of the drafts, in the served folder."""
 
-MOST = 200
+MOST_DRAFTS = 200
 """How many drafts are kept."""
 
-BYTES = 16_000_000
+LARGEST_DRAFT = 16_000_000
 """Largest draft, in bytes."""
 
 
@@ -41,14 +41,14 @@ class Drafts:
         """
         draft = {"path": path, "etag": etag, "saved_at": time.time(), "document": document}
         data = json.dumps(draft, ensure_ascii=False, allow_nan=False).encode()
-        if len(data) > BYTES:
+        if len(data) > LARGEST_DRAFT:
             raise InputError("it is too large for a draft: save it")
         if os.path.islink(self._place):
             raise RefusedError("%s is a link: no drafts are kept there" % DRAFTS)
         file = self._file(path)
         try:
             os.makedirs(self._place, mode=0o700, exist_ok=True)
-            if not os.path.lexists(file) and len(os.listdir(self._place)) >= MOST:
+            if not os.path.lexists(file) and len(os.listdir(self._place)) >= MOST_DRAFTS:
                 self._make_room()
         except OSError as error:
             raise InputError(
@@ -69,9 +69,10 @@ class Drafts:
             ):
                 with contextlib.suppress(OSError):
                     os.unlink(os.path.join(self._place, name))
-        if len(os.listdir(self._place)) >= MOST:
+        if len(os.listdir(self._place)) >= MOST_DRAFTS:
             raise RefusedError(
-                "%d drafts are kept already" % MOST, hint="save some, or delete some in %s" % DRAFTS
+                "%d drafts are kept already" % MOST_DRAFTS,
+                hint="save some, or delete some in %s" % DRAFTS,
             )
 
     def of(self, path: str, etag: str) -> Optional[Dict[str, Any]]:
@@ -97,7 +98,7 @@ class Drafts:
         try:
             if os.path.islink(self._place) or os.path.islink(file) or not os.path.isfile(file):
                 return None
-            draft = json.loads(read_bytes(file, BYTES))
+            draft = json.loads(read_bytes(file, LARGEST_DRAFT))
         except (InputError, ValueError, RecursionError):
             return None
         is_draft = isinstance(draft, dict) and isinstance(draft.get("document"), dict)

@@ -44,7 +44,7 @@ STATES_AT_LAST = 50
 
 LEVELS = {Severity.REFUSED: "error", Severity.WARNING: "warning", Severity.OK: "note"}
 
-Element = Dict[str, str]
+_Element = Dict[str, str]
 """``{"kind": place, transition, arc, row, robot or "", "name": ...}``: an arc is FROM>TO, a row
 its number."""
 
@@ -115,7 +115,7 @@ def _with_actions(plan: Any) -> Any:
 def _finding(
     level: str,
     text: str,
-    elements: List[Element],
+    elements: List[_Element],
     hint: Optional[str] = None,
     check: str = "",
     witness: Optional[List[str]] = None,
@@ -149,7 +149,7 @@ class DocumentNodes:
             if isinstance(node, Mapping) and isinstance(node.get("name"), str)
         }
 
-    def of(self, name: str, kind: str = "") -> Optional[Element]:
+    def of(self, name: str, kind: str = "") -> Optional[_Element]:
         """The element of a node, of its subnet's place if it is inside one, or None."""
         outer = name
         while outer not in self.kinds and SEPARATOR in outer:
@@ -158,9 +158,9 @@ class DocumentNodes:
             return None
         return {"kind": kind if outer == name and kind else self.kinds[outer], "name": outer}
 
-    def all_of(self, names: Iterable[Any], kind: str = "") -> List[Element]:
+    def all_of(self, names: Iterable[Any], kind: str = "") -> List[_Element]:
         """The elements of several nodes, each once; names of nothing are left out."""
-        found: List[Element] = []
+        found: List[_Element] = []
         for name in names:
             element = self.of(str(name), kind)
             if element is not None and element not in found:
@@ -171,11 +171,11 @@ class DocumentNodes:
         """The names of the nodes that an arc leads to or from."""
         return {str(arc.get(key)) for arc in self.lists["arc"] for key in ("from", "to")}
 
-    def named_in(self, text: str) -> List[Element]:
+    def named_in(self, text: str) -> List[_Element]:
         """The nodes that a text names in quotes."""
         return self.all_of(re.findall(r"'([^']*)'", text))
 
-    def numbered(self, kind: str, number: str) -> Optional[Element]:
+    def numbered(self, kind: str, number: str) -> Optional[_Element]:
         """The element with this index in the net's list of its kind."""
         listed = self.lists[kind]
         if not number.isdigit() or int(number) >= len(listed):
@@ -195,7 +195,7 @@ class _Place(NamedTuple):
     """Where an error is: its ``elements``, and the ``path`` of what to leave out of the document to
     find further errors; None if that is not known."""
 
-    elements: List[Element]
+    elements: List[_Element]
     path: Optional[Tuple[Any, ...]]
 
 
@@ -408,7 +408,7 @@ def _of_report(
         )
 
 
-def _elements(item: CheckItem, nodes: DocumentNodes) -> List[Element]:
+def _elements(item: CheckItem, nodes: DocumentNodes) -> List[_Element]:
     details, found = item.details, []
     for key, kind in (
         ("place", "place"),

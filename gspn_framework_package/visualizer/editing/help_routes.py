@@ -11,7 +11,7 @@ import flask
 from flask import Response, request
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
-from gspn_framework_package.formats.difference import difference
+from gspn_framework_package.formats.difference import document_difference
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
@@ -29,11 +29,11 @@ check``."""
 QUICK_SECONDS = 2.0
 FULL_SECONDS = 30.0
 
-Body = Callable[[], Dict[str, Any]]
-Answer = Callable[..., Response]
+RequestBody = Callable[[], Dict[str, Any]]
+_Answer = Callable[..., Response]
 
 
-def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answer) -> None:
+def add_help_routes(app: flask.Flask, project: Project, body: RequestBody, answer: _Answer) -> None:
     """Add the routes to the application of a project with a folder, in which plans are edited.
 
     :param body: returns the JSON object in the body of the request.
@@ -96,7 +96,7 @@ def add_help_routes(app: flask.Flask, project: Project, body: Body, answer: Answ
             old = open_document(folder, path_in(folder, key())).document
         else:
             old = _document(fields, "from")
-        changes = difference(old, new)
+        changes = document_difference(old, new)
         return answer({"changes": [change.to_json() for change in changes]})
 
     @app.route("/api/edit/layout", methods=["POST"])

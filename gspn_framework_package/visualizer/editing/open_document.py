@@ -11,10 +11,9 @@ from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_parts import JsonObject, PlanParts, read_parts
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.visualizer.documents import Folder, check_size
 from gspn_framework_package.visualizer.layout import NEAREST, below, lay_out, nearest_distance
-
-Point = Tuple[float, float]
 
 TRIES = 5
 """How often files are read that change while they are being read."""

@@ -8,18 +8,18 @@ import os
 import re
 from typing import Any, Dict, Iterator, List, Mapping, Optional
 
-from gspn_framework_package.execution.actions import PARAMETERS
+from gspn_framework_package.execution.actions import ACTION_PARAMETERS
 from gspn_framework_package.execution.function_source import method_of
 from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.formats.source import open_file
-from gspn_framework_package.model.action import KINDS
+from gspn_framework_package.model.action import ACTION_KINDS
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.visualizer.documents import Folder
 
-FILES = 100
+MOST_PALETTE_FILES = 100
 """Most Python files of a plan's folder, and most plans, that are looked at."""
 
-DEPTH = 3
+_DEPTH = 3
 SOURCE_BYTES = 1_000_000
 DOC_CHARACTERS = 600
 MASTER_SECONDS = 1.0
@@ -43,7 +43,7 @@ def palette(folder: Folder, path: str) -> Dict[str, Any]:
     return {
         "functions": list(_functions(folder, whole)),
         "plans": list(_plans(folder, whole, path)),
-        "kinds": [*KINDS, "plan"],
+        "kinds": [*ACTION_KINDS, "plan"],
         "types": _types(),
         "ros": _ros(),
     }
@@ -54,12 +54,12 @@ def _files(folder: Folder, top: str, ending: str) -> Iterator[str]:
     count = 0
     for at, folders, names in os.walk(top):
         depth = os.path.relpath(at, top).count(os.sep) + (at != top)
-        folders[:] = sorted(f for f in folders if f[0] not in "._" and depth + 1 < DEPTH)
+        folders[:] = sorted(f for f in folders if f[0] not in "._" and depth + 1 < _DEPTH)
         for name in sorted(names):
             file = os.path.join(at, name)
             if name.endswith(ending) and os.path.isfile(file) and folder.inside(file) is not None:
                 count += 1
-                if count > FILES:
+                if count > MOST_PALETTE_FILES:
                     return
                 yield os.path.relpath(file, top)
 
@@ -103,8 +103,8 @@ def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]
         "doc": doc if len(doc) <= DOC_CHARACTERS else doc[:DOC_CHARACTERS] + " ...",
         "file": file,
         "line": node.lineno,
-        "parameters": [p for p in [*settings, *asked] if p["name"] not in PARAMETERS],
-        "asks": [name for name in dict.fromkeys(names) if name in PARAMETERS],
+        "parameters": [p for p in [*settings, *asked] if p["name"] not in ACTION_PARAMETERS],
+        "asks": [name for name in dict.fromkeys(names) if name in ACTION_PARAMETERS],
         "cancellable": "is_cancelled" in names,
         "event": "emit" in names,
     }

@@ -4,13 +4,13 @@ server that was started with ``--edit`` (see :func:`refusal`)."""
 from __future__ import annotations
 
 import json
-from typing import Any, Callable, Dict, Mapping, Optional
+from typing import Any, Dict, Mapping, Optional
 
 import flask
 from flask import Response, request
 
 from gspn_framework_package.visualizer.editing.export import exported
-from gspn_framework_package.visualizer.editing.help_routes import add_help_routes
+from gspn_framework_package.visualizer.editing.help_routes import RequestBody, add_help_routes
 from gspn_framework_package.visualizer.editing.open_document import Opened
 from gspn_framework_package.visualizer.editing.workshop import (
     ConflictError,
@@ -24,8 +24,6 @@ PREFIX = "/api/edit"
 
 DOCUMENT_BYTES = 12_000_000
 """Largest request of the editor, in bytes."""
-
-Body = Callable[[], Dict[str, Any]]
 
 
 def is_editing(path: str) -> bool:
@@ -42,7 +40,7 @@ def refusal(project: Project, role: str) -> Optional[Refusal]:
     return None
 
 
-def add_routes(app: flask.Flask, project: Project, body: Body) -> None:
+def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
     """Add the routes of the editor to the application.
 
     :param body: returns the JSON object in the body of the request.

@@ -19,7 +19,7 @@ from gspn_framework_package.model.errors import GspnError, InputError, UsageErro
 from gspn_framework_package.visualizer.documents import check_size
 from gspn_framework_package.visualizer.editing.open_document import Opened
 
-DEPTH = 60
+_DEPTH = 60
 """How deep a document may be nested."""
 
 ORDERED = ("robots",)
@@ -72,7 +72,7 @@ def unfinished(value: object) -> JsonObject:
 
 def _check_values(value: Any) -> None:
     level: List[Any] = [value]
-    for _ in range(DEPTH):
+    for _ in range(_DEPTH):
         inner: List[Any] = []
         for part in level:
             if isinstance(part, dict):

@@ -20,6 +20,7 @@ from gspn_framework_package.formats.plan_parts import JsonObject
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.xml_tree import parse_xml
 from gspn_framework_package.making import templates
+from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE
 from gspn_framework_package.model.errors import GspnError, InputError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.visualizer.documents import Folder
@@ -32,9 +33,6 @@ from gspn_framework_package.visualizer.editing.open_document import (
     with_positions,
 )
 from gspn_framework_package.visualizer.editing.saving import changes_of, document_in, unfinished
-
-NET_FILE = "net.xml"
-POLICY_FILE = "policy.json"
 
 FEW_ROWS = 40
 """A policy of more rows gets a file of its own in a new plan."""
@@ -293,7 +291,7 @@ class Workshop:
 
 def template_names() -> List[str]:
     """The names of the templates of new plans."""
-    return list(templates.names())
+    return list(templates.templates_by_name())
 
 
 def contents_of(document: JsonObject) -> Dict[str, bytes]:

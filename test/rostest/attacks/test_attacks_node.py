@@ -18,7 +18,7 @@ from robots import Robot, RobotTestCase, chain
 from waiting import wait_for
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.agreement.messages import VERSION
+from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.inbound import said
 from gspn_framework_package.srv import Command, GetPlace, SetPlace
@@ -120,7 +120,7 @@ class AttacksTest(RobotTestCase):
         self.assertEqual(sorted(orders), sorted(kept))
 
     def messages_are_refused(self):
-        body = json.dumps({"from": "robot_2", "version": VERSION, "kind": "pull"})
+        body = json.dumps({"from": "robot_2", "version": PROTOCOL_VERSION, "kind": "pull"})
         recorded = wait_for(
             lambda: [
                 news

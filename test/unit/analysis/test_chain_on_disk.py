@@ -13,7 +13,7 @@ from gspn_framework_package.analysis.on_disk import chain as chain_module
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
 from gspn_framework_package.analysis.on_disk.scratch import Scratch
 from gspn_framework_package.analysis.on_disk.search import search
-from gspn_framework_package.analysis.on_disk.steady import steady_state
+from gspn_framework_package.analysis.on_disk.steady import steady_state_on_disk
 from gspn_framework_package.analysis.solution import linear
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.builder import NetBuilder
@@ -51,9 +51,9 @@ def assert_as_in_memory(net, direct, memory=MEMORY):
     assert np.flatnonzero(chain.initial).tolist() in ([], [int(whole.initial[order].argmax())])
     if several:
         with pytest.raises(RefusedError, match="several recurrent classes"):
-            steady_state(chain, Watch(), direct)
+            steady_state_on_disk(chain, Watch(), direct)
         return
-    found = steady_state(chain, Watch(), direct)
+    found = steady_state_on_disk(chain, Watch(), direct)
     assert_answers_of(analysis, found)
 
 
@@ -147,7 +147,7 @@ def test_a_disk_without_room_is_reported_before(monkeypatch, tmp_path):
 
 def test_nothing_is_left_on_disk(tmp_path):
     scratch = Scratch(tmp_path)
-    steady_state(chain_of(choosing(), scratch=scratch), Watch(), 0)
+    steady_state_on_disk(chain_of(choosing(), scratch=scratch), Watch(), 0)
     scratch.close()
     assert scratch.used == 0
     assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.solution import linear
-from gspn_framework_package.analysis.solution.linear import solve
+from gspn_framework_package.analysis.solution.linear import solve_linear
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.ordering import sweep_order
 from gspn_framework_package.analysis.solution.passage import first_passage
@@ -372,7 +372,7 @@ def test_stationary_distributions_of_stiff_chains_are_right_in_every_entry(seed)
     for k in range(1, size):
         exact.append(sum(exact[i] * left[i][k] for i in range(k)))
     exact = [float(value / sum(exact)) for value in exact]
-    found = solve(sparse.csr_matrix(rates.T), rates.sum(axis=1), None)
+    found = solve_linear(sparse.csr_matrix(rates.T), rates.sum(axis=1), None)
     np.testing.assert_allclose(found.values, exact, rtol=1e-13)
 
 
@@ -382,7 +382,7 @@ def test_an_answer_with_a_bad_residual_is_not_given(monkeypatch):
     monkeypatch.setattr(linear, "MAX_SWEEPS", 4)
     matrix = sparse.csr_matrix(([1.0, 1.0], ([0, 1], [1, 0])), shape=(2, 2))
     with pytest.raises(LimitError, match="was not solved"):
-        solve(matrix, np.array([1.0, 1.0 + 1e-6]), np.array([1.0, 0.0]))
+        solve_linear(matrix, np.array([1.0, 1.0 + 1e-6]), np.array([1.0, 0.0]))
 
 
 @pytest.mark.parametrize("mean", [1e-3, 0.7, 20.0, 900.0, 1e5])

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.plan.rules import PlanRules
-from gspn_framework_package.analysis.plan.space import WAITING, explore_plan
+from gspn_framework_package.analysis.plan.space import WAITS_LABEL, explore_plan
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.analysis.state_space import explore
@@ -127,7 +127,7 @@ def test_a_draw_that_is_not_enabled_waits_for_the_marking_to_change():
         s for s in range(len(space)) if space.marking(s) == arrived and space.is_vanishing[s]
     )
     waiting = {name: space.marking(target) for name, target in space.successors(asking)}
-    assert waiting == {"go": plan.net.marking({"a": 1, "alone": 1}), WAITING: arrived}
+    assert waiting == {"go": plan.net.marking({"a": 1, "alone": 1}), WAITS_LABEL: arrived}
     outcomes = {o.transition: o.probability for o in PlanRules(plan).outcomes(arrived)}
     assert outcomes == pytest.approx({plan.net.transition_number("go"): 0.1, None: 0.9})
     # Drawing only among what is enabled would turn {meet 0.9, go 0.1} into go 1.0, and nobody would

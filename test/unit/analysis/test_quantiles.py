@@ -11,7 +11,7 @@ from gspn_framework_package.analysis import quantiles
 
 @pytest.mark.parametrize("probability", [1e-9, 0.025, 0.5, 0.8, 0.995])
 def test_quantiles_are_those_of_the_distributions(probability):
-    assert quantiles.normal(probability) == pytest.approx(stats.norm.ppf(probability))
+    assert quantiles.normal_quantile(probability) == pytest.approx(stats.norm.ppf(probability))
     for freedom in (1, 2, 17, 1500):
         assert quantiles.student(probability, freedom) == pytest.approx(
             stats.t.ppf(probability, freedom)

@@ -139,7 +139,7 @@ def test_the_same_seed_gives_the_same_result():
 def test_forgetting_markings_changes_nothing(monkeypatch):
     options = {"time": 50, "replications": 20, "seed": 5, "timing": "net"}
     whole = simulate(plan("rendezvous"), **options)
-    monkeypatch.setattr(marking_table, "REMEMBERED", 40)
+    monkeypatch.setattr(marking_table, "REMEMBERED_MARKINGS", 40)
     forgetful = simulate(plan("rendezvous"), **options)
     assert forgetful.mean_tokens == whole.mean_tokens and forgetful.throughput == whole.throughput
     for place, shares in whole.token_distribution.items():

@@ -190,7 +190,7 @@ def test_durations_are_those_of_the_plan(length):
     state = [11, 22, 33, 44]
     table = [float(x) for x in length.parameters]
     drawn = [
-        kernel.duration(_KINDS[length.kind], length.mean, 0, len(table), table, state)
+        kernel.draw_duration(_KINDS[length.kind], length.mean, 0, len(table), table, state)
         for _ in range(2000)
     ]
     if length.kind is Kind.DETERMINISTIC:
@@ -203,7 +203,7 @@ def test_random_numbers_are_those_of_the_published_generator():
     """xoshiro128++ from the state 1, 2, 3, 4, as its authors' C code gives it."""
     state, words = [1, 2, 3, 4], []
     for _ in range(3):
-        value = int(kernel.uniform(state) * 2**53)
+        value = int(kernel.draw_uniform(state) * 2**53)
         words += [value >> 26, value & (2**26 - 1)]
 
     def next_word(s):

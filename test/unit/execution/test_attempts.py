@@ -23,7 +23,7 @@ from gspn_framework_package.execution.attempts import (
 )
 from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.log_entries import Done, Failed
-from gspn_framework_package.execution.log_writer import line_of
+from gspn_framework_package.execution.log_writer import record_line
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.event import EventSource
@@ -266,7 +266,7 @@ def test_the_monotonic_clock_of_another_boot_is_not_compared(tmp_path) -> None:
         (52.0, 502.0, {"kind": "goal", "place": "B", "incarnation": 1, "visit": 2, "attempt": 1}),
         (54.0, 504.0, {"kind": "cancel", "visit": 2}),
     ):
-        line, story.sum = line_of({**record, "wall": 1e9 + t, "mono": mono}, story.sum)
+        line, story.sum = record_line({**record, "wall": 1e9 + t, "mono": mono}, story.sum)
         story.lines.append(line)
     own = [
         row for row in told(gather([story.save(tmp_path / "a.jsonl")]).attempts) if row[0] == "a"

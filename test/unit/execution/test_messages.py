@@ -15,7 +15,11 @@ from agreement.plans import make_plan
 from agreement.world import World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.messages import VERSION, MessageError, parse
+from gspn_framework_package.execution.agreement.messages import (
+    PROTOCOL_VERSION,
+    MessageError,
+    parse_envelope,
+)
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.verifier import verify
@@ -78,7 +82,7 @@ def forged(world: World, sender: str, kind: str, **fields: Any) -> Any:
     """A message in the name of a robot, with its true envelope."""
     replica = world.nodes[sender].replica
     envelope = {
-        "version": VERSION,
+        "version": PROTOCOL_VERSION,
         "from": sender,
         "team": "sim|%s" % world.plan.hash()[:12],
         "log": replica.log_id,
@@ -100,7 +104,7 @@ def test_every_message_is_read_back_as_it_was_written() -> None:
         world.run(world.now + 0.5)
         for message in world.heard.values():
             kinds.add(message["kind"])
-            assert json.loads(json.dumps(parse(message).to_json())) == json.loads(
+            assert json.loads(json.dumps(parse_envelope(message).to_json())) == json.loads(
                 json.dumps(message)
             )
     assert kinds >= {"hello", "event", "prepare", "promise", "accept", "accepted", "learn", "pull"}
@@ -252,7 +256,7 @@ def test_a_message_with_any_field_replaced_is_understood_or_refused(data: Any) -
     field = data.draw(st.sampled_from(sorted(message)))
     message[field] = data.draw(values)
     try:
-        parse(message)
+        parse_envelope(message)
     except MessageError as error:
         assert str(error)
 
@@ -267,7 +271,7 @@ def test_a_batch_is_read_once_and_goes_on_as_it_came(monkeypatch: pytest.MonkeyP
     from_json = Item.from_json
     monkeypatch.setattr(Item, "from_json", lambda data: read.append(data) or from_json(data))
     accept = world.heard["accept"]
-    batch = parse(accept).body.batch
+    batch = parse_envelope(accept).body.batch
     assert len(read) == len(batch.items) > 0 and batch.data is accept["batch"]
     replica, read[:] = world.nodes["r2"].replica, []
     before = replica.ledger.length

@@ -199,7 +199,7 @@ def test_a_task_waits_until_its_transition_is_enabled():
 
 def test_a_task_that_waits_is_never_forgotten(monkeypatch):
     monkeypatch.setattr(token_game, "KNOWN_TASKS", 2)
-    monkeypatch.setattr(cargo, "REMEMBERED", 2)
+    monkeypatch.setattr(cargo, "REMEMBERED_TASKS", 2)
     run = shop()
     checker = cargo.Cargo(run.game.plan, {}, {})
     for number in [*range(1, 9), 5, 8]:  # one is carried, three are in the queue, four wait outside

@@ -22,7 +22,7 @@ from gspn_framework_package.execution.log_entries import Done, Failed
 from gspn_framework_package.fleet import store as stores
 from gspn_framework_package.fleet.database import OLDEST_FOR_SQL, duckdb
 from gspn_framework_package.fleet.ingest import Ingest, IngestedLog
-from gspn_framework_package.fleet.reports import Question, ask, moments, report
+from gspn_framework_package.fleet.reports import Question, ask_sql, history_report, moments
 from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -48,7 +48,7 @@ def ingest(store: Store, *paths: Any) -> List[IngestedLog]:
 
 
 def totals(store: Store, *by: str) -> List[Dict[str, Any]]:
-    return report(store, Question(by or ("robot", "place")))
+    return history_report(store, Question(by or ("robot", "place")))
 
 
 def table_files(store: Store) -> List[Path]:
@@ -196,9 +196,9 @@ def test_two_ingests_do_not_write_at_the_same_time(store: Store) -> None:
 
 def test_a_report_can_be_narrowed_and_grouped(tmp_path: Path, store: Store) -> None:
     ingest(store, patrol_story().save(tmp_path / "log.jsonl"))
-    (row,) = report(store, Question(("day",), robots=("b",)))
+    (row,) = history_report(store, Question(("day",), robots=("b",)))
     assert (row["day"], row["visits"]) == ("2001-09-09", 1)
-    assert report(store, Question(("place",), until="2001-09-08")) == []
+    assert history_report(store, Question(("place",), until="2001-09-08")) == []
     for wrong in (
         Question(("hour",)),
         Question(("day", "day")),
@@ -208,7 +208,7 @@ def test_a_report_can_be_narrowed_and_grouped(tmp_path: Path, store: Store) -> N
         Question(places=("nowhere",)),
     ):
         with pytest.raises(UsageError):
-            report(store, wrong)
+            history_report(store, wrong)
 
 
 def test_moments_are_what_a_person_may_want_to_look_at(tmp_path: Path, store: Store) -> None:
@@ -229,7 +229,7 @@ def test_a_question_in_sql_reads_the_store_and_nothing_else(tmp_path: Path, stor
     secret = tmp_path / "secret.csv"
     secret.write_text("a\n1\n")
     ingest(store, patrol_story().save(tmp_path / "log.jsonl"))
-    answer = ask(store, "SELECT robot, count(*) AS n FROM stays GROUP BY robot ORDER BY robot")
+    answer = ask_sql(store, "SELECT robot, count(*) AS n FROM stays GROUP BY robot ORDER BY robot")
     assert (answer.columns, list(answer.rows)) == (["robot", "n"], [("a", 3), ("b", 1)])
     files = table_files(store)
     for wrong in (
@@ -245,15 +245,15 @@ def test_a_question_in_sql_reads_the_store_and_nothing_else(tmp_path: Path, stor
         "",
     ):
         with pytest.raises(UsageError):
-            ask(store, wrong)
+            ask_sql(store, wrong)
     assert secret.read_text() == "a\n1\n"
-    assert list(ask(store, "SELECT sum(visits) FROM totals").rows) == [(4,)]
+    assert list(ask_sql(store, "SELECT sum(visits) FROM totals").rows) == [(4,)]
 
 
 @pytest.mark.skipif(VERSION >= OLDEST_FOR_SQL, reason="this DuckDB can be kept to files")
 def test_a_duckdb_that_could_read_other_files_is_not_asked(store: Store) -> None:
     with pytest.raises(InputError, match=r"DuckDB 1\.2 or later"):
-        ask(store, "SELECT 1")
+        ask_sql(store, "SELECT 1")
 
 
 def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
@@ -281,7 +281,7 @@ def test_the_verb_ingests_and_reports(
     assert main(["history", "report", "--store", store, "--by", "place", "--csv"]) == 0
     rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
     assert [(row["place"], row["visits"]) for row in rows] == [("A", "3"), ("B", "1")]
-    monkeypatch.setattr(history, "SHOWN", 1)
+    monkeypatch.setattr(history, "_SHOWN", 1)
     assert main(["history", "report", "--store", store, "--by", "place"]) == 0
     _, shown, more = capsys.readouterr().out.splitlines()
     assert shown.startswith("A") and "--csv and --json print all" in more

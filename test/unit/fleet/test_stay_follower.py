@@ -10,7 +10,7 @@ from logged_runs import Story, ring
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.log_entries import Done, Failed
-from gspn_framework_package.fleet.stay_follower import DAY, StayFollower
+from gspn_framework_package.fleet.stay_follower import DAY_SECONDS, StayFollower
 from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan
 
 BEGIN = 1e9
@@ -96,14 +96,14 @@ def test_a_failure_counts_for_the_place_that_the_robot_leaves_because_of_it() ->
 
 def test_stays_are_cut_at_midnight_and_a_visit_counts_once() -> None:
     story = Story(ring()).start()
-    midnight = (BEGIN // DAY + 1) * DAY - BEGIN
-    story.slot(midnight + 2 * DAY + 5.0, Done("a", 0, 1, "t1"))
+    midnight = (BEGIN // DAY_SECONDS + 1) * DAY_SECONDS - BEGIN
+    story.slot(midnight + 2 * DAY_SECONDS + 5.0, Done("a", 0, 1, "t1"))
     rows = [row for row in told(followed(story)) if row[1:3] == ("a", "A")]
     assert rows == [
         (0.0, "a", "A", 1, True, (round(midnight * 1000), 0, 0, 0, 0), ""),
-        (midnight, "a", "A", 1, False, (DAY * 1000, 0, 0, 0, 0), ""),
-        (midnight + DAY, "a", "A", 1, False, (DAY * 1000, 0, 0, 0, 0), ""),
-        (midnight + 2 * DAY, "a", "A", 1, False, (5000, 0, 0, 0, 0), "t1"),
+        (midnight, "a", "A", 1, False, (DAY_SECONDS * 1000, 0, 0, 0, 0), ""),
+        (midnight + DAY_SECONDS, "a", "A", 1, False, (DAY_SECONDS * 1000, 0, 0, 0, 0), ""),
+        (midnight + 2 * DAY_SECONDS, "a", "A", 1, False, (5000, 0, 0, 0, 0), "t1"),
     ]
 
 
@@ -172,7 +172,7 @@ def test_where_reading_stops_and_goes_on_changes_no_sum(breaks: Any) -> None:
 def sums(stays: Any) -> Any:
     found: Any = {}
     for stay in stays:
-        key = (stay.robot, stay.place, int(stay.begin // DAY))
+        key = (stay.robot, stay.place, int(stay.begin // DAY_SECONDS))
         known = found.get(key, (0,) * 6)
         found[key] = tuple(a + b for a, b in zip(known, (int(stay.arrived), *stay[6:11])))
     return {key: value for key, value in found.items() if any(value)}

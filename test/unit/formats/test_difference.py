@@ -12,8 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.formats.difference import DocumentChange, difference
-from gspn_framework_package.formats.edited_document import document_of, plan_of_document, split
+from gspn_framework_package.formats.difference import DocumentChange, document_difference
+from gspn_framework_package.formats.edited_document import (
+    document_from_json,
+    document_of,
+    plan_of_document,
+)
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError
 
@@ -47,7 +51,7 @@ def a_document() -> Dict[str, Any]:
 
 
 def told(old: Dict[str, Any], new: Dict[str, Any]) -> List[str]:
-    return [str(change) for change in difference(old, new)]
+    return [str(change) for change in document_difference(old, new)]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -55,7 +59,7 @@ def test_the_document_of_a_shipped_plan_is_the_same_plan(name: str) -> None:
     document = document_of(str(PLANS / name))
     read = read_plan(str(PLANS / name))
     assert plan_of_document(document, str(PLANS / name / "plan.json")).hash() == read.hash()
-    assert difference(document, json.loads(json.dumps(document))) == []
+    assert document_difference(document, json.loads(json.dumps(document))) == []
 
 
 def test_each_kind_of_change_is_reported() -> None:
@@ -91,7 +95,9 @@ def test_each_kind_of_change_is_reported() -> None:
         "- policy row B: 2",
         "+ policy row any marking",
     ]
-    assert all("position" not in str(change) for change in difference(old, new, positions=False))
+    assert all(
+        "position" not in str(change) for change in document_difference(old, new, positions=False)
+    )
 
 
 def test_what_means_the_same_is_no_difference() -> None:
@@ -176,11 +182,14 @@ def test_a_half_drawn_document_is_compared_without_a_traceback(edits: Any) -> No
                 inside[key] = {}
             inside = inside[key]
         inside[path[-1]] = value
-    for change in [*difference(a_document(), new), *difference(new, a_document())]:
+    for change in [
+        *document_difference(a_document(), new),
+        *document_difference(new, a_document()),
+    ]:
         assert change.what in ("added", "removed", "changed")
         json.dumps(change.to_json())
         assert str(change)
-    assert difference(new, copy.deepcopy(new)) == []
+    assert document_difference(new, copy.deepcopy(new)) == []
 
 
 NAMES = st.sampled_from(["A", "B", "C", "D"])
@@ -214,7 +223,7 @@ def test_the_changes_applied_to_the_old_document_make_the_new_one(
         }
 
     found = content(copy.deepcopy(old))
-    changes = [change for change in difference(old, new) if change.kind != "order"]
+    changes = [change for change in document_difference(old, new) if change.kind != "order"]
     for change in changes:
         elements = found[change.kind]
         if change.what == "removed":
@@ -226,7 +235,7 @@ def test_the_changes_applied_to_the_old_document_make_the_new_one(
             assert (change.name in elements) is (change.what == "changed")
             elements[change.name] = change.new
     assert found == content(new)
-    backwards = [c for c in difference(new, old) if c.kind != "order"]
+    backwards = [c for c in document_difference(new, old) if c.kind != "order"]
     swap = {"added": "removed", "removed": "added", "changed": "changed"}
     assert {(swap[c.what], c.kind, c.name, c.key) for c in backwards} == {
         (c.what, c.kind, c.name, c.key) for c in changes
@@ -266,4 +275,4 @@ def test_a_document_that_is_no_plan_says_where() -> None:
     assert found.value.element == "arc from 'A' to 'B'"
     with pytest.raises(GspnError, match="net: it is not an object"):
         plan_of_document({"plan": {}, "net": None, "policy": None}, "plan.json")
-    assert split({"plan": "p", "net": {"places": []}})["policy"] is None
+    assert document_from_json({"plan": "p", "net": {"places": []}})["policy"] is None

@@ -427,7 +427,7 @@ def test_a_plan_inside_itself_is_refused(folder):
 
 
 def test_nesting_cannot_grow_without_bound(folder, monkeypatch):
-    monkeypatch.setattr(subnets, "MAX_NODES", 2_000)
+    monkeypatch.setattr(subnets, "MOST_NODES_TOGETHER", 2_000)
     level = {
         "net": {"places": [{"name": "a"}, {"name": "b"}], "transitions": [], "arcs": []},
         "actions": {"a": None, "b": None},

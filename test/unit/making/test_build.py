@@ -9,7 +9,7 @@ from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.making.site_map import read_map
-from gspn_framework_package.making.site_plan import build
+from gspn_framework_package.making.site_plan import build_site_plan
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.testing import Scenario
 
@@ -18,7 +18,7 @@ SITE = Path(__file__).parents[3] / "plans" / "inspection" / "site.tmap2"
 
 
 def made(tmp_path, name, tasks=None, robots=2):
-    found = build(str(MAPS / name), str(MAPS / tasks) if tasks else None, robots)
+    found = build_site_plan(str(MAPS / name), str(MAPS / tasks) if tasks else None, robots)
     found.write(str(tmp_path / "made"))
     return found, read_plan(str(tmp_path / "made"))
 
@@ -145,7 +145,7 @@ def large_site(folder):
 
 
 def test_a_large_map_is_checked_as_far_as_asked(tmp_path):
-    found = build(*large_site(tmp_path), 20, all_edges=True)
+    found = build_site_plan(*large_site(tmp_path), 20, all_edges=True)
     found.write(str(tmp_path / "made"))
     plan = read_plan(str(tmp_path / "made"))
     assert len(plan.robots) == 20 and len(plan.net.places) > 600
@@ -155,14 +155,14 @@ def test_a_large_map_is_checked_as_far_as_asked(tmp_path):
 
 
 def test_edges_that_the_policy_does_not_use_are_left_out(tmp_path):
-    found = build(*large_site(tmp_path), 2)
+    found = build_site_plan(*large_site(tmp_path), 2)
     assert any("left out" in note and "--all-edges" in note for note in found.notes)
     assert len(found.net.places) < 400
     found.write(str(tmp_path / "made"))
     plan = read_plan(str(tmp_path / "made"))
     used = {name for row in found.policy["rows"] for name in row["choose"]}
     assert used == {t.name for t in plan.net.transitions if t.name.startswith(("Go_", "Start_"))}
-    everything = build(*large_site(tmp_path), 2, all_edges=True)
+    everything = build_site_plan(*large_site(tmp_path), 2, all_edges=True)
     assert used < {t.name for t in everything.net.transitions}
 
 
@@ -222,7 +222,7 @@ def test_a_task_where_nobody_gets_is_an_error(tmp_path):
     path = tmp_path / "tasks.yaml"
     path.write_text("start: [shed]\ntasks:\n  Look: {at: [island], seconds: 1}\n")
     with pytest.raises(InputError, match="no robot can get from its start to node 'island'"):
-        build(str(MAPS / "orchard.tmap2"), str(path), 1)
+        build_site_plan(str(MAPS / "orchard.tmap2"), str(path), 1)
 
 
 def test_the_command_tells_what_it_made(tmp_path, capsys):
@@ -241,7 +241,7 @@ def with_battery(folder, topic, robots=2):
     tasks = {"tasks": {"Look": {"at": ["c"], "seconds": 4}}, "docks": {"a": 1}, "battery": LEVELS}
     path = folder / "tasks.yaml"
     path.write_text(json.dumps({**tasks, "battery_topic": topic}))
-    return build(str(MAPS / "graph.yaml"), str(path), robots)
+    return build_site_plan(str(MAPS / "graph.yaml"), str(path), robots)
 
 
 def test_the_battery_is_read_on_ros(tmp_path):

@@ -16,7 +16,7 @@ from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.making.restrictions import Restriction
 from gspn_framework_package.making.site_map import read_map
-from gspn_framework_package.making.site_plan import SitePlan, build
+from gspn_framework_package.making.site_plan import SitePlan, build_site_plan
 from gspn_framework_package.model.errors import ExpressionError, InputError
 from gspn_framework_package.testing import Scenario
 
@@ -36,7 +36,7 @@ def written(folder: Path, content: Any, name: str = "map.tmap2") -> str:
 
 def built(folder: Path, content: Any, tasks: Optional[Dict[str, Any]], robots: int = 2) -> SitePlan:
     path = None if tasks is None else written(folder, tasks, "tasks.yaml")
-    return build(written(folder, content), path, robots)
+    return build_site_plan(written(folder, content), path, robots)
 
 
 def two(edge: Dict[str, Any], **more: Any) -> Dict[str, Any]:
@@ -97,7 +97,7 @@ def test_edges_of_all_shapes_become_goals(tmp_path: Path, shape: str) -> None:
     edge, more, type_, server, speed = EDGES[shape]
     path = written(tmp_path, two(edge, **more))
     assert read_map(path).edges[0].speed == speed
-    drive = build(path, None, 1).ros_actions["Drive_A_B"]
+    drive = build_site_plan(path, None, 1).ros_actions["Drive_A_B"]
     assert (drive["type"], drive["server"]) == (type_, server)
     assert "$" not in json.dumps(drive)
     if type_.startswith("move_base"):

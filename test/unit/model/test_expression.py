@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError
 from gspn_framework_package.model.expression import (
+    as_whole,
     evaluate,
     names_in,
     parse,
     shorten,
     tokenize,
-    whole,
 )
 
 
@@ -160,7 +160,7 @@ def test_a_long_chain_of_constants():
 
 
 def test_whole_numbers():
-    assert [whole(v) for v in (3.0, -2.0, 2.5, math.inf, math.nan, 1e300)] == [
+    assert [as_whole(v) for v in (3.0, -2.0, 2.5, math.inf, math.nan, 1e300)] == [
         3,
         -2,
         None,

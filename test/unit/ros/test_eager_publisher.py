@@ -69,7 +69,7 @@ def test_a_reader_that_is_stuck_holds_nobody_up_and_gets_whole_messages_in_order
 
 
 def test_of_too_many_the_oldest_are_dropped(ends, monkeypatch):
-    monkeypatch.setattr(eager_publisher, "LIMIT", 5)
+    monkeypatch.setattr(eager_publisher, "QUEUE_LIMIT", 5)
     connection = eager_publisher._EagerConnection(Transport(ends[0]))
     for number in range(500):
         connection.write_data(message(number))

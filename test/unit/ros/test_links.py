@@ -86,10 +86,10 @@ def test_a_message_is_filled_as_its_class_would(monkeypatch):
     fields = {"run": "run", "sender": "r1", "to": "", "body": "{}"}
     made = Agreement(**fields)
     made.header.stamp = rospy.Time(7, 5)
-    assert messages.filled(Agreement, **fields) == made
-    assert messages.filled(Agreement, **fields).namespace == ""
+    assert messages.stamped_message(Agreement, **fields) == made
+    assert messages.stamped_message(Agreement, **fields).namespace == ""
     with pytest.raises(AttributeError):
-        messages.filled(Agreement, no_field="")
+        messages.stamped_message(Agreement, no_field="")
 
 
 def test_a_message_reaches_the_robots_of_the_run(make):

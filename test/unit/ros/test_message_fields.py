@@ -23,8 +23,8 @@ from gspn_framework_package.ros.message_fields import (
     field_tree,
     fill_message,
     installed_types,
-    json_value,
     message_class,
+    message_to_json,
     service_class,
 )
 
@@ -34,7 +34,7 @@ POSE = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 2}, "orientati
 def test_a_message_comes_back_from_its_json():
     pose = PoseStamped()
     fill_message(pose, {**POSE, "header": {"frame_id": "Küche", "stamp": {"secs": 3}}}, "goal")
-    value = json.loads(json.dumps(json_value(pose), allow_nan=False))
+    value = json.loads(json.dumps(message_to_json(pose), allow_nan=False))
     assert value["header"]["stamp"] == {"secs": 3, "nsecs": 0}
     again = PoseStamped()
     fill_message(again, value, "goal")
@@ -42,13 +42,13 @@ def test_a_message_comes_back_from_its_json():
 
 
 def test_what_json_cannot_hold_is_reported_in_another_way():
-    assert json_value(Image(data=b"\x00\xff"))["data"] == [0, 255]
-    assert json_value(LaserScan(ranges=[1.5, float("inf"), float("nan")]))["ranges"] == [
+    assert message_to_json(Image(data=b"\x00\xff"))["data"] == [0, 255]
+    assert message_to_json(LaserScan(ranges=[1.5, float("inf"), float("nan")]))["ranges"] == [
         1.5,
         None,
         None,
     ]
-    assert json_value(genpy.Duration(1, 2)) == {"secs": 1, "nsecs": 2}
+    assert message_to_json(genpy.Duration(1, 2)) == {"secs": 1, "nsecs": 2}
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def defaults(tree):
 def test_the_tree_of_a_type_has_its_fields_and_their_defaults(owner):
     tree = json.loads(json.dumps(field_tree(owner)))
     fill_message(owner(), defaults(tree), "message")
-    assert defaults(tree) == json_value(owner())
+    assert defaults(tree) == message_to_json(owner())
 
 
 def test_a_tree_says_what_is_an_array_and_what_holds_messages():

@@ -191,12 +191,12 @@ def toy_kind(monkeypatch):
 
     from gspn_framework_package.execution.local_kinds import LOCAL_KINDS
     from gspn_framework_package.formats import plan_json
-    from gspn_framework_package.model.action import KINDS
+    from gspn_framework_package.model.action import ACTION_KINDS
 
     whole = plan_json.schema()
     whole["definitions"]["action"]["oneOf"].append(toy_kind.FORM)
     monkeypatch.setattr(plan_json, "schema", lambda: whole)
-    monkeypatch.setitem(KINDS, "say", toy_kind.SayAction)
+    monkeypatch.setitem(ACTION_KINDS, "say", toy_kind.SayAction)
     monkeypatch.setitem(LOCAL_KINDS, toy_kind.SayAction, toy_kind.ready)
     return toy_kind
 

@@ -8,12 +8,12 @@ import pytest
 from benchmarks.plans import ring_plan
 from gspn_framework_package.cli.status import refusal_lines
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.messages import VERSION
+from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.team.carrier import NotTaken
 from gspn_framework_package.team.self_report import MOST_REFUSALS, SelfReport
 
-NONSENSE = {"from": "robot_2", "kind": "dance", "version": VERSION}
+NONSENSE = {"from": "robot_2", "kind": "dance", "version": PROTOCOL_VERSION}
 
 
 @pytest.fixture

@@ -10,7 +10,12 @@ from gspn_framework_package.model.errors import ExecutionError, KeysError, Usage
 from gspn_framework_package.team import keys, router, zenoh_session
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.router import Router
-from gspn_framework_package.team.zenoh_session import LARGEST_MESSAGE, TeamAccess, key_of, names_in
+from gspn_framework_package.team.zenoh_session import (
+    LARGEST_MESSAGE,
+    TeamAccess,
+    key_of,
+    names_in_key,
+)
 
 
 @pytest.fixture
@@ -72,7 +77,7 @@ def test_only_operators_give_orders_and_only_in_their_own_name(hub):
     asked = []
 
     def serve(query):
-        asked.append(names_in(str(query.key_expr))[-1])
+        asked.append(names_in_key(str(query.key_expr))[-1])
         query.reply(query.key_expr, b"done")
 
     robot = hub.session("robot_2")
@@ -205,7 +210,7 @@ def test_any_name_fits_into_a_key(name):
     key = key_of("run", name, "to", "other")
     assert str(zenoh.KeyExpr(key)) == key
     assert "*" not in key
-    assert names_in(key) == ["run", name, "to", "other"]
+    assert names_in_key(key) == ["run", name, "to", "other"]
 
 
 def test_a_name_is_checked_where_it_comes_in_and_believed_behind_the_next_router(hub):

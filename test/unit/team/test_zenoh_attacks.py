@@ -10,7 +10,7 @@ from zenoh_team import MEMBERS, Hub, make_keys, wait_for
 
 from benchmarks.plans import ring_plan
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
-from gspn_framework_package.execution.agreement.messages import VERSION
+from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.execution.verifier import verify
@@ -135,7 +135,7 @@ def test_forged_and_replayed_votes_change_nothing(hub, team):
 
 def test_a_flood_and_large_messages_do_not_stop_the_team(hub, team):
     thief = Thief(hub)
-    body = json.dumps({"from": THIEF, "version": VERSION, "kind": "hello"}).encode()
+    body = json.dumps({"from": THIEF, "version": PROTOCOL_VERSION, "kind": "hello"}).encode()
     lanes = itertools.cycle(str(lane) for lane in range(LANES))
     thief.put(b"x" * 10_000_000, THIEF, "all", next(lanes))
 

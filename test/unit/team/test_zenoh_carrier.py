@@ -19,7 +19,7 @@ from gspn_framework_package.team.lanes import LANES, PASSED_BY_ROUTER, PAUSE
 from gspn_framework_package.team.message_filter import LARGEST_MESSAGE
 from gspn_framework_package.team.zenoh_carrier import LARGEST_PACK, MOST_WAITING, ZenohCarrier
 from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
-from gspn_framework_package.team.zenoh_session import key_of, names_in, zenoh_library
+from gspn_framework_package.team.zenoh_session import key_of, names_in_key, zenoh_library
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 
 STATUS = {
@@ -183,7 +183,7 @@ def test_of_a_flood_the_router_lets_little_through(hub):
     counts = {"robot_1": 0, "robot_2": 0}
 
     def count(sample):
-        counts[names_in(str(sample.key_expr))[1]] += 1
+        counts[names_in_key(str(sample.key_expr))[1]] += 1
 
     listening = listener.declare_subscriber("gspn/run/*/all/*", count)
     wait_for(lambda: other.put(key_of("run", "robot_2", "all", "0"), b"{}") or counts["robot_2"])

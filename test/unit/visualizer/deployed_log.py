@@ -6,7 +6,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.ledger import Ledger
-from gspn_framework_package.execution.log_writer import line_of
+from gspn_framework_package.execution.log_writer import record_line
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json
@@ -50,7 +50,7 @@ def write_deployed_log(path, between=40):
 
         def write(number, record):
             nonlocal chain
-            line, chain = line_of({**record, "wall": 1e9 + number, "mono": number}, chain)
+            line, chain = record_line({**record, "wall": 1e9 + number, "mono": number}, chain)
             file.write(line)
 
         def reduce(batch):

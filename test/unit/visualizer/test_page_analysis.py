@@ -16,7 +16,7 @@ from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer import analysis_jobs, analysis_worker
 from gspn_framework_package.visualizer.analysis_jobs import JOBS_AT_ONCE
-from gspn_framework_package.visualizer.analysis_worker import MEMORY_BYTES
+from gspn_framework_package.visualizer.analysis_worker import ANALYSIS_MEMORY
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
@@ -70,7 +70,7 @@ def test_a_small_net_is_analysed(ask):
 @pytest.fixture(name="ask_long")
 def _ask_long(ask, monkeypatch):
     # the limit that ships is reached in two seconds
-    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)
+    monkeypatch.setattr(analysis_jobs, "MOST_STATES", 10**9)
     return ask(kanban(7))
 
 
@@ -174,7 +174,7 @@ print(json.dumps([resource.getrlimit(resource.RLIMIT_AS), resource.getrlimit(res
     found = json.loads(
         subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True).stdout
     )
-    assert found[0] == [MEMORY_BYTES, MEMORY_BYTES]
+    assert found[0] == [ANALYSIS_MEMORY, ANALYSIS_MEMORY]
     assert found[1][0] != resource.RLIM_INFINITY and found[1][0] <= 60
 
 
@@ -225,7 +225,7 @@ def test_a_plan_is_read_as_it_runs_or_as_its_net(ask):
     ],
 )
 def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, worker, told):
-    monkeypatch.setattr(analysis_jobs, "WORKER", [sys.executable, "-c", worker])
+    monkeypatch.setattr(analysis_jobs, "_WORKER", [sys.executable, "-c", worker])
     client = ask(small_net())
     key = start(client, structure=True, seconds=100).get_json()["job"]
 
@@ -239,7 +239,7 @@ def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, wor
 def test_a_process_that_ends_while_it_is_cancelled_is_no_error(ask, monkeypatch):
     """Python 3.8 raises that of a process that another thread has just waited for."""
     worker = "import sys, time; sys.stdin.close(); sys.stdout.close(); time.sleep(0.5)"
-    monkeypatch.setattr(analysis_jobs, "WORKER", [sys.executable, "-c", worker])
+    monkeypatch.setattr(analysis_jobs, "_WORKER", [sys.executable, "-c", worker])
     client = ask(small_net())
     key = start(client, structure=True, seconds=100).get_json()["job"]
     gone = mock.Mock(side_effect=ProcessLookupError)
@@ -249,6 +249,6 @@ def test_a_process_that_ends_while_it_is_cancelled_is_no_error(ask, monkeypatch)
 
 
 def test_a_process_that_cannot_be_started_is_reported(ask, monkeypatch):
-    monkeypatch.setattr(analysis_jobs, "WORKER", ["/nowhere/python3"])
+    monkeypatch.setattr(analysis_jobs, "_WORKER", ["/nowhere/python3"])
     answer = start(ask(small_net()), structure=True)
     assert answer.status_code == 503 and "cannot do that now" in answer.get_json()["error"]

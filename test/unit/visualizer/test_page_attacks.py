@@ -69,7 +69,7 @@ class Attacked:
 
 @pytest.fixture(name="attacked")
 def _attacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(serving, "WAITING", ROOM)
+    monkeypatch.setattr(serving, "MOST_WAITING_CONNECTIONS", ROOM)
     for i in range(30):
         shutil.copy("plans/patrol/net.xml", str(tmp_path / ("net%d.xml" % i)))
     made = Attacked(tmp_path)

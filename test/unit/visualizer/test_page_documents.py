@@ -224,10 +224,10 @@ def test_uploads_that_make_no_sense_are_refused(files):
 
 
 def test_a_net_that_is_too_large_to_show_is_refused(monkeypatch):
-    monkeypatch.setattr(documents, "NODES", 3)
+    monkeypatch.setattr(documents, "MOST_DRAWN_NODES", 3)
     with pytest.raises(LimitError, match="too large for the page"):
         read_upload(sent(net__xml=xml()))
-    monkeypatch.setattr(documents, "NODES", 4)
+    monkeypatch.setattr(documents, "MOST_DRAWN_NODES", 4)
     monkeypatch.setattr(documents, "ARCS", 3)
     with pytest.raises(LimitError, match="too large for the page"):
         read_upload(sent(net__xml=xml()))

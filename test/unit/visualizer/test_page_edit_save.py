@@ -556,7 +556,7 @@ def test_drafts_are_bounded_and_stay_in_the_folder(folder, editor, tmp_path_fact
 
     opened = editor.open("patrol")
     fields = {"etag": opened["etag"], "document": opened["document"]}
-    monkeypatch.setattr(drafts, "MOST", 2)
+    monkeypatch.setattr(drafts, "MOST_DRAFTS", 2)
     for number in range(3):
         answer = editor.send("draft", "gone_%d.json" % number, **fields)
         assert answer.status_code == 200, answer.get_json()
@@ -564,7 +564,7 @@ def test_drafts_are_bounded_and_stay_in_the_folder(folder, editor, tmp_path_fact
     assert editor.send("draft", "tokens", **fields).status_code == 200
     answer = editor.send("draft", "measure", **fields)
     assert answer.status_code == 409 and "2 drafts" in answer.get_json()["error"]
-    monkeypatch.setattr(drafts, "BYTES", 10)
+    monkeypatch.setattr(drafts, "LARGEST_DRAFT", 10)
     assert editor.send("draft", "patrol", **fields).status_code == 400
     monkeypatch.undo()
     shutil.rmtree(str(folder / drafts.DRAFTS))

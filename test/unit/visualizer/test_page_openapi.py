@@ -15,7 +15,7 @@ from gspn_framework_package.formats import encode_net, format_named
 from gspn_framework_package.visualizer.app import create_app
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.guard import Guard
-from gspn_framework_package.visualizer.openapi import OPERATIONS
+from gspn_framework_package.visualizer.openapi import API_OPERATIONS
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.serving import WebServer
 from gspn_framework_package.visualizer.session import Session
@@ -44,7 +44,7 @@ def test_every_route_is_described_and_every_description_is_a_route(page, tmp_pat
         for method in rule.methods - {"HEAD", "OPTIONS"}
         if rule.rule.startswith("/api/")
     }
-    assert set(operations(page)) == routes == set(OPERATIONS)
+    assert set(operations(page)) == routes == set(API_OPERATIONS)
 
 
 def test_the_description_is_whole(page):

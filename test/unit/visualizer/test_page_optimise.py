@@ -13,7 +13,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer import analysis_jobs
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.guard import TOKEN_HEADER, Guard
-from gspn_framework_package.visualizer.optimise_form import FormError, request_of
+from gspn_framework_package.visualizer.optimise_form import FormError, request_in_form
 from gspn_framework_package.visualizer.optimised import Optimised, proposed_name
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
@@ -37,20 +37,20 @@ def _plan(tmp_path):
 
 
 def test_the_form_becomes_a_request(plan):
-    request = request_of(FORM, plan)
+    request = request_in_form(FORM, plan)
     assert request.objective.aim is Aim.LONG_RUN and request.objective.maximise
     assert request.objective.rewards == {"fast_done": 1.0, "slow_done": 1.0}
     assert request.never == ("Fast == 1 and Slow == 1",)
     assert request.at_least == (AtLeast("fast_done", 0.5),)
     assert request.may_wait == {"Choose"} and request.reading == "run" and request.fitted
-    least = request_of({**FORM, "maximise": False, "fitted": False}, plan)
+    least = request_in_form({**FORM, "maximise": False, "fitted": False}, plan)
     assert not least.objective.maximise and not least.fitted
     goal = {"goal": " Slow >= 1 ", "at_least": []}
-    assert request_of({**FORM, "aim": "time_to", **goal}, plan).objective.goal == "Slow >= 1"
-    found = request_of({**FORM, "aim": "discounted", "at_least": [], "discount": "0.1"}, plan)
+    assert request_in_form({**FORM, "aim": "time_to", **goal}, plan).objective.goal == "Slow >= 1"
+    found = request_in_form({**FORM, "aim": "discounted", "at_least": [], "discount": "0.1"}, plan)
     assert found.objective.discount == 0.1
     rates = [{"name": "fast_done", "low": "1.5", "high": 3}]
-    found = request_of({**FORM, "at_least": [], "uncertain": rates, "teams": "own"}, plan)
+    found = request_in_form({**FORM, "at_least": [], "uncertain": rates, "teams": "own"}, plan)
     assert found.uncertain == {"fast_done": (1.5, 3.0)} and found.team_sizes == (1,)
 
 
@@ -100,7 +100,7 @@ def test_the_form_becomes_a_request(plan):
 )
 def test_what_is_wrong_is_said_at_its_field(changes, fields, plan):
     with pytest.raises(FormError) as caught:
-        request_of({**FORM, **changes}, plan)
+        request_in_form({**FORM, **changes}, plan)
     found = caught.value.fields
     assert found.keys() == fields.keys()
     for name, words in fields.items():

@@ -7,7 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import room_tight
-from gspn_framework_package.world.avoidance import STANDING_GAP, OtherRobot, brake, choose, follow
+from gspn_framework_package.world.avoidance import (
+    STANDING_GAP,
+    OtherRobot,
+    brake,
+    choose_velocity,
+    steer,
+)
 from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
 from gspn_framework_package.world.grid import RESOLUTION, SPARE, Grid
 from gspn_framework_package.world.navigation import (
@@ -246,14 +252,14 @@ def test_two_who_meet_both_keep_to_the_right():
         peer = OtherRobot(
             "other", other, (0.2 * math.cos(other.yaw), 0.0), True, (1.0,), ((-target[0], 0.0),)
         )
-        direction, speed = choose(grid, me, target, 0.22, [peer], (2.0,), None)
+        direction, speed = choose_velocity(grid, me, target, 0.22, [peer], (2.0,), None)
         assert speed > 0.0
         assert math.remainder(direction - me.yaw, math.tau) < -0.1
 
 
 def test_a_robot_that_looks_away_turns_before_it_drives():
-    assert follow(math.pi / 2, 0.2, 0.0) == (0.0, pytest.approx(2.0))
-    speed, turn = follow(0.1, 0.2, 0.0)
+    assert steer(math.pi / 2, 0.2, 0.0) == (0.0, pytest.approx(2.0))
+    speed, turn = steer(0.1, 0.2, 0.0)
     assert speed > 0.19
     assert turn > 0.0
 

@@ -179,7 +179,7 @@ def finish(action):
 @pytest.mark.parametrize("location, answer", [("L2", "high"), ("L3", "low")])
 def test_a_check_sweeps_the_location_and_reads_the_thermometer(location, answer):
     base = Base()
-    action = patrol.check_temperature(base, ROOM, location, 30.0, "high", "low")
+    action = patrol.measure_temperature(base, ROOM, location, 30.0, "high", "low")
     assert finish(action)[0] == answer
     place = ROOM.locations[location]
     assert [(goal.x, goal.y) for goal in base.goals] == list(place.sweep)
@@ -188,7 +188,7 @@ def test_a_check_sweeps_the_location_and_reads_the_thermometer(location, answer)
 def test_a_check_waits_at_the_entry_until_the_location_is_clear():
     base = Base()
     base.neighbours["other"] = Pose(0.85, -1.9)  # its edge is still in L1
-    action = patrol.check_temperature(base, ROOM, "L1", 30.0, "high", "low")
+    action = patrol.measure_temperature(base, ROOM, "L1", 30.0, "high", "low")
     for _ in range(20):
         said = next(action)
     assert said == "waiting at the entry of L1, other is in it"
@@ -215,7 +215,7 @@ def test_waiting_takes_a_slot_that_is_free():
     bay = ROOM.locations["L1"].bay
     base = Base()
     base.neighbours["other"] = bay[2]
-    finish(patrol.wait(base, ROOM, "L1", 2.0, first_slot=2))
+    finish(patrol.wait_in_bay(base, ROOM, "L1", 2.0, first_slot=2))
     assert base.at == bay[3]
 
 
@@ -223,7 +223,7 @@ def test_a_slot_that_another_one_takes_meanwhile_is_left_to_it():
     bay = ROOM.locations["L1"].bay
     base = Base()
     base.arrives = False
-    action = patrol.wait(base, ROOM, "L1", 2.0)
+    action = patrol.wait_in_bay(base, ROOM, "L1", 2.0)
     next(action)
     assert base.goals == [bay[0]]
     base.neighbours["other"] = bay[0]
@@ -245,14 +245,14 @@ def test_robots_of_a_team_prefer_different_slots():
 
 def test_a_slot_that_cannot_be_reached_is_left_for_the_next():
     base = Base(fails=1)
-    finish(patrol.wait(base, ROOM, "L1", 2.0))
+    finish(patrol.wait_in_bay(base, ROOM, "L1", 2.0))
     assert base.goals == list(ROOM.locations["L1"].bay[:2])
 
 
 def test_an_action_that_cannot_get_there_says_why():
     base = Base(fails=100)
     with pytest.raises(ActionFailed, match="cannot reach .*: blocked"):
-        finish(patrol.check_temperature(base, ROOM, "L1", 30.0, "high", "low"))
+        finish(patrol.measure_temperature(base, ROOM, "L1", 30.0, "high", "low"))
     assert len(base.goals) == 3
 
 

@@ -10,11 +10,12 @@ import pytest
 
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world import driving_team
 from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
-from gspn_framework_package.world.people import ENTRANCE, KEPT, PATIENCE, Walker
+from gspn_framework_package.world.people import ENTRANCE, KEPT_DISTANCE, PEOPLE_PATIENCE, Walker
 from gspn_framework_package.world.referee import Referee
-from gspn_framework_package.world.room import Person, Point, Pose, Room
+from gspn_framework_package.world.room import Person, Pose, Room
 from gspn_framework_package.world.room_file import load_room, parse_room
 
 WALLS: Tuple[Tuple[Point, ...], ...] = (((-2, -1.5), (2, -1.5), (2, 1.5), (-2, 1.5), (-2, -1.5)),)
@@ -55,7 +56,7 @@ def test_a_person_goes_around_a_robot_that_stands_in_the_way(y: float):
     robot = Pose(0.8, y)
     gaps = [robot.distance(at) - RADIUS - 0.2 for _, at in walk(walker, [robot], 60)]
     assert walker.visits == 1 and walker.at is None
-    assert min(gaps) >= KEPT - 1e-9
+    assert min(gaps) >= KEPT_DISTANCE - 1e-9
 
 
 def test_nobody_comes_in_where_a_robot_stands():
@@ -68,7 +69,7 @@ def test_nobody_comes_in_where_a_robot_stands():
 def test_a_person_goes_on_when_a_robot_stands_on_the_next_point():
     walker = Walker(THROUGH, a_room(), random.Random(1))
     visit = list(walk(walker, [Pose(0.0, 0.0)], 60))
-    assert walker.at is None and visit[-1][0] - visit[0][0] > PATIENCE
+    assert walker.at is None and visit[-1][0] - visit[0][0] > PEOPLE_PATIENCE
 
 
 def test_a_robot_stops_before_a_person_whatever_it_was_asked(monkeypatch):

@@ -5,7 +5,11 @@ Modules: ``constraints``, ``evaluation``, ``fixed_point``, ``graphs``, ``layers`
 """
 
 from gspn_framework_package.analysis.decisions.solving.constraints import Constrained, constrained
-from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate, follow
+from gspn_framework_package.analysis.decisions.solving.evaluation import (
+    Evaluated,
+    evaluate_policy,
+    follow_policy,
+)
 from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
 from gspn_framework_package.analysis.decisions.solving.robustness import Robust, robust
 from gspn_framework_package.analysis.decisions.solving.sensitivity import sensitivities
@@ -16,8 +20,8 @@ __all__ = [
     "Robust",
     "Solved",
     "constrained",
-    "evaluate",
-    "follow",
+    "evaluate_policy",
+    "follow_policy",
     "optimum",
     "robust",
     "sensitivities",

@@ -15,9 +15,13 @@ from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
-from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim
+from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
-from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate, flows
+from gspn_framework_package.analysis.decisions.solving.evaluation import (
+    Evaluated,
+    evaluate_policy,
+    flows,
+)
 from gspn_framework_package.analysis.decisions.solving.graphs import end_components, staying
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
 from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
@@ -66,7 +70,7 @@ def constrained(
     *,
     names: Optional[Sequence[str]] = None,
     maximise: bool = True,
-    width: float = WIDTH,
+    width: float = AIM_WIDTH,
     allowed: Optional[Booleans] = None,
     watch: Optional[Watch] = None,
 ) -> Constrained:
@@ -285,7 +289,7 @@ class _Work:
             out=np.zeros(len(weights)),
             where=sums[automaton.row_states] > 0,
         )
-        evaluated = evaluate(
+        evaluated = evaluate_policy(
             automaton, Aim.LONG_RUN, self._objective, weights, width=max(0.1 * self._width, 1e-10),
             watch=self._watch,
         )  # fmt: skip

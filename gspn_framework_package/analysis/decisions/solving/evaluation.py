@@ -18,11 +18,11 @@ from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automato
 from gspn_framework_package.analysis.decisions.solving import layers
 from gspn_framework_package.analysis.decisions.solving.graphs import any_of_row, forward
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
-from gspn_framework_package.analysis.solution.linear import solve as solve_linear
+from gspn_framework_package.analysis.solution.linear import solve_linear as solve_linear
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
 
-WIDTH = 1e-9
+VALUE_WIDTH = 1e-9
 """Default width of the interval, relative to the value."""
 
 
@@ -59,7 +59,7 @@ class Evaluated(NamedTuple):
     method: str
 
 
-def evaluate(
+def evaluate_policy(
     automaton: Automaton,
     aim: Aim,
     rewards: Optional[Rewards],
@@ -67,7 +67,7 @@ def evaluate(
     *,
     goal: Optional[Booleans] = None,
     discount: Optional[float] = None,
-    width: float = WIDTH,
+    width: float = VALUE_WIDTH,
     watch: Optional[Watch] = None,
 ) -> Evaluated:
     """The value of a policy.
@@ -81,7 +81,7 @@ def evaluate(
     """
     if aim in (Aim.LONG_RUN, Aim.DISCOUNTED):
         goal = None
-    followed = follow(automaton, rewards, weights, goal)
+    followed = follow_policy(automaton, rewards, weights, goal)
     try:
         solved = optimum(
             followed.automaton,
@@ -128,10 +128,10 @@ class Followed(NamedTuple):
     speaks: Booleans
 
 
-def follow(
+def follow_policy(
     automaton: Automaton, rewards: Optional[Rewards], weights: Floats, goal: Optional[Booleans]
 ) -> Followed:
-    """The decision problem under a policy; see :func:`evaluate` for the arguments."""
+    """The decision problem under a policy; see :func:`evaluate_policy` for the arguments."""
     rows = np.where(automaton.tangible[automaton.row_states], 1.0, np.asarray(weights, float))
     mixed, arcs = _mixed(automaton, rows)
     own = None
@@ -198,7 +198,7 @@ def flows(
     watch: Optional[Watch] = None,
 ) -> Tuple[Floats, Floats]:
     """The time that a policy spends in each state, and how often it takes each row; see
-    :class:`Evaluated`. The arguments are those of :func:`evaluate`."""
+    :class:`Evaluated`. The arguments are those of :func:`evaluate_policy`."""
     watch = watch or Watch()
     weights = np.where(automaton.tangible[automaton.row_states], 1.0, np.asarray(weights, float))
     mixed, _ = _mixed(automaton, weights)

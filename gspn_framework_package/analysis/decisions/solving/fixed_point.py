@@ -20,11 +20,11 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.model import Model
 from gspn_framework_package.analysis.solution.anderson import Anderson
-from gspn_framework_package.analysis.solution.linear import solve as solve_linear
+from gspn_framework_package.analysis.solution.linear import solve_linear as solve_linear
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
-Accept = Callable[[Floats, float, float], bool]
+_Accept = Callable[[Floats, float, float], bool]
 """Takes the values and the least and largest drift; returns whether that is good enough."""
 
 _SMALL = 2_000
@@ -92,9 +92,9 @@ def drift_range(
     return (low, high) if math.isfinite(low) and math.isfinite(high) else (-math.inf, math.inf)
 
 
-def solve(
+def solve_model(
     model: Model,
-    accept: Accept,
+    accept: _Accept,
     *,
     matters: Optional[Booleans] = None,
     long_run: bool = False,
@@ -119,7 +119,7 @@ class _Search:
     def __init__(
         self,
         model: Model,
-        accept: Accept,
+        accept: _Accept,
         matters: Optional[Booleans],
         long_run: bool,
         safe: Optional[Indices],

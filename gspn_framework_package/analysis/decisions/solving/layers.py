@@ -199,7 +199,7 @@ def numbered(states: Booleans, component: Indices, count: int) -> Tuple[Indices,
     return number, len(first)
 
 
-def merged(
+def merge_components(
     model: Model,
     component: Indices,
     count: int,

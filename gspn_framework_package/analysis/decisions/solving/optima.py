@@ -18,10 +18,14 @@ from typing import Callable, List, NamedTuple, Optional, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
-from gspn_framework_package.analysis.decisions.aims import NARROWEST, WIDTH, Aim
+from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST, Aim
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.analysis.decisions.solving import layers
-from gspn_framework_package.analysis.decisions.solving.fixed_point import Found, drift_range, solve
+from gspn_framework_package.analysis.decisions.solving.fixed_point import (
+    Found,
+    drift_range,
+    solve_model,
+)
 from gspn_framework_package.analysis.decisions.solving.graphs import (
     Arrows,
     EndComponents,
@@ -35,7 +39,12 @@ from gspn_framework_package.analysis.decisions.solving.graphs import (
     rows_toward,
     surely,
 )
-from gspn_framework_package.analysis.decisions.solving.layers import Layer, Reduced, lifted, merged
+from gspn_framework_package.analysis.decisions.solving.layers import (
+    Layer,
+    Reduced,
+    lifted,
+    merge_components,
+)
 from gspn_framework_package.analysis.decisions.solving.model import Model
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.watch import Watch
@@ -86,7 +95,7 @@ def optimum(
     goal: Optional[Booleans] = None,
     discount: Optional[float] = None,
     maximise: bool = True,
-    width: float = WIDTH,
+    width: float = AIM_WIDTH,
     allowed: Optional[Booleans] = None,
     start_values: Optional[Floats] = None,
     watch: Optional[Watch] = None,
@@ -284,7 +293,7 @@ class _Work:
             return self._narrow(*bounds(values, low, high), float(np.abs(values).max(initial=0.0)))
 
         start = self._begin([reduced.layer])
-        found = solve(model, accept, matters=matters, start=start, watch=self._watch)
+        found = solve_model(model, accept, matters=matters, start=start, watch=self._watch)
         chosen, low = self._steady(
             model,
             found.values,
@@ -341,7 +350,7 @@ class _Work:
                     hint="make them positive",
                 )
         component, inner, count = _without_cost(base, inside, rows, proper)
-        layer = merged(base, component, count, inner, states=inside, rows=rows)
+        layer = merge_components(base, component, count, inner, states=inside, rows=rows)
         values, chosen, lower, upper, found = self._total_of(
             layer, [reduced.layer, layer], begin, proper, what == "time"
         )
@@ -381,7 +390,9 @@ class _Work:
             # in terms of -time the constant is -1: the drift of the scaled equations
             return -0.4 * self._width <= low and high <= 0.4 * self._width
 
-        found = solve(model, accept, matters=matters, safe=guard, start=start, watch=self._watch)
+        found = solve_model(
+            model, accept, matters=matters, safe=guard, start=start, watch=self._watch
+        )
         chosen, low = self._steady(
             model,
             found.values,
@@ -432,7 +443,7 @@ class _Work:
         if rest.any():
             rows = rest[base.row_states]
             parts = end_components(base.arrows, rest, rows & ~base.into)
-            layer = merged(
+            layer = merge_components(
                 base,
                 parts.of,
                 parts.number,
@@ -535,12 +546,14 @@ class _Work:
             return self._narrow(low, high, scale)
 
         try:
-            found = solve(model, accept, long_run=True, start=start, watch=self._watch)
+            found = solve_model(model, accept, long_run=True, start=start, watch=self._watch)
         except LimitError:
             if matters:
                 raise
             # no run comes here: any answer does
-            found = solve(model, lambda *_: True, long_run=True, start=start, watch=self._watch)
+            found = solve_model(
+                model, lambda *_: True, long_run=True, start=start, watch=self._watch
+            )
         rows, low = self._steady(
             model,
             found.values,
@@ -628,7 +641,7 @@ class _Work:
             return max(abs(low), abs(high)) <= max(1e-9 * largest, 1e-15 * flowing)
 
         try:
-            found = solve(part, accept, watch=self._watch)
+            found = solve_model(part, accept, watch=self._watch)
         except LimitError:  # it decides nothing but among equals
             bias[rest] = 0.0
             return
@@ -692,7 +705,7 @@ class _Bounded:
                     )
                 return max(abs(low), abs(high)) <= target
 
-            found = solve(
+            found = solve_model(
                 model,
                 accept,
                 matters=self._matters,
@@ -808,7 +821,7 @@ def _slowest(model: Model, watch: Watch) -> Floats:
     def accept(values: Floats, low: float, high: float) -> bool:
         return high <= 0.5
 
-    found = solve(model, accept, watch=watch)
+    found = solve_model(model, accept, watch=watch)
     return found.values / (1 - max(found.high, 0.0))
 
 
@@ -869,7 +882,7 @@ def _with_exits(base: Model, parts: EndComponents, gains: Floats) -> Tuple[Model
       come from ``base``. Rows that stay come from no row of ``base``.
     """
     idle = base.earning(np.zeros(len(base.constant)))
-    layer = merged(idle, parts.of, parts.number, parts.rows)
+    layer = merge_components(idle, parts.of, parts.number, parts.rows)
     model = layer.model
     held = np.flatnonzero(parts.of >= 0)
     staying = np.full(len(model), -1, dtype=np.int64)

@@ -17,7 +17,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
-from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim
+from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
 from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
 from gspn_framework_package.analysis.graph import flat_ranges
@@ -62,7 +62,7 @@ def robust(
     goal: Optional[Booleans] = None,
     discount: Optional[float] = None,
     maximise: bool = True,
-    width: float = WIDTH,
+    width: float = AIM_WIDTH,
     allowed: Optional[Booleans] = None,
     watch: Optional[Watch] = None,
 ) -> Robust:

@@ -15,7 +15,7 @@ from scipy import optimize
 from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.analysis.decisions.solving import (
     constrained,
-    evaluate,
+    evaluate_policy,
     optimum,
     robust,
     sensitivities,
@@ -110,7 +110,7 @@ def test_constraints_equal_the_program_over_occupation_measures(problem, data):
     for value, (_, bound) in zip(found.values, asked):
         assert value >= bound - 1e-8
     # the policy is one: the value is that of its weights
-    assert evaluate(automaton, Aim.LONG_RUN, rewards, found.weights).value == pytest.approx(
+    assert evaluate_policy(automaton, Aim.LONG_RUN, rewards, found.weights).value == pytest.approx(
         0.5 * (found.lower + found.upper), rel=2e-6, abs=1e-9
     )
 
@@ -244,7 +244,7 @@ def test_sensitivities_equal_finite_differences(problem, aim):
     weights = np.ones(len(automaton.choices))
     options = {"goal": goal, "discount": DISCOUNT, "width": 1e-11}
     try:
-        base = evaluate(automaton, aim, rewards, weights, **options)
+        base = evaluate_policy(automaton, aim, rewards, weights, **options)
     except RefusedError:
         assume(False)
     rates = np.array([2.0, 0.5])
@@ -260,6 +260,6 @@ def test_sensitivities_equal_finite_differences(problem, aim):
         for sign in (1, -1):
             scaled = np.where(timed & (automaton.fired == t), 1 + sign * step / rate, 1.0)
             other = dataclasses.replace(automaton, values=automaton.values * scaled)
-            sides.append(evaluate(other, aim, rewards, weights, **options).value)
+            sides.append(evaluate_policy(other, aim, rewards, weights, **options).value)
         difference = (sides[0] - sides[1]) / (2 * step)
         assert found[t] == pytest.approx(difference, rel=1e-5, abs=1e-5 * max(1, abs(base.value)))

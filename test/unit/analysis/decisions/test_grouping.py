@@ -21,7 +21,7 @@ from gspn_framework_package.analysis.decisions.grouping import (
     group,
 )
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
-from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate
+from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
@@ -80,7 +80,7 @@ def test_the_patrol_gets_its_published_value(reading, waits, value):
         checks = sum(measures.throughput[name] for name in objective.rewards)
         assert checks == pytest.approx(grouped.evaluated.value, abs=1e-9)
     if not waits:
-        present = evaluate(
+        present = evaluate_policy(
             decisions.teams[0].automaton,
             objective.aim,
             asked[0],
@@ -137,7 +137,7 @@ def check_generated(plan, reading, names):
         weights = decisions.weights_of(team, policy)
     except RefusedError:
         return
-    assert evaluate(team.automaton, objective.aim, asked[0], weights).value == pytest.approx(
+    assert evaluate_policy(team.automaton, objective.aim, asked[0], weights).value == pytest.approx(
         value, rel=1e-7, abs=1e-8
     )
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.decisions.aims import Aim
-from gspn_framework_package.analysis.decisions.solving import evaluate, optimum
+from gspn_framework_package.analysis.decisions.solving import evaluate_policy, optimum
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
 EXAMPLES = int(os.environ.get("GSPN_DECISION_EXAMPLES", "40"))
@@ -66,7 +66,7 @@ def test_evaluate_gives_the_value_of_a_policy_and_its_flows(problem, aim, random
     weights[policy] = 1.0
     wanted = value_of(automaton, rewards, goal, DISCOUNT, aim, policy)
     try:
-        found = evaluate(automaton, aim, rewards, weights, goal=goal, discount=DISCOUNT)
+        found = evaluate_policy(automaton, aim, rewards, weights, goal=goal, discount=DISCOUNT)
     except RefusedError as refused:
         assert wanted is None or math.isinf(wanted) or "cycle of immediate" in str(refused)
         return
@@ -90,7 +90,7 @@ def test_a_policy_that_draws_is_evaluated():
         [False, True, True], [[[(1, 1.0)], [(2, 1.0)]], [[(0, 1.0)]], [[(0, 2.0)]]]
     )
     rewards = rewarded(automaton, impulse=[4.0, 1.0, 0.0, 0.0])
-    found = evaluate(automaton, Aim.LONG_RUN, rewards, np.array([1.0, 1.0, 1.0, 1.0]))
+    found = evaluate_policy(automaton, Aim.LONG_RUN, rewards, np.array([1.0, 1.0, 1.0, 1.0]))
     assert found.value == pytest.approx(2.5 / 0.75, rel=1e-12)
     assert found.flow[:2] == pytest.approx([1 / 1.5, 1 / 1.5])
     assert found.sojourn == pytest.approx([0, 2 / 3, 1 / 3])
@@ -99,7 +99,7 @@ def test_a_policy_that_draws_is_evaluated():
 def test_a_policy_that_says_nothing_where_a_run_comes_is_refused():
     automaton = automaton_of([True, False], [[[(1, 1.0)]], [[(0, 1.0)], [(1, 1.0)]]])
     with pytest.raises(RefusedError, match="says nothing"):
-        evaluate(automaton, Aim.LONG_RUN, rewarded(automaton), np.array([1.0, 0.0, 0.0]))
+        evaluate_policy(automaton, Aim.LONG_RUN, rewarded(automaton), np.array([1.0, 0.0, 0.0]))
 
 
 # -- textbooks -------------------------------------------------------------------------------------
@@ -149,7 +149,9 @@ def test_howards_taxi():
         ]
     )
     cruising = np.array([1, 0, 0, 1, 0, 1, 0, 0] + [1] * 8, dtype=float)
-    assert evaluate(taxi, Aim.LONG_RUN, rewards, cruising).value == pytest.approx(9.2, abs=1e-9)
+    assert evaluate_policy(taxi, Aim.LONG_RUN, rewards, cruising).value == pytest.approx(
+        9.2, abs=1e-9
+    )
     best = optimum(taxi, Aim.LONG_RUN, rewards, width=1e-9)
     assert best.lower == pytest.approx(13.3445378, abs=1e-6)
     assert best.upper - best.lower <= 1e-9 * best.upper
