@@ -19,7 +19,8 @@ PLAN = make_plan(2, 2, False, 0.0, 0.0, False)
 WRITE = """
 import os, signal, sys
 from benchmarks.faults import dying_node
-from gspn_framework_package.execution.event_log import EventLogWriter, read_log
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
 
 dying_node.die_on_signal()
 first = read_log(sys.argv[1]).header
@@ -51,7 +52,8 @@ def test_a_node_that_is_reported_dies_in_its_next_write_or_right_after_it(
 ORDERED = """
 import sys
 from benchmarks.faults.dying_node import Death, die_on_signal
-from gspn_framework_package.execution.event_log import EventLogWriter, read_log
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.log_writer import EventLogWriter
 
 die_on_signal(death=Death(sys.argv[2]))
 log = EventLogWriter(sys.argv[1], read_log(sys.argv[1]).header)
