@@ -21,7 +21,6 @@ class EnabledSet:
     It agrees with :meth:`Net.enabled` in every marking (a test compares the two), but calls
     :meth:`Net.is_enabled` only for the transitions that touch a place whose count changed.
 
-    :param net: the net.
     :param marking: the marking to start from.
     :param by_priority: immediate transitions take precedence over exponential ones, and only the
         immediate ones of the highest priority count as enabled. If false, all transitions with

@@ -20,7 +20,6 @@ class Environment:
 
     Waiting times are memoryless, so the time is drawn again whenever the marking has changed.
 
-    :param game: the rules.
     :param source: the random number generator.
     :param without: transitions that fire for other reasons: their tasks have a source.
     :param tasks: draw tasks in any case, even if the plan does not simulate its environment.

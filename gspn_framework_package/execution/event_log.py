@@ -116,7 +116,6 @@ def header(
     """The first line of a log.
 
     :param plan: the plan, which the header contains in full.
-    :param run: name of the run.
     :param robot: the robot that keeps the log ("" for a standalone run).
     :param log_id: unique to this log, e.g. a random hex string. It distinguishes a robot that comes
         back with its log from one that lost it.
@@ -278,7 +277,6 @@ TOO_LONG = "is too long for a record"
 class LogFile:
     """A log that is read line by line, on demand.
 
-    :param path: the file.
     :raises LogError: it cannot be read, or is not a log of a known version.
 
     :ivar header: the first line.

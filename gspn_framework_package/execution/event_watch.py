@@ -36,8 +36,6 @@ def asked_anew(plan: Plan, topics: bool) -> List[str]:
 class EventWatch:
     """The events of one robot.
 
-    :param plan: the plan.
-    :param robot: name of the robot.
     :param asked_anew: events whose source the host asks anew when a visit begins: what it showed
         before does not count in that visit.
     """

@@ -89,7 +89,6 @@ class RunObserver:
 
     :param plan: the plan to compare with; its net has the same places and transitions as that of
         the run, in any order.
-    :param run_plan: the plan of the run.
 
     :ivar began: when the run began (s); None before that.
     :ivar ended: when it ended; None while it goes on.

@@ -33,7 +33,6 @@ class SimulatedFiring(NamedTuple):
 class Simulator:
     """Plays the token game of a net.
 
-    :param net: the net.
     :param marking: where to start; the initial marking by default.
     :param source: the random number generator; pass a seeded one to repeat a simulation.
     :param probabilities: transition (index) -> relative firing probability (>= 0) that replaces its

@@ -51,10 +51,7 @@ _SAME = (
 
 def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
     """A firing as a JSON object, with the fields of the ROS message ``FiredTransition`` but for its
-    header.
-
-    :param run: the name of the run.
-    """
+    header."""
     firing = fired.firing
     moved = [move for move in firing.moves if move.target is not None]
     places, counts = marking_lists(firing.marking, fired.plan.net)
@@ -93,9 +90,7 @@ def robot_fields(
     """The fields of the ``RobotActivity`` of a robot, according to a log.
 
     :param game: the rules that the team follows now.
-    :param state: its state.
     :param robot: the robot, one of the state.
-    :param run: the name of the run.
     :param plan: the hash of the plan that the team follows.
     """
     phase = reported_phase(state, robot)

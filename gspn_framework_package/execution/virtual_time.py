@@ -135,7 +135,6 @@ class VirtualRun:
     def record_in(self, path: str, run: str, log_id: str) -> EventLogWriter:
         """Record the run in a new file, which the caller closes.
 
-        :param run: name of the run.
         :param log_id: unique to this log.
         :raises LogError: the file cannot be written.
         """

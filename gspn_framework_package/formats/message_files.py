@@ -45,7 +45,6 @@ class MessageFile(Protocol):
         """Append a message.
 
         :param time: seconds since 1970, not before the last message.
-        :param topic: its topic.
         :param kind: the name of its type in this package, one of :data:`MESSAGE_KINDS`.
         :param fields: its fields but for the header.
         """
@@ -175,7 +174,6 @@ class _EncodedFile(_WrittenFile):
 class BagFile(_EncodedFile):
     """A rosbag.
 
-    :param path: the file.
     :param encoder: encodes the messages.
     :raises InputError: the file cannot be written.
     """
@@ -250,7 +248,6 @@ class CsvFile(_WrittenFile):
     """A table of what each robot did: a row for each :data:`RobotActivity <MESSAGE_KINDS>`.
     Messages of other types are left out.
 
-    :param path: the file.
     :raises InputError: the file cannot be written.
     """
 

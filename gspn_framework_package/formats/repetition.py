@@ -84,9 +84,7 @@ class FileSample(NamedTuple):
     """A file as columns, and the sample with which to read it.
 
     :ivar document: the sample.
-    :ivar places: all places of the file.
     :ivar transitions: its transitions.
-    :ivar arcs: its arcs.
     """
 
     document: bytes

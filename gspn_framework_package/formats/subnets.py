@@ -152,7 +152,6 @@ def expand(
     """Replace the places of a plan that stand for other plans.
 
     :param data: the JSON object of the plan, which fits the schema.
-    :param net: its net.
     :param folder: the folder of the plan.
     :param read: reads the plan of a file that is named so, with these values of its parameters.
     :returns: the object without these places, the whole net, and the parts for :func:`with_parts`.

@@ -108,7 +108,6 @@ def _parse(data: bytes) -> Any:
 def _serialised(root: Any, data: bytes, before: bytes) -> bytes:
     """The document, in which lines that have not changed are those of the file.
 
-    :param data: the file.
     :param before: the root element as it was written before the change.
     """
     encoding = root.getroottree().docinfo.encoding or "UTF-8"

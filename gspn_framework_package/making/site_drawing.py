@@ -13,7 +13,6 @@ from gspn_framework_package.model.net import Point
 class SiteDrawing:
     """Positions of the elements of the net.
 
-    :param site: the map.
     :param kinds: the kinds of robots, each of which has places of its own.
     """
 

@@ -105,7 +105,6 @@ def build_site_plan(
     """Make a plan from a map.
 
     :param tasks_path: the file of the tasks; None: robots drive around.
-    :param robots: number of robots.
     :param all_edges: keep the edges and tasks that the policy does not use.
     :raises InputError: a file cannot be read, or both do not fit.
     """

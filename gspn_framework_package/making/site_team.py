@@ -24,7 +24,6 @@ class SiteState(NamedTuple):
 class SiteTeam:
     """The robots of a plan, and what they can do.
 
-    :param site: the map.
     :param path: its file, for errors.
     :param all_edges: keep what the policy does not use.
     :raises InputError: they cannot do what they are to do there.

@@ -121,7 +121,6 @@ class ActionCaller:
     separate thread calls the master, because without a master rospy's registrations block until it
     is back.
 
-    :param robot: name of the robot.
     :param targets: its actions by place.
     :param timeout: place -> seconds that its action may take, or None.
     :param enqueue: makes the worker thread call ``function(*arguments)`` soon.

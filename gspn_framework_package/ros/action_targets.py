@@ -91,7 +91,6 @@ class ActionTarget(NamedTuple):
     def data_of(self, outcome: str, text: str, result: Optional[genpy.Message]) -> Dict[str, Any]:
         """The data that an action wrote.
 
-        :param outcome: the name of the outcome.
         :param text: the text of the goal's status.
         :param result: the result message, if one arrived.
         :raises DataError: it cannot be kept.
@@ -118,8 +117,6 @@ class ActionTarget(NamedTuple):
 def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTarget]:
     """The targets of a robot by place; places without an action are left out.
 
-    :param plan: the plan.
-    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot, to which the plan's server names are
         relative.
     :raises PlanError: an action type does not exist, a goal does not fit its type, or a server name

@@ -20,7 +20,6 @@ from gspn_framework_package.team.verdict import verdict
 def check_all(plan: Plan, **options: Any) -> PreflightReport:
     """Check a plan, without running anything of it.
 
-    :param plan: the plan.
     :param options: see :func:`~gspn_framework_package.team.verdict.verdict`.
     :raises GspnError: as there.
     """

@@ -14,9 +14,7 @@ class RosReporter:
 
     It publishes ``/diagnostics`` (diagnostic_msgs/DiagnosticArray, once a second).
 
-    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot.
-    :param run: name of the run.
     """
 
     def __init__(self, robot: str, namespace: str, run: str) -> None:

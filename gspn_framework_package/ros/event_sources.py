@@ -316,8 +316,6 @@ def look_at_events(plan: Plan) -> EventFindings:
 class EventSources:
     """Watches the topics and functions of a robot's events and of the tasks.
 
-    :param plan: the plan.
-    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot, to which the topics are relative.
     :param witness: whether the node has no robot: it takes tasks only.
     :param host: the robot's node.

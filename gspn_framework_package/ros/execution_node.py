@@ -27,7 +27,6 @@ class ExecutionNode:
     :class:`RosReporter`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`.
 
     :param plan: the checked plan, with the team that begins the run.
-    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot.
     :param options: see :class:`NodeOptions`.
     :raises GspnError: the log or the actions cannot be used.

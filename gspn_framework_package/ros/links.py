@@ -90,7 +90,6 @@ class Link(RosFacts):
     It publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots
     hosted in the same process exchange messages without it.
 
-    :param robot: name of the robot.
     :param run: name of the run; messages of other runs are ignored.
     :param namespace: absolute namespace of the robot.
     :param received: receives each message for this robot; called on rospy's threads, or on those

@@ -62,7 +62,6 @@ class PlaceServers:
     1 Hz by default).
 
     :param plan: the plan; its functions are loaded from its folder.
-    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot.
     :param pool: the threads that run the actions; a new pool by default.
     :raises PlanError: a function does not exist, or is not an action.
@@ -344,7 +343,6 @@ class PlaceServer(ActionServer):
     ) -> None:
         """Take a goal from this process.
 
-        :param goal: the goal.
         :param told: receives (FEEDBACK or RESULT, status, message) of the goal, in addition to the
             topics.
         """

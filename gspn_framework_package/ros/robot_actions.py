@@ -35,7 +35,6 @@ class RobotActions:
     """The action side of a robot's host (see :class:`ActionSide`).
 
     :param plan: the plan with which the robot begins.
-    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot.
     :param options: see :class:`NodeOptions`.
     :param enqueue: makes the worker thread call ``function(*arguments)`` soon.

@@ -50,7 +50,6 @@ def spots_of_room(room: Mapping[str, Any], frame: str, places: Iterable[str]) ->
     name as a word, such as ``Wait_L1`` for ``L1``.
 
     :param room: the object on ``/world/room``.
-    :param frame: the frame of the room.
     """
     found: Dict[str, Spot] = {}
     listed = list(places)

@@ -28,7 +28,6 @@ class TeamOrders:
 
         :param to: the robot that is asked; the others may not carry it out.
         :param robot: the robot that the order concerns.
-        :param run: the run of ``to``.
         """
         if self._key is None:
             return CommandRequest(command, robot, argument, run)

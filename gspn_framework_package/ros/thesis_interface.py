@@ -62,7 +62,6 @@ def _translate(ending: Ending) -> int:
 class ThesisInterface:
     """Translates between a team and the interface of the thesis; see the module.
 
-    :param robots: the number of robots.
     :param prefix: the prefix of their namespaces; the robot's number follows it.
     :param run: name of the run; "" for the first one heard.
     """

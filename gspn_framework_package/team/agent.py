@@ -60,7 +60,6 @@ def make_agent(
 class PrintedReporter:
     """The reporter of a robot on a terminal (see :class:`Reporter`): lines on standard error.
 
-    :param robot: name of the robot.
     :param quiet: whether only warnings and errors are printed.
     """
 
@@ -96,10 +95,7 @@ class PrintedReporter:
 class JsonReporter:
     """The reporter of a robot for programs (see :class:`Reporter`): lines on standard output, a
     JSON object each, with the key ``event``: ``say``, ``warning`` and ``error`` have a ``text``;
-    ``diagnosis`` has what a robot on ROS publishes on ``/diagnostics``, whenever it changes.
-
-    :param robot: name of the robot.
-    """
+    ``diagnosis`` has what a robot on ROS publishes on ``/diagnostics``, whenever it changes."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot

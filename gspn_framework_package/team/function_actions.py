@@ -23,7 +23,6 @@ class FunctionActions:
     """The action side of a robot's host (see :class:`ActionSide`).
 
     :param plan: the plan with which the robot begins.
-    :param robot: name of the robot.
     :param allow_commands: whether the plan may run programs.
     :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
     :param ended: receives the end of each attempt, once.

@@ -36,8 +36,6 @@ class FunctionSources:
 
     A function that lets tasks in runs in the process of every robot, so it has to give them ids.
 
-    :param plan: the plan.
-    :param robot: name of the robot.
     :param witness: whether there is no robot, so that nothing is watched.
     :param listener: the robot's host.
     :param topics: whether topics can be subscribed to: an event with a topic then needs no

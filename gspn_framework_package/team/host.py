@@ -83,7 +83,6 @@ class ReplicaHost(Worker):
     it.
 
     :param plan: the checked plan, with the team that begins the run.
-    :param robot: name of the robot.
     :param options: see :class:`HostOptions`.
     :param reporter: prints for people.
     :param sources: makes the sources of the events of a plan; they report to the listener.

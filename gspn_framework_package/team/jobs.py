@@ -73,7 +73,6 @@ class JobAttempt:
 class Job:
     """An action of one robot in one place, which a thread of the robot's own process carries out.
 
-    :param place: the place.
     :param action: the action, of the kind that this class is for.
     """
 
@@ -122,8 +121,6 @@ class Job:
 class LocalJob(Job):
     """A Python function, or an action of another kind that needs no ROS.
 
-    :param plan: the plan.
-    :param place: the place.
     :param do: carries the action out.
     :param feedback: receives its progress, on its thread.
     """

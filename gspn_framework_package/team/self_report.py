@@ -33,9 +33,6 @@ MOST_ORDERS = 5
 class SelfReport:
     """Reads what it says from the replica and the action side; belongs to the worker thread.
 
-    :param robot: name of the robot.
-    :param run: name of the run.
-    :param replica: its replica.
     :param actions: its action side.
     :param refusals: says what its carrier did not take.
     """

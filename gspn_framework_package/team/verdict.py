@@ -22,7 +22,6 @@ from gspn_framework_package.model.plan import Plan
 def verdict(plan: Plan, **options: Any) -> PreflightReport:
     """Check a plan, without running anything of it.
 
-    :param plan: the plan.
     :param options: see :func:`~gspn_framework_package.analysis.preflight.check_plan.check`.
     :raises GspnError: as there.
     """

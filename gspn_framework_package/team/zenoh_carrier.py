@@ -70,7 +70,6 @@ class ZenohCarrier:
 
     Orders are taken from operators under their certificate's name. Make it after the last fork.
 
-    :param robot: name of the robot.
     :param run: name of the run; messages of other runs do not come here.
     :param access: how to reach the team.
     :param handlers: what to do with what comes.

@@ -48,8 +48,6 @@ class ZenohOperator:
 
     :param access: how to reach the team; to give orders, with an operator's keys.
     :raises GspnError: there is no session with the team.
-
-    :ivar session: the session.
     """
 
     def __init__(self, access: TeamAccess) -> None:

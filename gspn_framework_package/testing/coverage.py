@@ -18,8 +18,6 @@ class Coverage:
     A place is reached when it has a token, a transition when it fires, a row of the policy when a
     robot's choice was drawn from it, or a robot waited because of it.
 
-    :param plan: the plan.
-
     :ivar places: the names of the places reached.
     :ivar transitions: the names of the transitions reached.
     :ivar rows: the numbers of the rows reached, as in error messages: the first is 1.

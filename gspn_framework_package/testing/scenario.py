@@ -258,7 +258,6 @@ class Scenario:
     ) -> str:
         """Let a task come in.
 
-        :param data: its data.
         :param task: its id; by default a new one, which is returned.
         :param at: when (s); by default now.
         :raises UsageError: no tasks come in by that transition.

@@ -58,7 +58,6 @@ class FileEntry(NamedTuple):
 class Folder:
     """The served folder. Nothing outside it is opened, not even through a link.
 
-    :param root: the folder.
     :raises InputError: it is not a folder.
     """
 

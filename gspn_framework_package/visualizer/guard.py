@@ -109,7 +109,6 @@ class Guard:
     """The rules of one server.
 
     :param host: the address it listens on.
-    :param port: the port.
     :param names: further host names that browsers may use for it.
     :param token: the operator's token; generated if one is needed and none is given.
     :param viewer_token: the token of viewers, who may only look; generated beyond loopback.

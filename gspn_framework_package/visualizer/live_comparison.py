@@ -85,7 +85,6 @@ class RunFollower:
     """Passes the events of a hub to a monitor.
 
     :param plan: the plan of the run.
-    :param monitor: the monitor.
     :param complete: whether the events begin with the run, so that robots that appear have just
         started.
     :param number: of the plan; events under others are ignored.

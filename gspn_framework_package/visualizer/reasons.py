@@ -19,7 +19,6 @@ def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> D
     """The reasons why a transition of an open net cannot fire.
 
     :param session: the open net.
-    :param transition: its name.
     :param at: number of the event after which to look; None for now.
     :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (for an enabled
         one: the robots that it still waits for, and what the policy says), and ``at``: the number

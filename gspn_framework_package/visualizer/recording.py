@@ -159,10 +159,7 @@ def _order_note(robot: str, text: str, t: float) -> Event:
 
 class Recording(KeptEvents):
     """An event log as a history; see the module. All methods may be called from any thread, except
-    :meth:`read`, which only one may call.
-
-    :param file: the log.
-    """
+    :meth:`read`, which only one may call."""
 
     def __init__(self, file: LogFile) -> None:
         self._file = file

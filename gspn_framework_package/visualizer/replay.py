@@ -18,10 +18,7 @@ TELL = 0.25
 
 
 class Replay(Activity):
-    """A recorded run. A separate thread reads its log; the page can show the part read so far.
-
-    :param file: the log.
-    """
+    """A recorded run. A separate thread reads its log; the page can show the part read so far."""
 
     mode = "REPLAY"
 

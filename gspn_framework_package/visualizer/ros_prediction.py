@@ -29,7 +29,6 @@ class RosPrediction:
         """Publish.
 
         :param plan: the plan that the run is compared with.
-        :param run: the name of the run.
         """
         for alarm in found.new:
             rospy.logwarn("the run departs from the plan: %s", alarm.describe())

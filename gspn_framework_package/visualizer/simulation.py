@@ -43,7 +43,6 @@ class _Past(NamedTuple):
 class OfflineSimulation(Activity):
     """The offline simulation of a net. All viewers share it.
 
-    :param net: the net.
     :param seed: seed of the random numbers; None for a different simulation each time.
     """
 

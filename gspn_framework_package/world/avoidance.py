@@ -47,7 +47,6 @@ class OtherRobot:
     """A robot's knowledge of another robot, from observation and from its announcements.
 
     :param name: name of the other robot.
-    :param pose: its pose.
     :param velocity: its velocity east and north, metres per second.
     :param active: it is driving to a goal; otherwise it stands, parked or dead.
     :param rank: its right of way.
@@ -101,7 +100,6 @@ def choose_velocity(
 ) -> Tuple[float, float]:
     """Choose the direction and speed of a robot.
 
-    :param grid: the room.
     :param pose: the robot's pose.
     :param target: a point in sight to drive to.
     :param speed: the desired speed if nothing is in the way, metres per second.

@@ -26,7 +26,6 @@ CONTROL_PERIOD = CONTROL_STEPS * TIME_STEP
 class DrivingTeam:
     """Robots that drive in a room.
 
-    :param room: the room.
     :param robots: their names.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.

@@ -35,7 +35,6 @@ Disc = Tuple[float, float, float]
 class Field:
     """The cheapest paths from every cell of a grid to one goal.
 
-    :param grid: the grid.
     :param goal: the goal, in metres.
     :param cost: for each cell, the (weighted) length of the path in metres; infinite if there is
       none.
@@ -89,10 +88,7 @@ class Field:
 
 
 class Grid:
-    """The floor of a room in cells of :data:`RESOLUTION`, with the clearance of each.
-
-    :param room: the room.
-    """
+    """The floor of a room in cells of :data:`RESOLUTION`, with the clearance of each."""
 
     def __init__(self, room: Room) -> None:
         bounds = room.bounds()

@@ -99,7 +99,6 @@ class _Yield:
 class Navigator:
     """Drives one robot.
 
-    :param grid: the room.
     :param index: breaks ties in the right of way; different for each robot.
     :param goal_tolerance: distance at which the goal is reached, in metres.
     :param yaw_tolerance: tolerance of the final heading, in radians.

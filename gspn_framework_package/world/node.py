@@ -115,7 +115,6 @@ class _Robot:
 class WorldNode:
     """Steps the world and connects it to ROS; see the module.
 
-    :param room: the room.
     :param robots: names of the robots, which are also their namespaces.
     :param real_time_factor: seconds of world time per second of wall time; 0: as fast as possible.
     :param gui: open PyBullet's window.

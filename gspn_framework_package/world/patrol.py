@@ -102,7 +102,6 @@ def measure_temperature(
     The robot waits at the entry until no other robot is in the location according to the poses: a
     robot that is leaving, or that was lost there, still occupies it.
 
-    :param location: name of the location.
     :param threshold: temperature above which it is too hot, in degrees Celsius.
     :param high: the transition to request if it was too hot at any point.
     :param low: the transition to request otherwise.

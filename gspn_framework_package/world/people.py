@@ -43,7 +43,6 @@ def halted(pose: Pose, speed: float, radius: float, people: Sequence[Walker]) ->
     :param pose: of the robot.
     :param speed: metres per second, negative backwards.
     :param radius: of the robot, metres.
-    :param people: all people of the room.
     """
     if speed == 0.0:
         return False
@@ -59,8 +58,6 @@ def halted(pose: Pose, speed: float, radius: float, people: Sequence[Walker]) ->
 class Walker:
     """A person who comes, walks along a path, and goes.
 
-    :param person: the person.
-    :param room: the room.
     :param source: of the times at which the person comes.
 
     :ivar at: where the person is; None while nobody is there.

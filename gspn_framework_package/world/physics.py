@@ -70,7 +70,6 @@ class _Body:
 class Physics:
     """A room with robots in it.
 
-    :param room: the room.
     :param robots: names of the robots, in the order of ``room.spawn``.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.

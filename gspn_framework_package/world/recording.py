@@ -25,7 +25,6 @@ class Recorder:
 
     :param file: the file to write; an existing one is replaced.
     :param room_text: the text of the room file, so that the recording needs no other file.
-    :param team: the team.
     :raises InputError: the file cannot be written.
     """
 
@@ -70,7 +69,6 @@ class Recorder:
 class RoomRecording:
     """A recorded run.
 
-    :param room: the room.
     :param robots: names of the robots, in the order of the poses.
     :param moments: pairs of time in seconds and poses, sorted by time.
     :param people: time -> where each person of the room is then; None: away.

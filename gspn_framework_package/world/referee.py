@@ -89,10 +89,7 @@ class _Track:
 
 
 class Referee:
-    """Counts the events of a team; call :meth:`watch` after each of its steps.
-
-    :param team: the team.
-    """
+    """Counts the events of a team; call :meth:`watch` after each of its steps."""
 
     def __init__(self, team: DrivingTeam) -> None:
         self._team = team

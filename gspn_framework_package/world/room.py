@@ -221,7 +221,6 @@ class RobotType:
 class Room:
     """A room and its contents, as described by the room file.
 
-    :param name: name of the room.
     :param walls: polylines, each the centre line of a wall.
     :param wall_thickness: metres.
     :param wall_height: metres.

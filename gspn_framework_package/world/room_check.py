@@ -26,7 +26,6 @@ _Path = Tuple[KeyOrIndex, ...]
 def check_room(room: Room, document: YamlDocument) -> None:
     """Reject a room that robots cannot use.
 
-    :param room: the room.
     :param document: the document that it was read from, for the position of an error.
     :raises InputError: the first error.
     """

@@ -39,7 +39,6 @@ BATTERY_PERIOD = 0.5
 class ShopNode:
     """Connects a shop to ROS.
 
-    :param shop: the shop.
     :param robots: names of the robots, which are also their namespaces.
     :param orders_for: seconds of ROS time after which nobody orders any more; 0: no limit.
     """

@@ -29,7 +29,6 @@ class _Cycle(NamedTuple):
 class Elimination:
     """Where the vanishing states of a graph lead.
 
-    :param graph: the graph.
     :param kept: boolean array: the states to keep, at least all tangible ones.
     :raises RefusedError: there is a timeless trap: immediate transitions fire without end.
     """

@@ -144,7 +144,6 @@ class AtLeast(NamedTuple):
 class Request:
     """Everything that a policy is computed from, besides the plan.
 
-    :ivar objective: the aim.
     :ivar never: conditions that may never hold.
     :ivar at_least: constraints on the long run.
     :ivar may_wait: places in which a robot may wait although it could go on.

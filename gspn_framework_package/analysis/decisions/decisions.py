@@ -186,7 +186,6 @@ class Decisions:
         """How much more a policy for the plan's own team would reach, or how much less it would
         cost, if everything were permitted that may never hold.
 
-        :param objective: the aim.
         :param solution: the solution for it, without constraints and uncertain rates.
         :raises LimitError: see :meth:`solve`.
         """

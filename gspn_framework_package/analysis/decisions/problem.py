@@ -101,7 +101,6 @@ class DecisionProblem:
     :raises RefusedError: it is open who decides, or what may never be cannot be avoided.
     :raises UsageError: a name or a team size does not fit the plan.
 
-    :ivar plan: the plan.
     :ivar teams: the problem of each team size, that of the plan's own team first.
     :ivar deciders: place -> why the policy chooses there.
     :ivar chance: place -> why chance, or the action, chooses there.

@@ -94,7 +94,6 @@ class Rollout(NamedTuple):
       ``difference``: new minus old. They come from runs that nothing else was decided by.
     :ivar improved: whether the policy is significantly better.
     :ivar markings: number of rows, each for a group of markings, that were put before the old ones.
-    :ivar rounds: number of rounds.
     :ivar comparison: the runs that say so.
     :ivar notes: sentences for people.
     """

@@ -102,10 +102,8 @@ def _grouped(times: Any) -> Tuple[Any, Any]:
 class DurationFit(NamedTuple):
     """A fitted duration.
 
-    :ivar duration: the distribution.
     :ivar interval: the 95 % confidence interval of the mean (s).
     :ivar likelihood: the logarithm of the likelihood; None for a deterministic or empirical one.
-    :ivar parameters: the number of its parameters.
     """
 
     duration: Duration

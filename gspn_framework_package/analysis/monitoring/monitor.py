@@ -298,7 +298,6 @@ class Monitor:
     :param paces: place -> expected number of attempts per second, for the thresholds.
     :param alarm_every: mean time between two false alarms of all streams together (s).
 
-    :ivar streams: all streams.
     :ivar alarms: all alarms, in order.
     """
 

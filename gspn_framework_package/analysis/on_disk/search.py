@@ -62,7 +62,6 @@ class Counts(NamedTuple):
 class OnDiskSpace:
     """The reachable markings of a net, most of them on disk; made by :func:`search`.
 
-    :ivar net: the net.
     :ivar packed: the net, compiled to arithmetic on packed markings.
     :ivar code: translates packed markings to keys.
     :ivar scratch: where the files are.

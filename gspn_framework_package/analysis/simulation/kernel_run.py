@@ -20,7 +20,6 @@ LONGEST_ROW = 4096
 class KernelRun:
     """Runs of one subject, one after the other.
 
-    :param net: its net.
     :param arrays: named tuples of arrays that do not change.
     :param state: a named tuple of arrays that do, as they are at the start.
     :ivar compiled: whether the kernel is the compiled one.

@@ -24,7 +24,6 @@ from gspn_framework_package.model.net import Net
 class RaceRun(KernelRun):
     """Runs of one net.
 
-    :param net: the net.
     :param until: the condition that ends a run, which may ask for ``deadlock``; or None.
     """
 

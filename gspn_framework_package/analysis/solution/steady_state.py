@@ -46,7 +46,6 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 class SteadyState(NamedTuple):
     """Where the chain is in the long run.
 
-    :ivar chain: the chain.
     :ivar distribution: float array over its states: the long-run share of time in each.
     :ivar components: the recurrent classes, ordered by their first state, each with the probability
       of ending up in it.

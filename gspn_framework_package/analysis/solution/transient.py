@@ -45,7 +45,6 @@ class Transient(NamedTuple):
 class Evolution:
     """Steps a chain through time.
 
-    :param chain: the chain.
     :param initial: the distribution to start from, if not that of the chain.
     """
 

@@ -48,7 +48,6 @@ class TreeNode(NamedTuple):
 class CoverabilityTree:
     """The tree of a net.
 
-    :param net: the net.
     :param untimed: immediate transitions have no precedence (plain Petri net rule).
     :param limit: most nodes to build.
     :param memory: most bytes to use.

@@ -25,7 +25,6 @@ MAX_WIDTH = 62
 class Packing:
     """The fields of the places of a net in machine words.
 
-    :param net: the net.
     :param widths: bits of the field of each place, without the guard bit.
     """
 
@@ -97,7 +96,6 @@ class Packing:
 class PackedNet(Packing):
     """A net compiled for the exploration engines.
 
-    :param net: the net.
     :param widths: bits of the field of each place, without the guard bit.
     :param by_priority: whether immediate transitions take precedence over exponential ones, and
         higher priorities over lower ones. Without it every transition with concession may fire.

@@ -88,7 +88,6 @@ class StateSpace:
 
     States are numbered from 0, the initial marking, in breadth-first order.
 
-    :ivar net: the net.
     :ivar untimed: whether immediate transitions had no precedence.
     :ivar offsets: int array of ``len(self) + 1``: the arcs of state ``s`` are ``offsets[s]`` to
       ``offsets[s + 1]``.

@@ -41,7 +41,6 @@ _ROWS = 1 << 15
 class Symmetry:
     """Exchangeable parts of a net.
 
-    :param net: the net.
     :param asked: conditions that no exchange may change.
     :param distinguished: see :func:`~.automorphisms.automorphisms`.
     :ivar factors: the factors of the group that is used.

@@ -35,7 +35,6 @@ class LoggedTask:
 class Cargo:
     """The tasks of a team: outside, in queues, with robots.
 
-    :param plan: the plan.
     :param inputs: transition -> place -> weight.
     :param outputs: the same.
     """

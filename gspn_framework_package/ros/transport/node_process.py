@@ -92,7 +92,6 @@ def report_error(name: str, error: BaseException) -> int:
     """Report one of :data:`ERRORS` in one line; returns its exit code.
 
     :param name: the name of the node or command.
-    :param error: the exception.
     """
     if isinstance(error, GspnError):
         if rospy.core.is_initialized():

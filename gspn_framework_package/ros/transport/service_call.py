@@ -33,7 +33,6 @@ class ServiceCall:
     host or a dead master for ever.)
 
     :param name: absolute name of the service.
-    :param service_class: class of the service.
     """
 
     def __init__(self, name: str, service_class: Any) -> None:

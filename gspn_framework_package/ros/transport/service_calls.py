@@ -51,8 +51,6 @@ class ServiceCalls:
         :param peer: name of the robot; each has its own threads.
         :param uri: the address of its services, ``rosrpc://host:port``.
         :param service: absolute name of the service.
-        :param service_class: class of the service.
-        :param request: the request.
         :param answered: receives the response, on another thread; not called if the call fails.
         :returns: whether the call is made; False if all threads of the peer are busy.
         """

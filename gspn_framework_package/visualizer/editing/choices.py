@@ -15,7 +15,6 @@ from gspn_framework_package.model.plan import Plan
 def choices(document: EditedDocument, path: str, root: str, marking: Any) -> Dict[str, Any]:
     """Say what would happen at a marking.
 
-    :param document: the document.
     :param path: its plan file.
     :param root: the served folder, which its subnets may not leave.
     :param marking: place -> tokens; places that are not named have none. A subnet's place stands

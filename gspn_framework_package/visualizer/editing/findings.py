@@ -61,7 +61,6 @@ def findings(
 ) -> Dict[str, Any]:
     """Check a document.
 
-    :param document: the document.
     :param path: its plan file, which need not exist.
     :param root: the served folder, which its subnets may not leave.
     :param cancel: called at intervals; returns whether the answer is not wanted any more.

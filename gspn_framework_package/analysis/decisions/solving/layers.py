@@ -24,7 +24,6 @@ from gspn_framework_package.model.errors import RefusedError, UsageError
 class Layer(NamedTuple):
     """A model made of a part of something, and how to go back.
 
-    :ivar model: the model.
     :ivar arrows: the rows and arcs that it was made from.
     :ivar number: int array: the model's state for each of the states there; -1: none.
     :ivar inner: boolean array over the rows there: those inside of states that became one.
