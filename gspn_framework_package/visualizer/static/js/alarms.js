@@ -41,7 +41,7 @@ export class Alarms {
       ...alarms.map(([text, kind]) => {
         const open = (event) => this.open(event.currentTarget);
         const attributes = { class: `alarm ${kind}`, title: text, onclick: open };
-        return h("button", attributes, h("span", { text }));
+        return h("button", attributes, h("span", text));
       }),
     );
   }
@@ -56,6 +56,6 @@ export class Alarms {
     this.showTab("robots");
     const text = element.firstChild;
     if (text.scrollHeight > text.clientHeight + 2)
-      ask("Alarm", h("p", { class: "whole", text: text.textContent }), [["Close", "", "primary"]]);
+      ask("Alarm", h("p.whole", text.textContent), [["Close", "", "primary"]]);
   }
 }

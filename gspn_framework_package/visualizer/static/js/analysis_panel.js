@@ -1,6 +1,6 @@
 // The analysis panel: sends questions to the server, shows the progress, and highlights the results on the net.
 
-import { $, h, number, plural, toast } from "./dom.js";
+import { $, h, number, plural, question, toast } from "./dom.js";
 import { AnswerPieces } from "./answer_pieces.js";
 import { answersTo } from "./answers.js";
 import { BackgroundJob } from "./jobs.js";
@@ -92,8 +92,7 @@ export class AnalysisPanel extends EventTarget {
     const sweep = sweepFields(text);
     const fields = (named) =>
       h(
-        "div",
-        { class: "form" },
+        "div.form",
         ...Object.values(named).flatMap(({ label, input }) => field(input.id, label, input)),
       );
     const times = () => {
@@ -101,25 +100,14 @@ export class AnalysisPanel extends EventTarget {
         count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
       return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
     };
-    const question = (title, open, ...body) =>
-      h(
-        "details",
-        { class: "question", open },
-        h("summary", { text: title }),
-        h("div", { class: "body" }, body),
-      );
-    this.status = h("div", { class: "answer", role: "status" });
+    this.status = h("div.answer", { role: "status" });
     this.job = new BackgroundJob(this.model.session, this.status, "an-cancel");
     this.answers = h("div", { id: "answers" });
     this.panel.replaceChildren(
-      this.refusal
-        ? h("p", { class: "muted", text: `Analysis is not available: ${this.refusal}.` })
-        : "",
+      this.refusal ? h("p.muted", `Analysis is not available: ${this.refusal}.`) : "",
       h(
-        "div",
-        { class: "buttons" },
-        h("button", {
-          class: "primary",
+        "div.buttons",
+        h("button.primary", {
           id: "an-all",
           text: "Analyse",
           onclick: () => this.ask(() => ({ structure: true, timing: true }), "Analyse"),
@@ -133,8 +121,7 @@ export class AnalysisPanel extends EventTarget {
         "Settings",
         false,
         h(
-          "div",
-          { class: "form" },
+          "div.form",
           ...field("an-limit", "Max. states", this.settings.limit),
           ...field("an-seconds", "Max. seconds", this.settings.seconds),
           ...field("an-from", "Start from", this.settings.from),
@@ -149,30 +136,28 @@ export class AnalysisPanel extends EventTarget {
       question(
         "Is it reachable?",
         false,
-        h("div", { class: "form" }, ...field("an-reach", "Reachable", reach)),
+        h("div.form", ...field("an-reach", "Reachable", reach)),
         ask("Reachable?", () => ({ reach: [reach.value] })),
-        h("div", { class: "form" }, ...field("an-cover", "Coverable", cover)),
+        h("div.form", ...field("an-cover", "Coverable", cover)),
         ask("Coverable?", () => ({ cover: [this.namedNumbers(cover.value, true)] })),
       ),
       question(
         "How long until?",
         false,
-        h("div", { class: "form" }, ...field("an-passage", "Condition", passage)),
+        h("div.form", ...field("an-passage", "Condition", passage)),
         ask("Mean time", () => ({ mean_time_to: [passage.value], at: times() })),
       ),
       question(
         "How does it evolve?",
         false,
         h(
-          "div",
-          { class: "form" },
+          "div.form",
           ...field("an-until", "Until (s)", until),
           ...field("an-points", "Points", points),
           ...field("an-settling", "Settled within", settling),
         ),
         h(
-          "div",
-          { class: "buttons" },
+          "div.buttons",
           ask("Tokens over time", () => ({ at: times() })),
           ask("Time to steady state", () => ({ settling: Number(settling.value) })),
         ),
@@ -180,11 +165,8 @@ export class AnalysisPanel extends EventTarget {
       question(
         "What is it worth?",
         false,
-        h("p", {
-          class: "muted",
-          text: "Reward per token and second in a place, or per firing of a transition.",
-        }),
-        h("div", { class: "form" }, ...field("an-rewards", "Rewards", rewards)),
+        h("p.muted", "Reward per token and second in a place, or per firing of a transition."),
+        h("div.form", ...field("an-rewards", "Rewards", rewards)),
         ask("Reward per second", () => ({
           timing: true,
           rewards: this.namedNumbers(rewards.value, false),
@@ -193,20 +175,20 @@ export class AnalysisPanel extends EventTarget {
       question(
         "Simulated runs",
         false,
-        h("p", {
-          class: "muted",
-          text: "Many independent runs, with confidence intervals; also for nets too large to analyse, or unbounded.",
-        }),
+        h(
+          "p.muted",
+          "Many independent runs, with confidence intervals; also for nets too large to analyse, or unbounded.",
+        ),
         fields(runs),
         ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) })),
       ),
       question(
         "Sweep",
         false,
-        h("p", {
-          class: "muted",
-          text: "The runs above, for each value of robots, rate:TRANSITION, duration:, failure: or tokens:PLACE.",
-        }),
+        h(
+          "p.muted",
+          "The runs above, for each value of robots, rate:TRANSITION, duration:, failure: or tokens:PLACE.",
+        ),
         fields(sweep),
         ask("Sweep", () => ({ sweep: sweepOf(sweep, this.simulationOf(runs)) })),
       ),
@@ -254,8 +236,8 @@ export class AnalysisPanel extends EventTarget {
     return Object.fromEntries(numbers);
   }
 
-  /** Ask the question that `question()` returns; `label`: the button pressed. Replaces the previous answer. */
-  async ask(question, label) {
+  /** Ask the question that `read()` returns; `label`: the button pressed. Replaces the previous answer. */
+  async ask(read, label) {
     if (this.refusal) {
       toast(`no analysis: ${this.refusal}`);
       return;
@@ -266,11 +248,11 @@ export class AnalysisPanel extends EventTarget {
     }
     this.pieces.unpaint();
     this.shownText = "";
-    this.asked = h("p", { class: "asked" }, h("strong", { text: label }));
+    this.asked = h("p.asked", h("strong", label));
     this.answers.replaceChildren(this.asked);
     let request;
     try {
-      request = question();
+      request = read();
     } catch (error) {
       this.tellNoAnswer(error.message);
       this.status.replaceChildren();
@@ -288,7 +270,7 @@ export class AnalysisPanel extends EventTarget {
       event: this.model.board.n,
     };
     const stage = this.stageFrom(from.value === "initial" ? null : [...this.model.board.marking]);
-    const about = h("span", { class: "muted" });
+    const about = h("span.muted");
     const tell = (start) => {
       about.textContent = [
         questionText(request),
@@ -321,9 +303,7 @@ export class AnalysisPanel extends EventTarget {
 
   /** Say below the question that there is no answer. */
   tellNoAnswer(why) {
-    this.answers.append(
-      h("p", {}, h("span", { class: "badge bad", text: "no answer" }), why ? ` ${why}` : ""),
-    );
+    this.answers.append(h("p", h("span.badge.bad", "no answer"), why ? ` ${why}` : ""));
   }
 
   show(result, request, body, stage) {

@@ -1,6 +1,6 @@
 // The pieces that answers of the analysis are made of, and what of them is highlighted on the net.
 
-import { h, number, plural, $ } from "./dom.js";
+import { h, number, plural, question, table, $ } from "./dom.js";
 import { barPlot, CURVES } from "./plot.js";
 import { FiringSequence, sequenceControls } from "./sequence.js";
 
@@ -19,17 +19,12 @@ export class AnswerPieces {
   }
 
   section(title, ...content) {
-    return h(
-      "details",
-      { class: "question", open: true },
-      h("summary", { text: title }),
-      h("div", { class: "body" }, content),
-    );
+    return question(title, true, ...content);
   }
 
   answer(result, key, value = result[key]) {
     if (value === null || value === undefined)
-      return [h("span", { class: "badge warn", text: "not decided" }), ` ${this.why(result, key)}`];
+      return [h("span.badge.warn", "not decided"), ` ${this.why(result, key)}`];
     if (typeof value === "boolean")
       return h("span", { class: `badge ${YES[value][1]}`, text: YES[value][0] });
     return number(value);
@@ -37,14 +32,6 @@ export class AnswerPieces {
 
   why(result, key) {
     return (result.undecided || {})[key] || "";
-  }
-
-  facts(pairs) {
-    return h(
-      "dl",
-      { class: "facts" },
-      pairs.filter(Boolean).map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]),
-    );
   }
 
   /** The measures of a part that have a title but no special layout. */
@@ -68,8 +55,7 @@ export class AnswerPieces {
     const index = (kind === "place" ? this.places : this.transitions).get(name);
     return index === undefined
       ? name
-      : h("button", {
-          class: "link",
+      : h("button.link", {
           text: name,
           onclick: () => this.choose({ kind, index, fly: true }),
         });
@@ -89,7 +75,6 @@ export class AnswerPieces {
     const { mode, session } = this.model;
     return h(
       "div",
-      {},
       this.wayText(steps),
       fired.length > 0 &&
         (mode === "SIMULATE" || session.simulable) &&
@@ -99,8 +84,7 @@ export class AnswerPieces {
 
   wayText(steps) {
     return h(
-      "p",
-      { class: "muted" },
+      "p.muted",
       steps.length
         ? [
             "By firing ",
@@ -119,15 +103,15 @@ export class AnswerPieces {
   }
 
   marking(counts) {
-    return counts ? h("p", { class: "muted", text: this.markingText(counts) }) : null;
+    return counts ? h("p.muted", this.markingText(counts)) : null;
   }
 
   /** The answers to the conditions of a question, each drawn by `draw`; why there is none where there is none. */
-  conditions(result, question, draw) {
+  conditions(result, key, draw) {
     const why = Object.entries(result.undecided ?? {})
-      .filter(([key]) => key.startsWith(`${question}.`))
+      .filter(([name]) => name.startsWith(`${key}.`))
       .map(([, text]) => text);
-    return (result[question] || []).map((found) => (found ? draw(found) : h("p", {}, why)));
+    return (result[key] || []).map((found) => (found ? draw(found) : h("p", why)));
   }
 
   /** A button that highlights a result on the net and explains it in the legend. */
@@ -137,16 +121,9 @@ export class AnswerPieces {
       onclick: () => {
         this.view.paint({ places: marks.places || {}, transitions: marks.transitions || {} });
         $("legend").replaceChildren(
-          h("strong", { text: title }),
-          ...(ramp
-            ? [
-                h("span", { text: number(ramp[0]) }),
-                h("span", { class: "ramp" }),
-                h("span", { text: number(ramp[1]) }),
-              ]
-            : []),
-          h("button", {
-            class: "icon small",
+          h("strong", title),
+          ...(ramp ? [h("span", number(ramp[0])), h("span.ramp"), h("span", number(ramp[1]))] : []),
+          h("button.icon.small", {
             "aria-label": "Clear highlighting",
             text: "×",
             onclick: () => this.unpaint(),
@@ -188,42 +165,18 @@ export class AnswerPieces {
   }
 
   /** A table whose first column holds text or elements, and whose others hold numbers. */
-  table(head, rows, attributes = {}) {
-    return h(
-      "table",
-      attributes,
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          head.map((text, i) => h("th", { class: i ? "number" : "", text })),
-        ),
-      ),
-      h(
-        "tbody",
-        {},
-        rows.slice(0, ROWS).map((row) =>
-          h(
-            "tr",
-            {},
-            row.map((cell, i) => h("td", { class: i ? "number" : "" }, cell)),
-          ),
-        ),
-      ),
-    );
+  table(head, rows, kind = "table") {
+    return table(kind, head, rows.slice(0, ROWS));
   }
 
   /** The legend of the curves. */
   key(names) {
     return h(
-      "p",
-      { class: "key" },
+      "p.key",
       names.map((name, i) => {
-        const dot = h("b", { text: "● " });
+        const dot = h("b", "● ");
         dot.style.color = CURVES[i % CURVES.length];
-        return h("span", {}, dot, name);
+        return h("span", dot, name);
       }),
     );
   }
@@ -247,6 +200,6 @@ export class AnswerPieces {
         ),
       );
     chosen.onchange();
-    return [h("h3", { text: "Distribution of tokens" }), chosen, bars];
+    return [h("h3", "Distribution of tokens"), chosen, bars];
   }
 }

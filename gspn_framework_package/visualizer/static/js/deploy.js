@@ -30,10 +30,10 @@ function mappingForm({ gone, names }) {
   const element = h(
     "section",
     { "aria-label": "Names that are no more" },
-    h("p", { text: "The new plan does not have these names. What became of them?" }),
+    h("p", "The new plan does not have these names. What became of them?"),
     h(
-      "div",
-      { class: "form", id: "dp-map" },
+      "div.form",
+      { id: "dp-map" },
       fields.map(({ row }) => row),
     ),
   );
@@ -51,10 +51,8 @@ function verdictOf({ verdict, refused, findings }) {
       h(
         "ul",
         { class: `ed-level ${refused ? "error" : "warning"}` },
-        findings
-          .slice(0, FINDINGS)
-          .map(({ level, text }) => h("li", { text: `${words[level]}: ${text}` })),
-        findings.length > FINDINGS && h("li", { text: `and ${findings.length - FINDINGS} more` }),
+        findings.slice(0, FINDINGS).map(({ level, text }) => h("li", `${words[level]}: ${text}`)),
+        findings.length > FINDINGS && h("li", `and ${findings.length - FINDINGS} more`),
       ),
   );
 }
@@ -63,8 +61,8 @@ function verdictOf({ verdict, refused, findings }) {
 function voteList(votes) {
   const said = { null: "looks at the plan …", "": "can follow it" };
   return h(
-    "ul",
-    { id: "dp-votes", class: "ed-changes" },
+    "ul.ed-changes",
+    { id: "dp-votes" },
     Object.entries(votes).map(([who, why]) =>
       h("li", {
         class: why === "" ? "diff-added" : why === null ? "" : "diff-removed",
@@ -77,7 +75,7 @@ function voteList(votes) {
 /** Show how the deployment goes until it is over; resolves to whether the run follows the plan. */
 async function follow(id, plan) {
   const state = h("p", { id: "dp-state", role: "status", text: "The members look at the plan …" });
-  const votes = h("div", {}, voteList({}));
+  const votes = h("div", voteList({}));
   const closed = { now: false };
   const dialog = ask(`Deploying “${plan}”`, [state, votes], [["Close", "", "primary"]]);
   dialog.then(() => {
@@ -110,13 +108,13 @@ async function deployTo(id, what, run) {
   const answer = await ask(
     `Deploy “${look.plan}” to the team?`,
     [
-      h("p", {
-        text:
-          `The run “${run || look.present}” follows “${look.present}” now. ` +
+      h(
+        "p",
+        `The run “${run || look.present}” follows “${look.present}” now. ` +
           "Its robots look at the new plan; if all can follow it, they go on under it without stopping.",
-      }),
+      ),
       verdictOf(look),
-      h("h3", { text: plural(look.changes.length, "change") }),
+      h("h3", plural(look.changes.length, "change")),
       changeList(look.changes),
       !look.refused && element,
     ],
@@ -138,7 +136,7 @@ export async function deployToARun(what, id) {
     throw new Error("no run is shown that could take the plan: start one, then deploy to it");
   let target = runs.find((each) => each.id === id) || runs[0];
   if (runs.length > 1 && target.id !== id) {
-    const chosen = await ask("Deploy to which run?", h("p", { text: "Several runs go on." }), [
+    const chosen = await ask("Deploy to which run?", h("p", "Several runs go on."), [
       ["Cancel", ""],
       ...runs.map((each) => [each.run || each.title, each.id]),
     ]);

@@ -4,25 +4,60 @@ const SVG = "http://www.w3.org/2000/svg";
 
 export const $ = (id) => document.getElementById(id);
 
-function fill(element, attributes, children) {
+/** Fill an element. Its classes stand behind its name ("p.muted"); then come its attributes, which may be missing, and
+ * its children: elements, texts, lists of them. */
+function fill(create, selector, content) {
+  const [name, ...classes] = selector.split(".");
+  const element = create(name);
+  if (classes.length) element.setAttribute("class", classes.join(" "));
+  const named = content[0] && Object.getPrototypeOf(content[0]) === Object.prototype;
+  const [attributes, ...children] = named ? content : [{}, ...content];
   for (const [key, value] of Object.entries(attributes)) {
     if (value === undefined || value === null || value === false) continue;
-    if (key === "class") element.setAttribute("class", value);
-    else if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
     else if (key === "text") element.textContent = value;
-    else if (value === true) element.setAttribute(key, "");
-    else element.setAttribute(key, value);
+    else element.setAttribute(key, value === true ? "" : value);
   }
-  for (const child of children.flat(3)) {
-    if (child !== null && child !== undefined && child !== false) element.append(child);
-  }
+  for (const child of children.flat(Infinity))
+    if (child !== null && child !== undefined && child !== false && child !== "")
+      element.append(child);
   return element;
 }
 
-export const h = (name, attributes = {}, ...children) =>
-  fill(document.createElement(name), attributes, children);
-export const s = (name, attributes = {}, ...children) =>
-  fill(document.createElementNS(SVG, name), attributes, children);
+export const h = (selector, ...content) =>
+  fill((name) => document.createElement(name), selector, content);
+export const s = (selector, ...content) =>
+  fill((name) => document.createElementNS(SVG, name), selector, content);
+
+/** A section that can be folded. */
+export const question = (title, open, ...body) =>
+  h("details.question", { open }, h("summary", title), h("div.body", body));
+
+/** Names and values, one below the other; those without a value are left out. */
+export const facts = (pairs) =>
+  h(
+    "dl.facts",
+    pairs
+      .filter((pair) => pair && (pair[1] ?? null) !== null)
+      .map(([name, value]) => [h("dt", name), h("dd", value)]),
+  );
+
+/** A table; `kind`: its selector. Cells that are no cells yet are numbers, but for the first of a row. */
+export function table(kind, heads, rows) {
+  const cells = (tag, row) =>
+    h(
+      "tr",
+      row.map((cell, i) => (cell?.matches?.("td, th") ? cell : h(i ? `${tag}.number` : tag, cell))),
+    );
+  return h(
+    kind,
+    h("thead", cells("th", heads)),
+    h(
+      "tbody",
+      rows.map((row) => cells("td", row)),
+    ),
+  );
+}
 
 let toastTimer = 0;
 export function toast(message, good = false) {
@@ -85,6 +120,14 @@ export const LIST_STEPS = {
   End: Infinity,
 };
 
+/** The tab to which an arrow key leads from `name`; undefined for another key. */
+export function nextTab(event, names, name) {
+  const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+  if (!step) return undefined;
+  event.preventDefault();
+  return names[(names.indexOf(name) + step + names.length) % names.length];
+}
+
 /** Runs an action and shows its error, if any. */
 export async function attempt(action) {
   try {
@@ -99,7 +142,7 @@ export async function attempt(action) {
  * shown in the dialog, which stays open and keeps the input. */
 export function ask(title, content, buttons, act = null) {
   const dialog = $("dialog");
-  const wrong = h("p", { class: "wrong", role: "alert", hidden: true });
+  const wrong = h("p.wrong", { role: "alert", hidden: true });
   const press = async (value) => {
     try {
       if (value && act) await act(value);
@@ -113,11 +156,10 @@ export function ask(title, content, buttons, act = null) {
     dialog.returnValue = "";
     dialog.replaceChildren(
       h("h2", { text: title, id: "dialog-title" }),
-      h("div", { class: "content", tabindex: "0" }, content), // focusable, so that keys scroll it
+      h("div.content", { tabindex: "0" }, content), // focusable, so that keys scroll it
       wrong,
       h(
-        "div",
-        { class: "actions" },
+        "div.actions",
         buttons.map(([label, value, kind]) =>
           h("button", {
             class: kind || "",

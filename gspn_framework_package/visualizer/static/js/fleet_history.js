@@ -38,7 +38,7 @@ export function hideHistory() {
 export async function showHistory() {
   const screen = $("fleet");
   const answer = h("div", { id: "fleet-answer" });
-  screen.replaceChildren(h("div", {}, h("h2", { text: "History of the fleet" }), answer));
+  screen.replaceChildren(h("div", h("h2", "History of the fleet"), answer));
   screen.hidden = false;
   const names = await attempt(() => get("history/names"));
   if (!names || screen.hidden) return;
@@ -55,20 +55,19 @@ function filters(names, changed) {
       asked[key] = control.value;
       changed();
     };
-    return h("label", {}, `${label} `, control);
+    return h("label", `${label} `, control);
   };
   const choice = (values, all) =>
     h(
       "select",
-      {},
       all && h("option", { value: "", text: all }),
       values.map((value) => h("option", { value, text: value })),
     );
   const [first, last] = [names.days[0], names.days[names.days.length - 1]];
   const date = () => h("input", { type: "date", min: first, max: last });
   return h(
-    "form",
-    { class: "fleet-form", onsubmit: (event) => event.preventDefault() },
+    "form.fleet-form",
+    { onsubmit: (event) => event.preventDefault() },
     field("by", "A row for each", choice(Object.keys(GROUPS))),
     field("since", "From", date()),
     field("until", "to", date()),
@@ -115,19 +114,16 @@ function plots(rows) {
   ];
   return [
     h(
-      "div",
-      { class: "fleet-plots" },
+      "div.fleet-plots",
       parts.map((part) =>
         h(
           "figure",
-          {},
           curvePlot(
             part.map(([name, value]) => curve(name, value)),
             since,
           ),
           h(
             "figcaption",
-            {},
             part.map(([name], i) => legend(name, CURVES[i])),
           ),
         ),
@@ -137,39 +133,36 @@ function plots(rows) {
 }
 
 function legend(name, colour) {
-  const sign = s("svg", { viewBox: "0 0 10 10", "aria-hidden": "true", class: "fleet-sign" });
+  const sign = s("svg.fleet-sign", { viewBox: "0 0 10 10", "aria-hidden": "true" });
   const dot = s("circle", { cx: 5, cy: 5, r: 4 });
   dot.style.fill = colour;
   sign.append(dot);
-  return h("span", {}, sign, name);
+  return h("span", sign, name);
 }
 
 /** A share as a bar with its number. */
 function share(value) {
   if (value === null) return "–";
-  const bar = s("svg", { viewBox: "0 0 60 10", "aria-hidden": "true", class: "fleet-bar" });
+  const bar = s("svg.fleet-bar", { viewBox: "0 0 60 10", "aria-hidden": "true" });
   const inside = s("rect", { x: 0, y: 1, height: 8, width: 60 * value });
   inside.style.fill = CURVES[0];
-  bar.append(s("rect", { class: "frame", x: 0, y: 1, height: 8, width: 60 }), inside);
+  bar.append(s("rect.frame", { x: 0, y: 1, height: 8, width: 60 }), inside);
   return [bar, `${(100 * value).toFixed(1)} %`];
 }
 
 /** The report; a click on a row shows what happened there. */
 function table({ rows, left_out: leftOut }) {
-  if (!rows.length) return h("p", { class: "muted", text: "Nothing is in the store for this." });
+  if (!rows.length) return h("p.muted", "Nothing is in the store for this.");
   const group = asked.by;
   return h(
-    "div",
-    { class: "fleet-table" },
+    "div.fleet-table",
     h(
       "table",
       { id: "fleet-table" },
       h(
         "thead",
-        {},
         h(
           "tr",
-          {},
           h("th", { scope: "col", text: GROUPS[group] }),
           h("th", { scope: "col", text: "Use" }),
           COLUMNS.map(([, head]) => h("th", { scope: "col", text: head })),
@@ -177,28 +170,25 @@ function table({ rows, left_out: leftOut }) {
       ),
       h(
         "tbody",
-        {},
         rows.map((row) =>
           h(
             "tr",
-            {},
             h(
               "th",
               { scope: "row" },
-              h("button", {
-                class: "link",
+              h("button.link", {
                 text: nameOf(row[group]),
                 title: "What happened",
                 onclick: () => tellMoments(ofRow(row)),
               }),
             ),
-            h("td", {}, share(row.use)),
-            COLUMNS.map(([, , told]) => h("td", { text: told(row) })),
+            h("td", share(row.use)),
+            COLUMNS.map(([, , told]) => h("td", told(row))),
           ),
         ),
       ),
     ),
-    leftOut > 0 && h("p", { class: "muted", text: `${plural(leftOut, "row")} not shown.` }),
+    leftOut > 0 && h("p.muted", `${plural(leftOut, "row")} not shown.`),
   );
 }
 
@@ -216,10 +206,10 @@ async function tellMoments(narrower) {
   if (!told || !list || mine !== latestMoments) return;
   const about = Object.values(narrower)[0];
   list.replaceChildren(
-    h("h3", { text: about ? `What happened: ${about}` : "What happened" }),
+    h("h3", about ? `What happened: ${about}` : "What happened"),
     told.moments.length
-      ? h("ul", { class: "fleet-moments" }, told.moments.map(momentOf))
-      : h("p", { class: "muted", text: "No failures, alarms, orders or waits." }),
+      ? h("ul.fleet-moments", told.moments.map(momentOf))
+      : h("p.muted", "No failures, alarms, orders or waits."),
   );
 }
 
@@ -227,13 +217,12 @@ function momentOf(moment) {
   const where = [moment.robot, moment.place].filter(Boolean).join(", ");
   return h(
     "li",
-    {},
     h("a", {
       href: `#${encodeURIComponent(moment.id)}&slot=${moment.slot}`,
       text: moment.happened.replace("T", " ").slice(0, 19),
       title: "Replay this moment",
     }),
-    h("span", { class: "badge", text: KINDS[moment.kind] }),
-    h("span", { text: ` ${nameOf(where)}: ${moment.detail}` }),
+    h("span.badge", KINDS[moment.kind]),
+    h("span", ` ${nameOf(where)}: ${moment.detail}`),
   );
 }

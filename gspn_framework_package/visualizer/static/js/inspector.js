@@ -1,7 +1,7 @@
 // The inspector describes the selected node. A place: its tokens and robots, since when, and what they do.
 // A transition: kind, rate or weight, number of firings, why it is not enabled.
 
-import { h, $, attempt, isPressed, toast, seconds, plural, number } from "./dom.js";
+import { h, $, attempt, facts, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { reportOf } from "./phases.js";
 import { queueOf, taskLine, waitingFor } from "./reacting.js";
@@ -58,7 +58,7 @@ export class Inspector extends EventTarget {
     return h(
       "ul",
       { class: `reasons ${why.at === model.board.n ? "" : "stale"}` },
-      why.reasons.map((reason) => h("li", { text: reason })),
+      why.reasons.map((reason) => h("li", reason)),
     );
   }
 
@@ -101,21 +101,10 @@ export class Inspector extends EventTarget {
     if (selection?.kind === "transition") this.askWhy(selection.index);
   }
 
-  facts(pairs) {
-    return h(
-      "dl",
-      { class: "facts" },
-      pairs
-        .filter(([, value]) => value !== null && value !== undefined)
-        .map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]),
-    );
-  }
-
   link(kind, index) {
     const name = (kind === "place" ? this.model.scene.places : this.model.scene.transitions)[index]
       .name;
-    return h("button", {
-      class: "link",
+    return h("button.link", {
       text: name,
       "data-focus": `${kind}${index}`,
       onclick: () =>
@@ -131,8 +120,8 @@ export class Inspector extends EventTarget {
       ...(scene.plan ? scene.plan.notes.filter((note) => !session.notes.includes(note)) : []),
     ];
     return [
-      h("h2", { text: scene.name }),
-      this.facts([
+      h("h2", scene.name),
+      facts([
         ["Places", String(scene.places.length)],
         [
           "Transitions",
@@ -161,23 +150,16 @@ export class Inspector extends EventTarget {
           }[scene.layout.engine] || scene.layout.engine,
         ],
       ]),
-      h("p", {
-        class: "muted",
-        text: "Select a place or a transition in the net or the list to see its details.",
-      }),
-      notes.length > 0 && [
-        h("h3", { text: "Notes" }),
-        notes.map((note) => h("p", { class: "muted", text: note })),
-      ],
+      h("p.muted", "Select a place or a transition in the net or the list to see its details."),
+      notes.length > 0 && [h("h3", "Notes"), notes.map((note) => h("p.muted", note))],
       board.notes.length > 0 && [
-        h("h3", { text: "Reports" }),
+        h("h3", "Reports"),
         board.notes
           .slice(-8)
           .reverse()
           .map((note) =>
             h(
               "p",
-              {},
               h("span", {
                 class: `badge ${note.level === "fault" ? "bad" : note.level === "warning" ? "warn" : ""}`,
                 text: seconds(note.t),
@@ -203,35 +185,30 @@ export class Inspector extends EventTarget {
         : "resource place: its tokens are counters",
       plain: "place",
     };
-    const into = [
-      ...new Set(scene.arcs.filter(([p, , forth]) => p === index && !forth).map(([, t]) => t)),
-    ];
-    const out = [
-      ...new Set(scene.arcs.filter(([p, , forth]) => p === index && forth).map(([, t]) => t)),
-    ];
+    const around = (title, leaving) => {
+      const arcs = scene.arcs.filter(([p, , forth]) => p === index && Boolean(forth) === leaving);
+      const found = [...new Set(arcs.map(([, t]) => t))];
+      return (
+        found.length > 0 && [h("h3", title), found.map((t) => h("p", this.link("transition", t)))]
+      );
+    };
     return [
-      h("h2", { text: place.name }),
-      h("p", { class: "muted", text: kinds[place.kind] }),
-      this.facts([
+      h("h2", place.name),
+      h("p.muted", kinds[place.kind]),
+      facts([
         ["Tokens", String(board.marking[index])],
         ["Initial tokens", String(place.tokens)],
         ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
         ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
       ]),
-      breakpoint && h("div", { class: "buttons" }, breakpoint),
+      breakpoint && h("div.buttons", breakpoint),
       place.queue && this.queue(place, board.marking[index]),
       robots.length > 0 && [
-        h("h3", { text: "Robots here" }),
+        h("h3", "Robots here"),
         robots.map((robot) => robotCard(this.model, robot)),
       ],
-      into.length > 0 && [
-        h("h3", { text: "Filled by" }),
-        into.map((t) => h("p", {}, this.link("transition", t))),
-      ],
-      out.length > 0 && [
-        h("h3", { text: "Consumed or tested by" }),
-        out.map((t) => h("p", {}, this.link("transition", t))),
-      ],
+      around("Filled by", false),
+      around("Consumed or tested by", true),
     ];
   }
 
@@ -239,11 +216,11 @@ export class Inspector extends EventTarget {
   queue(place, tokens) {
     const tasks = queueOf(this.model.board, place.name);
     return [
-      h("h3", { text: "Tasks" }),
-      tasks.length ? tasks.map(taskLine) : h("p", { class: "muted", text: "none is known" }),
+      h("h3", "Tasks"),
+      tasks.length ? tasks.map(taskLine) : h("p.muted", "none is known"),
       tasks.length > 0 &&
         tasks.length < tokens &&
-        h("p", { class: "muted", text: `and ${tokens - tasks.length} more` }),
+        h("p.muted", `and ${tokens - tasks.length} more`),
     ].filter(Boolean);
   }
 
@@ -278,20 +255,30 @@ export class Inspector extends EventTarget {
     const breakpoint = this.orders.breakpoint(transition);
     const waiting = waitingFor(board, transition.name);
     const mine = info.probabilities?.[String(index)];
-    const arcs = (forth) =>
-      scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
+    const around = (title, forth) => {
+      const arcs = scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
+      const says = (weight, inhibitor) =>
+        inhibitor ? ` (inhibits at ${weight} or more)` : weight > 1 ? ` × ${weight}` : "";
+      return (
+        arcs.length > 0 && [
+          h("h3", title),
+          arcs.map(([p, , , weight, inhibitor]) =>
+            h("p", this.link("place", p), says(weight, inhibitor)),
+          ),
+        ]
+      );
+    };
     return [
-      h("h2", { text: transition.name }),
+      h("h2", transition.name),
       h(
         "p",
-        {},
         h("span", {
           class: `badge ${enabled ? "good" : ""}`,
           text: enabled ? "enabled" : "not enabled",
         }),
       ),
       this.reasons(enabled),
-      this.facts([
+      facts([
         ["Kind", transition.timed ? "exponential" : "immediate"],
         ["Rate", transition.timed ? `${number(transition.rate)} /s${servers}` : null],
         [
@@ -315,10 +302,8 @@ export class Inspector extends EventTarget {
       ]),
       mode === "SIMULATE" && [
         h(
-          "div",
-          { class: "buttons" },
-          h("button", {
-            class: "primary",
+          "div.buttons",
+          h("button.primary", {
             text: "Fire",
             disabled: !enabled || !this.model.following,
             title: this.model.following ? "" : "This is a past state: go back to now first",
@@ -327,8 +312,7 @@ export class Inspector extends EventTarget {
           }),
         ),
         h(
-          "div",
-          { class: "form" },
+          "div.form",
           h("label", { for: "probability", text: "Firing probability" }),
           h("input", {
             id: "probability",
@@ -347,24 +331,9 @@ export class Inspector extends EventTarget {
           }),
         ),
       ],
-      (order || submit || breakpoint) && h("div", { class: "buttons" }, order, submit, breakpoint),
-      arcs(1).length > 0 && [
-        h("h3", { text: "Inputs" }),
-        arcs(1).map(([p, , , weight, inhibitor]) =>
-          h(
-            "p",
-            {},
-            this.link("place", p),
-            inhibitor ? ` (inhibits at ${weight} or more)` : weight > 1 ? ` × ${weight}` : "",
-          ),
-        ),
-      ],
-      arcs(0).length > 0 && [
-        h("h3", { text: "Outputs" }),
-        arcs(0).map(([p, , , weight]) =>
-          h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""),
-        ),
-      ],
+      (order || submit || breakpoint) && h("div.buttons", order, submit, breakpoint),
+      around("Inputs", 1),
+      around("Outputs", 0),
     ];
   }
 }

@@ -84,7 +84,7 @@ export class BackgroundJob {
       h(
         "p",
         { class: report.state === "done" ? "muted" : "", "data-state": report.state },
-        report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }),
+        report.state === "failed" && h("span.badge.bad", "no answer"),
         ` ${words[report.state]}`,
       ),
     );
@@ -104,16 +104,13 @@ export class BackgroundJob {
       this.progressText.textContent = text;
       return;
     }
-    this.progressText = h("span", { class: "muted", text });
+    this.progressText = h("span.muted", text);
     this.cancelButton = h("button", {
       id: this.cancelId,
       text: "Cancel",
       onclick: () => this.job && attempt(() => this.cancel(this.job)),
     });
-    this.status.replaceChildren(
-      bar,
-      h("div", { class: "buttons" }, this.cancelButton, this.progressText),
-    );
+    this.status.replaceChildren(bar, h("div.buttons", this.cancelButton, this.progressText));
   }
 
   close() {

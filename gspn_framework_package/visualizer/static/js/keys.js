@@ -45,25 +45,19 @@ export function showHelp(editing = false) {
     [
       h(
         "table",
-        {},
         h(
           "tbody",
-          {},
           (editing ? EDIT_KEYS : TABLE).map(([key, says]) =>
-            h("tr", {}, h("td", {}, h("kbd", { text: key })), h("td", { text: says })),
+            h("tr", h("td", h("kbd", key)), h("td", says)),
           ),
         ),
       ),
-      h("h3", { text: "In the net" }),
+      h("h3", "In the net"),
       h(
         "table",
-        {},
         h(
           "tbody",
-          {},
-          SYMBOLS.map(([sign, says]) =>
-            h("tr", {}, h("td", { text: sign }), h("td", { text: says })),
-          ),
+          SYMBOLS.map(([sign, says]) => h("tr", h("td", sign), h("td", says))),
         ),
       ),
     ],

@@ -324,7 +324,7 @@ export class Labels {
       return;
     }
     if (!node.label) {
-      node.label = s("text", { class: "label", text: node.text });
+      node.label = s("text.label", node.text);
       node.element.append(node.label);
     }
     node.label.setAttribute("x", spot[0].toFixed(1));

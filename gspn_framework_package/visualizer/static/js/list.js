@@ -90,12 +90,11 @@ export class NodeList extends RestingList {
     const rows = [];
     for (const [title, items, on] of groups) {
       if (!items.length) continue;
-      rows.push(h("li", { class: "heading", role: "presentation", text: title }));
+      rows.push(h("li.heading", { role: "presentation", text: title }));
       for (const item of items.slice(0, Math.max(0, left))) rows.push(this.row(item, on));
       if (items.length > left)
         rows.push(
-          h("li", {
-            class: "heading",
+          h("li.heading", {
             role: "presentation",
             text: `${items.length - Math.max(0, left)} more: search`,
           }),
@@ -104,8 +103,7 @@ export class NodeList extends RestingList {
     }
     if (!this.items.length)
       rows.push(
-        h("li", {
-          class: "heading",
+        h("li.heading", {
           role: "presentation",
           text: wanted ? "No match" : "The net is empty",
         }),
@@ -120,7 +118,7 @@ export class NodeList extends RestingList {
       item.kind === "place"
         ? `, ${item.sign === "resource" ? "resource place" : "place"}`
         : `, ${item.sign} transition${enabled ? ", enabled" : ""}`;
-    const unseen = (text) => h("span", { class: "unseen", text });
+    const unseen = (text) => h("span.unseen", text);
     return h(
       "li",
       {
@@ -131,16 +129,10 @@ export class NodeList extends RestingList {
         title: item.name,
       },
       h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }),
-      h("span", { class: "name", text: item.name }),
+      h("span.name", item.name),
       unseen(kind),
       tokens > 0 &&
-        h(
-          "span",
-          { class: "tokens" },
-          unseen(", "),
-          String(tokens),
-          unseen(tokens === 1 ? " token" : " tokens"),
-        ),
+        h("span.tokens", unseen(", "), String(tokens), unseen(tokens === 1 ? " token" : " tokens")),
     );
   }
 

@@ -112,21 +112,18 @@ export class FiringLog extends RestingList {
             "data-n": event.n,
             title: text,
           },
-          h("time", { text: seconds(event.t) }),
-          h("span", { class: "what-happened", text }),
+          h("time", seconds(event.t)),
+          h("span.what-happened", text),
         ),
       );
     }
     if (!rows.length)
       rows.push(
         h(
-          "li",
-          { role: "option", class: "nothing", "aria-disabled": "true" },
+          "li.nothing",
+          { role: "option", "aria-disabled": "true" },
           h("time"),
-          h("span", {
-            class: "what-happened muted",
-            text: wanted ? "no match" : "nothing has fired yet",
-          }),
+          h("span.what-happened.muted", wanted ? "no match" : "nothing has fired yet"),
         ),
       );
     this.list.replaceChildren(...rows);

@@ -18,7 +18,7 @@ export async function login() {
     const field = h("input", { type: "password", "aria-label": "Token", autocomplete: "off" });
     await ask(
       "This page needs a token",
-      [h("p", { class: "muted", text: "It was printed where the server was started." }), field],
+      [h("p.muted", "It was printed where the server was started."), field],
       [["Continue", "go", "primary"]],
     );
     await attempt(() => post("login", { token: field.value }));

@@ -1,6 +1,6 @@
 // The page: opens a net, follows its hub, and keeps all views on the same board.
 
-import { $, h, ask, attempt, announce, clock } from "./dom.js";
+import { $, h, ask, attempt, announce, clock, nextTab } from "./dom.js";
 import { get, post, NewsStream } from "./api.js";
 import { Model } from "./model.js";
 import { NetView } from "./net_view.js";
@@ -31,6 +31,9 @@ const MODE_SAYS = {
   REPLAY: "a recorded run",
   SIMULATE: "the token game; nothing moves in the world",
 };
+
+/** What shows the scene of the model. */
+const VIEWS = "view list inspector robots analysis optimise log line".split(" ");
 
 class Page {
   constructor() {
@@ -91,29 +94,22 @@ class Page {
     this.begun = true;
   }
 
-  go(key) {
-    const hash = `#${encodeURIComponent(key)}`;
+  go(key, word = "") {
+    const hash = `#${encodeURIComponent(key)}${word}`;
     if (location.hash === hash) this.route();
     else location.hash = hash;
   }
 
   /** Edit a file of the folder. */
   edit(key) {
-    const hash = `#${encodeURIComponent(key)}&edit`;
-    if (location.hash === hash) this.route();
-    else location.hash = hash;
+    this.go(key, "&edit");
   }
 
   /** The screen for opening a net. `another`: the user asked for it and can return from it. */
   async openScreen(another = false) {
     if (!(await this.editor.leave())) return;
-    this.closeNet();
     hideHistory();
-    document.body.dataset.mode = "";
-    $("mode").textContent = "";
-    $("title").textContent = "No net is open";
-    $("subtitle").textContent = "";
-    document.title = "GSPN";
+    this.showNoNet("No net is open", "GSPN");
     history[another && location.hash ? "pushState" : "replaceState"](null, "", location.pathname);
     const { id, edit } = await openingScreen(this.hello);
     hideOpening();
@@ -124,13 +120,16 @@ class Page {
   /** The history of the fleet whose store is served. */
   openHistory() {
     hideOpening();
+    this.showNoNet("History of the fleet", "History · GSPN");
+    showHistory();
+  }
+
+  showNoNet(title, ofPage) {
     this.closeNet();
     document.body.dataset.mode = "";
-    $("mode").textContent = "";
-    $("title").textContent = "History of the fleet";
-    $("subtitle").textContent = "";
-    document.title = "History · GSPN";
-    showHistory();
+    for (const id of ["mode", "subtitle"]) $(id).textContent = "";
+    $("title").textContent = title;
+    document.title = ofPage;
   }
 
   /** Show the moment that an address names: `slot=12` stands for the state after slot 12 of the log. */
@@ -198,17 +197,10 @@ class Page {
   }
 
   closeViews() {
-    for (const part of [
-      this.view,
-      this.list,
-      this.inspector,
-      this.robots,
-      this.analysis,
-      this.optimise,
-      this.log,
-      this.line,
-    ])
-      part?.close();
+    for (const name of VIEWS) {
+      this[name]?.close();
+      this[name] = null;
+    }
   }
 
   /** The team follows another plan: show its net, with the same node selected if it is still there. */
@@ -240,18 +232,7 @@ class Page {
     this.tools?.stopRunning();
     this.model?.close();
     this.closeViews();
-    this.stream =
-      this.model =
-      this.view =
-      this.list =
-      this.inspector =
-      this.robots =
-      this.analysis =
-      this.optimise =
-      this.log =
-      this.line =
-      this.tools =
-        null;
+    this.stream = this.model = this.tools = null;
     this.selection = null;
     this.paused = false;
     delete document.body.dataset.stale;
@@ -298,15 +279,8 @@ class Page {
     });
     model.addEventListener("events", ({ detail }) => {
       this.view.show(detail.events);
-      for (const part of [
-        this.list,
-        this.inspector,
-        this.robots,
-        this.optimise,
-        this.log,
-        this.line,
-      ])
-        part.later();
+      const { list, inspector, robots, optimise, log, line } = this;
+      for (const part of [list, inspector, robots, optimise, log, line]) part.later();
       if (detail.events.some((event) => event.k !== "fire")) this.showRun();
       if (model.mode === "SIMULATE") this.sayFiring(detail.events);
     });
@@ -364,10 +338,8 @@ class Page {
       this.choose(detail);
       if (detail.fly) this.view.flyTo(detail.kind, detail.index);
     };
-    this.list.addEventListener("choose", chosen);
-    this.inspector.addEventListener("choose", chosen);
-    this.analysis.addEventListener("choose", chosen);
-    this.optimise.addEventListener("choose", chosen);
+    for (const part of [this.list, this.inspector, this.analysis, this.optimise])
+      part.addEventListener("choose", chosen);
     this.optimise.addEventListener("saved", async ({ detail }) => {
       this.hello = (await get("hello").catch(() => null)) || this.hello;
       if (detail.open)
@@ -471,7 +443,7 @@ class Page {
       says = "no robot of the team has been heard yet; this is the initial marking of the plan";
     if (model.info.loading) says += ", still being read";
     if (model.stale) says = `as of ${clock(this.connection.lostSince)}; no contact since`;
-    $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
+    $("frame-name").replaceChildren(h("b", model.mode), says ? ` — ${says}` : "");
     this.showOrders(status);
     this.alarms.show(model, status);
   }
@@ -550,10 +522,8 @@ class Page {
     for (const tab of TABS) {
       $(`tab-${tab}`).onclick = () => this.openTab(tab);
       $(`tab-${tab}`).onkeydown = (event) => {
-        const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-        if (!step) return;
-        event.preventDefault();
-        const next = TABS[(TABS.indexOf(tab) + step + TABS.length) % TABS.length];
+        const next = nextTab(event, TABS, tab);
+        if (!next) return;
         this.openTab(next);
         $(`tab-${next}`).focus();
       };
@@ -577,11 +547,8 @@ class Page {
     const answer = await ask(
       "Start the execution?",
       [
-        h("p", {}, `The actions of the plan “${scene.plan.name}” will run on this server, now.`),
-        h("p", {
-          class: "muted",
-          text: robots.length > 600 ? `${scene.plan.robots.length} robots` : robots,
-        }),
+        h("p", `The actions of the plan “${scene.plan.name}” will run on this server, now.`),
+        h("p.muted", robots.length > 600 ? `${scene.plan.robots.length} robots` : robots),
       ],
       [
         ["Cancel", ""],

@@ -7,21 +7,21 @@ import { band, bandPlot } from "./plot.js";
 export class ModelPanel {
   constructor(model) {
     this.model = model;
-    this.says = h("p", { class: "muted" });
+    this.says = h("p.muted");
     this.choice = h("select", {
       "aria-label": "Firings to compare",
       "data-focus": "curve",
       onchange: () => this.draw(),
     });
     this.plot = h("div");
-    this.numbers = h("p", { class: "numbers" });
-    this.strips = h("ul", { class: "strips" });
-    this.stated = h("p", { class: "muted" });
-    this.body = h("div", {}, this.choice, this.plot, this.numbers, this.strips, this.stated);
+    this.numbers = h("p.numbers");
+    this.strips = h("ul.strips");
+    this.stated = h("p.muted");
+    this.body = h("div", this.choice, this.plot, this.numbers, this.strips, this.stated);
     this.section = h(
-      "section",
-      { class: "model-run", "aria-label": "Predicted and observed" },
-      h("h3", { text: "Predicted and observed" }),
+      "section.model-run",
+      { "aria-label": "Predicted and observed" },
+      h("h3", "Predicted and observed"),
       this.says,
       this.body,
     );
@@ -82,7 +82,7 @@ function strip({ kind, name, level, on, says }) {
   return h(
     "li",
     { class: on ? "on" : "" },
-    h("span", { class: "name", text: what, title: what }),
+    h("span.name", { text: what, title: what }),
     h("meter", {
       min: 0,
       max: 1,
@@ -92,7 +92,7 @@ function strip({ kind, name, level, on, says }) {
       value: level,
       "aria-label": `${what}: ${percent} % of the way to the alarm`,
     }),
-    h("span", { class: "level", text: on ? "alarm" : `${percent} %` }),
-    on && says ? h("span", { class: "says", text: says }) : null,
+    h("span.level", on ? "alarm" : `${percent} %`),
+    on && says ? h("span.says", says) : null,
   );
 }

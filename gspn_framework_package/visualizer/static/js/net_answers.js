@@ -1,6 +1,6 @@
 // Answers about the markings of a net or plan: its structure, its behaviour, what can be reached.
 
-import { h, number, plural } from "./dom.js";
+import { facts, h, number, plural } from "./dom.js";
 import { LIST } from "./answer_pieces.js";
 
 export function structure(show, result) {
@@ -10,15 +10,14 @@ export function structure(show, result) {
       .join(" + ");
   const sets = (title, key, say, members, kind) => {
     const found = result[key];
-    if (!found) return [h("h3", { text: title }), h("p", {}, show.answer(result, key))];
+    if (!found) return [h("h3", title), h("p", show.answer(result, key))];
     return [
-      h("h3", { text: `${title} (${found.length})` }),
+      h("h3", `${title} (${found.length})`),
       found
         .slice(0, LIST)
         .map((item) =>
           h(
             "p",
-            {},
             show.painter(
               "show",
               `${title.replace(/s$/, "")}: ${say(item)}`.slice(0, 160),
@@ -27,7 +26,7 @@ export function structure(show, result) {
             ` ${say(item)}`,
           ),
         ),
-      found.length > LIST && h("p", { class: "muted", text: `and ${found.length - LIST} more` }),
+      found.length > LIST && h("p.muted", `and ${found.length - LIST} more`),
     ];
   };
   const classes = Object.entries(result.classes || {})
@@ -35,7 +34,7 @@ export function structure(show, result) {
     .map(([name]) => name.replace(/_/g, " "));
   return show.section(
     "Structure",
-    show.facts([
+    facts([
       ["Conservative", show.answer(result, "conservative")],
       ["Strictly", show.answer(result, "strictly_conservative")],
       ["Consistent", show.answer(result, "consistent")],
@@ -72,14 +71,13 @@ export function structure(show, result) {
       "good",
     ),
     result.conflict_sets && [
-      h("h3", { text: `Conflicts (${result.conflict_sets.filter((c) => c.length > 1).length})` }),
+      h("h3", `Conflicts (${result.conflict_sets.filter((c) => c.length > 1).length})`),
       result.conflict_sets
         .filter((c) => c.length > 1)
         .slice(0, LIST)
         .map((c) =>
           h(
             "p",
-            {},
             show.painter("show", "Transitions in conflict", show.marked(c, "mark")),
             ` ${c.join(", ")}`,
           ),
@@ -99,8 +97,7 @@ function timeFacts(show, timing, body) {
       "Assumed",
       h(
         "ul",
-        {},
-        timing.assumptions.map((text) => h("li", { text })),
+        timing.assumptions.map((text) => h("li", text)),
       ),
     ],
   ];
@@ -114,7 +111,7 @@ export function behaviour(show, result, body) {
     without = home?.without.length ? `without ${home.without.join(", ")}` : "";
   return show.section(
     body.policy ? "Behaviour under the policy" : "Behaviour",
-    show.facts([
+    facts([
       [
         "States",
         states
@@ -133,13 +130,12 @@ export function behaviour(show, result, body) {
         !deadlocks
           ? show.answer(result, "deadlocks")
           : deadlocks.count === 0
-            ? h("span", { class: "badge good", text: "none" })
+            ? h("span.badge.good", "none")
             : [
-                h("span", {
-                  class: "badge bad",
-                  text:
-                    deadlocks.count === null ? "at least one" : plural(deadlocks.count, "marking"),
-                }),
+                h(
+                  "span.badge.bad",
+                  deadlocks.count === null ? "at least one" : plural(deadlocks.count, "marking"),
+                ),
                 " ",
               ],
       ],
@@ -171,13 +167,12 @@ export function behaviour(show, result, body) {
       ],
     ]),
     deadlocks?.marking && [
-      h("h3", { text: "A deadlock" }),
+      h("h3", "A deadlock"),
       show.marking(deadlocks.marking),
       show.way(deadlocks.witness),
     ],
     h(
-      "div",
-      { class: "buttons" },
+      "div.buttons",
       dead?.length > 0 &&
         show.painter(
           "Show the dead transitions",
@@ -216,7 +211,6 @@ export function reach(show, result) {
     show.conditions(result, "reach", (found) => [
       h(
         "p",
-        {},
         show.answer(result, `reach.${found.condition}`, found.reachable),
         ` ${found.condition}`,
         found.count ? ` — in ${plural(found.count, "marking")}` : "",
@@ -233,7 +227,6 @@ export function cover(show, result) {
     show.conditions(result, "cover", (found) => [
       h(
         "p",
-        {},
         show.answer(result, `cover.${found.condition}`, found.coverable),
         ` ${found.condition}`,
       ),

@@ -23,7 +23,7 @@ export function buildPlace(node, place) {
   return s(
     "g",
     { class: `place ${place.kind}`, transform: at(node), "data-place": node.index },
-    s("title", { text: place.name }),
+    s("title", place.name),
     s("circle", { r: RADIUS }),
   );
 }
@@ -33,10 +33,9 @@ export function buildTransition(node, transition) {
   return s(
     "g",
     { class: `transition ${node.kind}`, transform: at(node), "data-transition": node.index },
-    s("title", { text: transition.name }),
-    node.kind === "immediate" &&
-      s("rect", { class: "hit", x: -12, y: -h, width: 24, height: 2 * h }),
-    s("rect", { class: "body", x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 1 }),
+    s("title", transition.name),
+    node.kind === "immediate" && s("rect.hit", { x: -12, y: -h, width: 24, height: 2 * h }),
+    s("rect.body", { x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 1 }),
   );
 }
 
@@ -64,8 +63,8 @@ function drawDots(node, count, robotsHere = false) {
   if (count === 0) return;
   node.dots =
     count <= MOST
-      ? s("path", { class: "dots", d: DOTS[count], "data-count": count })
-      : s("text", { class: "count", text: count < 100000 ? String(count) : "99999+" });
+      ? s("path.dots", { d: DOTS[count], "data-count": count })
+      : s("text.count", count < 100000 ? String(count) : "99999+");
   if (count > 999) node.dots.style.fontSize = count > 9999 ? "10px" : "12px";
   node.element.append(node.dots);
 }
@@ -79,27 +78,25 @@ function drawRobots(node, robots) {
   const { radius, centres, square } = discs(robots.length);
   node.robots = s(
     "g",
-    {},
     robots
       .sort((a, b) => natural(a.name, b.name))
       .map((robot, i) => {
         const phase =
           robot.why && !reportOf(robot.phase).failed ? named.waiting : robot.phase || "";
         const id = shortName(robot.name);
-        const text = s("text", { text: id });
+        const text = s("text", id);
         const [high, wide] = square ? [1.5, 3] : [1.15, 2.6];
         const fontSize = radius * Math.min(high, wide / Math.max(1, id.length));
         text.style.fontSize = `${fontSize.toFixed(1)}px`;
         const disc = square
-          ? s("rect", {
-              class: "disc",
+          ? s("rect.disc", {
               x: -radius,
               y: -radius,
               width: 2 * radius,
               height: 2 * radius,
               rx: 3.5,
             })
-          : s("circle", { class: "disc", r: radius });
+          : s("circle.disc", { r: radius });
         disc.style.fill = colourOf(robot.name);
         return s(
           "g",
@@ -108,7 +105,7 @@ function drawRobots(node, robots) {
             transform: at({ x: centres[i][0], y: centres[i][1] }),
             "data-robot": robot.name,
           },
-          s("title", { text: robot.name }),
+          s("title", robot.name),
           disc,
           text,
         );
@@ -122,7 +119,7 @@ export function drawEnabled(node, enabled) {
   node.enabled = enabled;
   node.element.classList.toggle("enabled", enabled);
   if (enabled && !node.flag) {
-    node.flag = s("path", { class: "flag", d: `M-6 ${-BAR[node.kind][1] - 11}h12l-6 7z` });
+    node.flag = s("path.flag", { d: `M-6 ${-BAR[node.kind][1] - 11}h12l-6 7z` });
     node.element.append(node.flag);
   }
 }
@@ -136,18 +133,16 @@ export function drawLost(node, robots) {
   if (!robots.length) return;
   node.lost = s(
     "g",
-    {},
     robots.map((robot, i) =>
       s(
-        "g",
+        "g.lost-mark",
         {
-          class: "lost-mark",
           transform: at({ x: RADIUS * 0.8 + i * 17, y: -RADIUS * 0.8 }),
           "data-lost": robot.name,
         },
-        s("title", { text: `${robot.name} is lost` }),
+        s("title", `${robot.name} is lost`),
         s("circle", { r: 8 }),
-        s("text", { text: shortName(robot.name) }),
+        s("text", shortName(robot.name)),
         s("path", { d: "M-5.5 5.5L5.5 -5.5" }),
       ),
     ),
@@ -174,8 +169,7 @@ export function paintNode(node, wanted) {
     node.element.classList.add(`paint-${wanted.kind}`);
   }
   if (wanted.text) {
-    node.value = s("text", {
-      class: "value",
+    node.value = s("text.value", {
       y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1] + 11) - 6,
       text: wanted.text,
     });

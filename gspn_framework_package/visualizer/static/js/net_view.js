@@ -92,8 +92,8 @@ export class NetView extends EventTarget {
     const counts = `${scene.places.length} places, ${scene.transitions.length} transitions`;
     const says = `The net: ${counts}. Use the list to browse it.`;
     const nodes = h(
-      "div",
-      { class: "nodes", role: "img", "aria-label": says },
+      "div.nodes",
+      { role: "img", "aria-label": says },
       [...this.tiles.values()].map((tile) => sheet("tile", tile)),
     );
     this.container.replaceChildren(

@@ -3,17 +3,16 @@
 
 import { $, h } from "./dom.js";
 
-const bar = h("div", { id: "notice", class: "notice", role: "alert", hidden: true });
+const bar = h("div.notice", { id: "notice", role: "alert", hidden: true });
 
 /** Show `text`; `actions` are pairs [label, function]. */
 export function notice(text, actions = []) {
   $("tools").after(bar);
   bar.hidden = false;
   bar.replaceChildren(
-    h("span", { class: "what-is", text }),
+    h("span.what-is", text),
     ...actions.map(([label, act]) => h("button", { text: label, onclick: act })),
-    h("button", {
-      class: "icon small",
+    h("button.icon.small", {
       "aria-label": "Close this notice",
       text: "×",
       onclick: closeNotice,

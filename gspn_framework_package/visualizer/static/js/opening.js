@@ -21,7 +21,7 @@ export async function openingScreen(hello) {
   const fresh = (await attempt(() => get("hello"))) || hello;
   const screen = $("opening");
   return new Promise((resolve) => {
-    const wrong = h("p", { id: "opening-wrong", class: "wrong", role: "alert", hidden: true });
+    const wrong = h("p.wrong", { id: "opening-wrong", role: "alert", hidden: true });
     // why a file cannot be opened stays on the screen until another one is tried
     const tried = async (action) => {
       wrong.hidden = true;
@@ -56,19 +56,12 @@ export async function openingScreen(hello) {
       },
     });
     const drop = h(
-      "div",
-      { class: "drop" },
-      h("p", {}, "Drop a net here, or an input file together with its net."),
+      "div.drop",
+      h("p", "Drop a net here, or an input file together with its net."),
       h("button", { text: "Choose files …", onclick: () => chooser.click() }),
       chooser,
-      h("p", {
-        class: "muted",
-        text: "PIPE XML, PNML, PNPRO, TINA .net; input files of plans as JSON.",
-      }),
-      h("p", {
-        class: "muted",
-        text: "Uploads are shown, simulated and analysed, but never executed.",
-      }),
+      h("p.muted", "PIPE XML, PNML, PNPRO, TINA .net; input files of plans as JSON."),
+      h("p.muted", "Uploads are shown, simulated and analysed, but never executed."),
     );
     drop.ondragover = (event) => {
       event.preventDefault();
@@ -87,12 +80,11 @@ export async function openingScreen(hello) {
         .map((file) =>
           h(
             "li",
-            {},
             h(
               "button",
               { onclick: () => open(file.path) },
-              h("span", { class: "path", text: file.path }),
-              h("span", { class: "badge", text: isCut(file) ? "cut off" : KINDS[kind] }),
+              h("span.path", file.path),
+              h("span.badge", isCut(file) ? "cut off" : KINDS[kind]),
             ),
           ),
         );
@@ -100,31 +92,24 @@ export async function openingScreen(hello) {
     screen.replaceChildren(
       h(
         "div",
-        {},
-        h("h2", { text: "Open a net or a plan" }),
-        h("p", {
-          class: "muted",
-          text: "Simulate and analyse a net, execute a plan of this folder, or replay a recorded run.",
-        }),
+        h("h2", "Open a net or a plan"),
         h(
-          "div",
-          { class: "columns" },
+          "p.muted",
+          "Simulate and analyse a net, execute a plan of this folder, or replay a recorded run.",
+        ),
+        h(
+          "div.columns",
           h(
-            "div",
-            { class: "card" },
-            h("h3", { text: "In this folder" }),
+            "div.card",
+            h("h3", "In this folder"),
             fresh.can_open
               ? all.length
-                ? h("ul", { class: "files" }, all)
-                : h("p", {
-                    class: "muted",
-                    text: "There is no net, plan or recorded run in this folder.",
-                  })
-              : h("p", { class: "muted", text: "This server serves no folder." }),
+                ? h("ul.files", all)
+                : h("p.muted", "There is no net, plan or recorded run in this folder.")
+              : h("p.muted", "This server serves no folder."),
             fresh.history &&
               h(
                 "p",
-                {},
                 h("button", {
                   id: "open-history",
                   text: "History of the fleet",
@@ -134,7 +119,6 @@ export async function openingScreen(hello) {
             mayEdit(fresh) &&
               h(
                 "p",
-                {},
                 h("button", {
                   id: "ed-new",
                   text: "New plan …",
@@ -146,7 +130,7 @@ export async function openingScreen(hello) {
                 }),
               ),
           ),
-          mayAct && h("div", { class: "card" }, h("h3", { text: "Your own" }), drop),
+          mayAct && h("div.card", h("h3", "Your own"), drop),
         ),
         wrong,
       ),

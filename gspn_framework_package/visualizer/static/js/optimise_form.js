@@ -1,6 +1,6 @@
 // The form of the Optimise tab: what a policy is to be the best for. What is wrong is said at its field.
 
-import { h, natural } from "./dom.js";
+import { h, natural, question } from "./dom.js";
 
 const AIMS = [
   ["long_run", "reward in the long run"],
@@ -27,21 +27,12 @@ export class OptimiseForm {
     this.controls = new Map(); // name of a field -> its control
     this.parts = {}; // name of a part -> the elements that are shown or hidden together
     this.lists = {};
-    this.element = h("div", {}, this.aim(), this.constraints(), this.settings());
+    this.element = h("div", this.aim(), this.constraints(), this.settings());
     this.element.addEventListener("input", ({ target }) => this.forget(target));
     this.showParts();
   }
 
   // -- building ------------------------------------------------------------------------------------
-
-  section(title, open, ...body) {
-    return h(
-      "details",
-      { class: "question", open },
-      h("summary", { text: title }),
-      h("div", { class: "body" }, body),
-    );
-  }
 
   /** A label and its control, as two cells of a form. */
   field(name, label, control) {
@@ -71,12 +62,11 @@ export class OptimiseForm {
   aim() {
     const aim = this.select(AIMS);
     aim.addEventListener("change", () => this.showParts());
-    return this.section(
+    return question(
       "Aim",
       true,
       h(
-        "div",
-        { class: "form" },
+        "div.form",
         this.field("aim", "Aim", aim),
         this.field(
           "direction",
@@ -105,7 +95,7 @@ export class OptimiseForm {
 
   constraints() {
     const plain = (label, name) => this.entryControl(name, label, this.text({}));
-    return this.section(
+    return question(
       "Constraints",
       false,
       this.list(
@@ -156,23 +146,21 @@ export class OptimiseForm {
     const group = h(
       "fieldset",
       { id: id("may_wait"), tabindex: "-1" },
-      h("legend", { text: "May wait" }),
-      h("p", {
-        class: "muted",
-        text: this.mayWait.length
+      h("legend", "May wait"),
+      h(
+        "p.muted",
+        this.mayWait.length
           ? "Places where a robot may stay although it could go on."
           : "No robot chooses in any place of this plan.",
-      }),
+      ),
       this.mayWait.length > 3 &&
         h(
-          "div",
-          { class: "buttons" },
+          "div.buttons",
           h("button", { type: "button", text: "All", onclick: () => this.waitIn(true) }),
           h("button", { type: "button", text: "None", onclick: () => this.waitIn(false) }),
         ),
       h(
-        "div",
-        { class: "choices" },
+        "div.choices",
         this.mayWait.map((box) => h("label", { title: box.value }, box, ` ${box.value}`)),
       ),
     );
@@ -185,12 +173,11 @@ export class OptimiseForm {
   }
 
   settings() {
-    return this.section(
+    return question(
       "Settings",
       false,
       h(
-        "div",
-        { class: "form" },
+        "div.form",
         this.field(
           "timing",
           "Time",
@@ -230,7 +217,7 @@ export class OptimiseForm {
   /** A list of entries that grows and shrinks. `controls(name)` makes those of an entry, `value(controls)` reads
    * them. */
   list(name, title, says, adds, controls, value) {
-    const entries = h("div", { class: "entries" });
+    const entries = h("div.entries");
     const list = (this.lists[name] = { entries, items: [], value, controls });
     const add = h("button", {
       type: "button",
@@ -239,9 +226,9 @@ export class OptimiseForm {
       onclick: () => this.addEntry(name).focus(),
     });
     this.controls.set(name, add);
-    list.legend = h("legend", { text: title });
-    list.says = h("p", { class: "muted", text: says });
-    const group = h("fieldset", {}, list.legend, list.says, entries, add);
+    list.legend = h("legend", title);
+    list.says = h("p.muted", says);
+    const group = h("fieldset", list.legend, list.says, entries, add);
     this.parts[name] = [group];
     if (name === "rewards") this.addEntry(name);
     return group;
@@ -255,12 +242,10 @@ export class OptimiseForm {
     const controls = list.controls(name);
     const item = { controls: made };
     item.element = h(
-      "div",
-      { class: "entry" },
+      "div.entry",
       controls,
-      h("button", {
+      h("button.icon", {
         type: "button",
-        class: "icon",
         text: "×",
         onclick: () => {
           const at = list.items.indexOf(item);
@@ -313,7 +298,6 @@ export class OptimiseForm {
       label,
       h(
         "select",
-        {},
         h("option", { value: "", text: "choose …" }),
         !timed && group("Places", places),
         group("Transitions", timed ? transitions.filter((t) => t.timed) : transitions),
@@ -386,7 +370,7 @@ export class OptimiseForm {
     this.clear();
     for (const [name, text] of Object.entries(fields)) {
       const control = this.control(name);
-      const error = h("p", { class: "wrong", id: `${id(name)}-wrong`, text });
+      const error = h("p.wrong", { id: `${id(name)}-wrong`, text });
       const entry = control.closest(".entry");
       if (entry) entry.after(error);
       else if (control.tagName === "FIELDSET") control.append(error);

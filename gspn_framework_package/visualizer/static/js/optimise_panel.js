@@ -1,7 +1,7 @@
 // The Optimise tab: asks the server for the best policy, shows it beside the present one, and saves it where the
 // operator says so. Nothing is replaced unasked.
 
-import { $, h, announce, ask, attempt, toast } from "./dom.js";
+import { $, h, announce, ask, attempt, question, toast } from "./dom.js";
 import { get, post } from "./api.js";
 import { deployToARun } from "./deploy.js";
 import { BackgroundJob } from "./jobs.js";
@@ -22,7 +22,7 @@ export class OptimisePanel extends EventTarget {
     this.panel.replaceChildren();
     this.painter = new ChoicePainter(model, view);
     this.views = new OptimiseViews((name) => this.node(name));
-    this.status = h("div", { class: "answer", role: "status" });
+    this.status = h("div.answer", { role: "status" });
     this.answers = h("div", { id: "optimised" });
     this.job = new BackgroundJob(model.session, this.status, "op-cancel");
     this.shown = null; // the key of the answer that is shown
@@ -36,7 +36,7 @@ export class OptimisePanel extends EventTarget {
 
   build() {
     this.built = true;
-    const muted = (text) => h("p", { class: "muted", text });
+    const muted = (text) => h("p.muted", text);
     if (!this.model.scene.plan) {
       this.panel.replaceChildren(
         muted("A policy is computed for a plan. This is a net without robots and actions."),
@@ -56,10 +56,8 @@ export class OptimisePanel extends EventTarget {
       muted("Computes the best policy for an aim. Nothing is changed until you save it."),
       this.form.element,
       h(
-        "div",
-        { class: "buttons" },
-        h("button", {
-          class: "primary",
+        "div.buttons",
+        h("button.primary", {
           id: "op-start",
           text: "Optimise",
           onclick: () => this.optimise(),
@@ -78,8 +76,7 @@ export class OptimisePanel extends EventTarget {
         ? { kind: "place", index: p, fly: true }
         : t >= 0 && { kind: "transition", index: t, fly: true };
     return detail
-      ? h("button", {
-          class: "link",
+      ? h("button.link", {
           text: name,
           onclick: () => this.dispatchEvent(new CustomEvent("choose", { detail })),
         })
@@ -106,7 +103,7 @@ export class OptimisePanel extends EventTarget {
         h(
           "p",
           { "data-state": "refused" },
-          h("span", { class: "badge bad", text: "not started" }),
+          h("span.badge.bad", "not started"),
           ` ${error.message}`,
         ),
       );
@@ -118,14 +115,13 @@ export class OptimisePanel extends EventTarget {
     const { model } = this;
     const latest = await get("optimised", { id: model.session.id }).catch(() => null);
     if (!latest?.job) {
-      if (!this.shown)
-        this.status.replaceChildren(h("p", { text: "No policy has been computed yet." }));
+      if (!this.shown) this.status.replaceChildren(h("p", "No policy has been computed yet."));
       return;
     }
     if (latest.job === this.shown) return;
     const report = await attempt(() => get(`analysis/${latest.job}`));
     if (!report?.result) return;
-    this.status.replaceChildren(h("p", { text: "The operator's latest answer:" }));
+    this.status.replaceChildren(h("p", "The operator's latest answer:"));
     this.show({ ...report, key: latest.job });
   }
 
@@ -145,12 +141,7 @@ export class OptimisePanel extends EventTarget {
       this.choices.clear();
       this.painter.paint(this.asChoices(choose), title);
     });
-    const table = h(
-      "details",
-      { class: "question" },
-      h("summary", { text: "Policy" }),
-      h("div", { class: "body" }, rows.element),
-    );
+    const table = question("Policy", false, rows.element);
     table.addEventListener("toggle", () => table.open && rows.start === undefined && rows.show());
     this.answers.replaceChildren(
       ...[
@@ -187,7 +178,7 @@ export class OptimisePanel extends EventTarget {
 
   /** The button that shows the choices in the marking on display, and keeps doing so. */
   following() {
-    this.here = h("p", { class: "muted", hidden: true });
+    this.here = h("p.muted", { hidden: true });
     this.follow = h("button", {
       id: "op-follow",
       "aria-pressed": "false",
@@ -203,7 +194,7 @@ export class OptimisePanel extends EventTarget {
         }
       },
     });
-    return h("div", {}, h("div", { class: "buttons" }, this.follow), this.here);
+    return h("div", h("div.buttons", this.follow), this.here);
   }
 
   stopFollowing() {
@@ -266,33 +257,29 @@ export class OptimisePanel extends EventTarget {
     const refusal =
       this.refusal || (session.saves ? "" : "it does not come from a plan file of this server");
     return h(
-      "section",
-      { class: "question keeping", "aria-label": "Keep or discard" },
+      "section.question.keeping",
+      { "aria-label": "Keep or discard" },
       h(
-        "div",
-        { class: "body" },
+        "div.body",
         refusal
-          ? h("p", { class: "muted", text: `The plan cannot be saved here: ${refusal}.` })
+          ? h("p.muted", `The plan cannot be saved here: ${refusal}.`)
           : [
-              h("p", {
-                class: "muted",
-                text: "Saves the plan with the new policy as a new file beside the present one, which stays as it is.",
-              }),
-              h("div", { class: "form" }, h("label", { for: "op-name", text: "Save as" }), name),
+              h(
+                "p.muted",
+                "Saves the plan with the new policy as a new file beside the present one, which stays as it is.",
+              ),
+              h("div.form", h("label", { for: "op-name", text: "Save as" }), name),
             ],
         this.saving,
         h(
-          "div",
-          { class: "buttons" },
+          "div.buttons",
           !refusal &&
-            h("button", {
-              class: "primary",
+            h("button.primary", {
               id: "op-save",
               text: "Accept and save",
               onclick: () => this.save(report.key, name),
             }),
-          h("a", {
-            class: "button",
+          h("a.button", {
             id: "op-download",
             href: `/api/analysis/${report.key}/plan`,
             download: "plan_optimised.json",
@@ -340,8 +327,8 @@ export class OptimisePanel extends EventTarget {
       const answer = await ask(
         "Replace the file?",
         [
-          h("p", {}, "The file ", h("strong", { text: file }), " exists already."),
-          h("p", {}, "If you replace it, the plan in it is lost."),
+          h("p", "The file ", h("strong", file), " exists already."),
+          h("p", "If you replace it, the plan in it is lost."),
         ],
         [
           ["Keep it", "", "primary"],
@@ -382,9 +369,7 @@ export class OptimisePanel extends EventTarget {
     this.shown = null;
     this.answers.replaceChildren();
     if (!asked) return;
-    this.status.replaceChildren(
-      h("p", { class: "muted", text: "Discarded. Nothing was changed." }),
-    );
+    this.status.replaceChildren(h("p.muted", "Discarded. Nothing was changed."));
     $("op-start")?.focus();
   }
 

@@ -1,6 +1,6 @@
 // A computed policy beside the present one: in words and tables, and painted on the net.
 
-import { $, h, natural, number, plural, LIST_STEPS } from "./dom.js";
+import { $, facts, h, natural, number, plural, question, table, LIST_STEPS } from "./dom.js";
 import { choiceText, percent } from "./policy_table.js";
 
 const SENSITIVITIES = 12;
@@ -20,47 +20,10 @@ const alike = (a, b) => {
   return names.length === Object.keys(b).length && names.every((name) => a[name] === b[name]);
 };
 
-function table(head, rows) {
-  return h(
-    "table",
-    {},
-    h(
-      "thead",
-      {},
-      h(
-        "tr",
-        {},
-        head.map((text, i) => h("th", { class: i ? "number" : "", text })),
-      ),
-    ),
-    h(
-      "tbody",
-      {},
-      rows.map((row) =>
-        h(
-          "tr",
-          {},
-          row.map((cell, i) => h("td", { class: i ? "number" : "" }, cell)),
-        ),
-      ),
-    ),
-  );
-}
-
-function section(title, open, ...body) {
-  return h(
-    "details",
-    { class: "question", open },
-    h("summary", { text: title }),
-    h("div", { class: "body" }, body),
-  );
-}
-
 const sentences = (list) =>
   h(
-    "ul",
-    { class: "reasons" },
-    list.map((text) => h("li", { text })),
+    "ul.reasons",
+    list.map((text) => h("li", text)),
   );
 
 /** The parts of an answer. */
@@ -98,14 +61,14 @@ export class OptimiseViews {
       [
         "Present policy",
         present.value === null || present.value === undefined
-          ? h("span", { class: "muted", text: `not known: ${present.why || "no reason given"}` })
+          ? h("span.muted", `not known: ${present.why || "no reason given"}`)
           : this.worth(present.value, objective),
       ],
       [
         "Best policy",
         answer.value === null || answer.value === undefined
-          ? h("span", { class: "badge warn", text: "none" })
-          : h("strong", { text: this.worth(answer.value, objective) }),
+          ? h("span.badge.warn", "none")
+          : h("strong", this.worth(answer.value, objective)),
       ],
       [
         "Gain",
@@ -126,24 +89,17 @@ export class OptimiseViews {
     const waits = answer.silent
       ? ` In ${plural(answer.silent, "case")} robots first let robots in another place choose, which takes no time.`
       : "";
-    return section(
+    return question(
       "Present against best",
       true,
-      h("p", {}, "Aim: ", objective.text, "."),
-      h("p", { class: "muted", text: this.asked(answer.asked) }),
-      h(
-        "dl",
-        { class: "facts" },
-        rows.map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]),
-      ),
-      h("p", { text: bounds }),
-      simulation && h("p", {}, "Simulated as they run: ", simulation.text, "."),
-      h("p", {
-        class: "muted",
-        text: `The new policy has ${plural(answer.rows, "row")}.${waits}`,
-      }),
+      h("p", "Aim: ", objective.text, "."),
+      h("p.muted", this.asked(answer.asked)),
+      facts(rows),
+      h("p", bounds),
+      simulation && h("p", "Simulated as they run: ", simulation.text, "."),
+      h("p.muted", `The new policy has ${plural(answer.rows, "row")}.${waits}`),
       answer.undecided.length > 0 && [
-        h("p", {}, h("span", { class: "badge warn", text: "not decided" })),
+        h("p", h("span.badge.warn", "not decided")),
         sentences(answer.undecided),
       ],
     );
@@ -151,14 +107,12 @@ export class OptimiseViews {
 
   teams({ teams, objective }) {
     if (teams.length < 2) return null;
-    return section(
+    return question(
       "Teams",
       false,
-      h("p", {
-        class: "muted",
-        text: "Choices are also computed for the teams that losses leave.",
-      }),
+      h("p.muted", "Choices are also computed for the teams that losses leave."),
       table(
+        "table",
         ["Robots", "States", "Value", "Best from", "to"],
         teams.map((team) => [
           String(team.robots),
@@ -173,10 +127,11 @@ export class OptimiseViews {
 
   constraints({ constraints, objective }) {
     if (!constraints.length) return null;
-    return section(
+    return question(
       "Constraints",
       true,
       table(
+        "table",
         ["Constraint", "At least", "Reached", "Costs"],
         constraints.map(({ name, value, bound, price }) => [
           bound === null ? `never ${name}` : this.node(name),
@@ -189,10 +144,10 @@ export class OptimiseViews {
               : this.worth(price, objective),
         ]),
       ),
-      h("p", {
-        class: "muted",
-        text: "What it costs: the gain without a condition, or with a bound that is lower by 1.",
-      }),
+      h(
+        "p.muted",
+        "What it costs: the gain without a condition, or with a bound that is lower by 1.",
+      ),
     );
   }
 
@@ -200,14 +155,12 @@ export class OptimiseViews {
     const size = ({ elasticity, derivative }) => Math.abs(elasticity ?? derivative ?? 0);
     const known = [...sensitivities].sort((a, b) => size(b) - size(a));
     if (!known.length) return null;
-    return section(
+    return question(
       "What the value depends on",
       false,
-      h("p", {
-        class: "muted",
-        text: "By how much the value changes if a transition becomes 1 % faster.",
-      }),
+      h("p.muted", "By how much the value changes if a transition becomes 1 % faster."),
       table(
+        "table",
         ["Transition", "Rate (1/s)", "Change"],
         known
           .slice(0, SENSITIVITIES)
@@ -219,19 +172,18 @@ export class OptimiseViews {
               : `${signed(0.01 * rate * derivative)}`,
           ]),
       ),
-      known.length > SENSITIVITIES &&
-        h("p", { class: "muted", text: `and ${known.length - SENSITIVITIES} more` }),
+      known.length > SENSITIVITIES && h("p.muted", `and ${known.length - SENSITIVITIES} more`),
     );
   }
 
   assumptions({ assumptions, simulation }) {
     const notes = (simulation?.notes || []).filter((note) => !assumptions.includes(note));
     if (!assumptions.length && !notes.length) return null;
-    return section(
+    return question(
       "Assumptions",
       false,
       sentences(assumptions),
-      notes.length > 0 && [h("p", { text: "In the simulation:" }), sentences(notes)],
+      notes.length > 0 && [h("p", "In the simulation:"), sentences(notes)],
     );
   }
 }
@@ -267,15 +219,15 @@ export class ChoiceList {
     const differ = `${differing.toLocaleString("en")} of ${all.toLocaleString("en")} ${
       differing === 1 ? "differs" : "differ"
     }${all > listed ? `; ${listed.toLocaleString("en")} are listed` : ""}`;
-    this.element = section(
+    this.element = question(
       "Choices",
       true,
-      h("p", {
-        class: "muted",
-        text: this.choices.length
+      h(
+        "p.muted",
+        this.choices.length
           ? `${differ}. Select one to see it on the net.`
           : "No robot ever has a choice.",
-      }),
+      ),
       this.choices.length > 0 && this.list,
     );
   }
@@ -285,19 +237,11 @@ export class ChoiceList {
     return h(
       "li",
       { role: "option", id: `op-choice-${i}`, "data-at": i, "aria-selected": "false" },
-      h(
-        "span",
-        { class: "where" },
-        h("strong", { text: place }),
-        ` when ${markingText(marking)}: `,
-      ),
+      h("span.where", h("strong", place), ` when ${markingText(marking)}: `),
       same
         ? `${choiceText(best)}, as now`
         : [`now ${choiceText(present)} → best ${choiceText(best)}`],
-      !same &&
-        typeof loss === "number" &&
-        loss > 0 &&
-        h("span", { class: "muted", text: `; loses ${number(loss)}` }),
+      !same && typeof loss === "number" && loss > 0 && h("span.muted", `; loses ${number(loss)}`),
     );
   }
 
@@ -323,7 +267,7 @@ export class ChoicePainter {
     this.view = view;
     this.places = new Map(model.scene.places.map((p, i) => [p.name, i]));
     this.transitions = new Map(model.scene.transitions.map((t, i) => [t.name, i]));
-    this.legend = h("span", { class: "legend-words" });
+    this.legend = h("span.legend-words");
   }
 
   /** Whether what the net shows now was painted here. */
@@ -359,16 +303,15 @@ export class ChoicePainter {
     this.view.paint(marks);
     const sign = (kind) => h("span", { class: `key-sign ${kind}`, "aria-hidden": "true" });
     this.legend.replaceChildren(
-      h("strong", { text: title }),
+      h("strong", title),
       sign("present"),
-      h("span", { text: "present (dashed)" }),
+      h("span", "present (dashed)"),
       sign("best"),
-      h("span", { text: "best (solid)" }),
+      h("span", "best (solid)"),
     );
     $("legend").replaceChildren(
       this.legend,
-      h("button", {
-        class: "icon small",
+      h("button.icon.small", {
         "aria-label": "Clear highlighting",
         text: "×",
         onclick: () => this.clear(),

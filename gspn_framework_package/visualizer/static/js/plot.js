@@ -33,8 +33,7 @@ export function curvePlot(curves, xName) {
     y1 = nice(Math.max(...all.map(([, y]) => y), 1e-9));
   const px = (x) => LEFT + (x / x1) * (W - LEFT - RIGHT),
     py = (y) => H - BOTTOM - (y / y1) * (H - BOTTOM - TOP);
-  const plot = s("svg", {
-    class: "plot",
+  const plot = s("svg.plot", {
     viewBox: `0 0 ${W} ${H}`,
     role: "img",
     "aria-label": `${curves.map((c) => c.name).join(", ")} over ${xName}`,
@@ -42,7 +41,7 @@ export function curvePlot(curves, xName) {
   for (let i = 0; i <= 4; i++) {
     const y = (y1 * i) / 4,
       x = (x1 * i) / 4;
-    plot.append(s("line", { class: "axis", x1: LEFT, x2: W - RIGHT, y1: py(y), y2: py(y) }));
+    plot.append(s("line.axis", { x1: LEFT, x2: W - RIGHT, y1: py(y), y2: py(y) }));
     plot.append(s("text", { x: LEFT - 5, y: py(y) + 3, "text-anchor": "end", text: number(y) }));
     plot.append(
       s("text", {
@@ -72,8 +71,7 @@ export function curvePlot(curves, xName) {
 export function barPlot(bars) {
   const row = 18,
     height = bars.length * row + 4;
-  const plot = s("svg", {
-    class: "plot",
+  const plot = s("svg.plot", {
     viewBox: `0 0 ${W} ${height}`,
     role: "img",
     "aria-label": bars.map(([name, value]) => `${name}: ${number(value)}`).join(", "),

@@ -1,6 +1,6 @@
 // The rows of a computed policy, a page at a time: those that differ from the present policy first.
 
-import { h, attempt, number } from "./dom.js";
+import { h, attempt, number, table } from "./dom.js";
 import { get } from "./api.js";
 
 const ROWS = 50;
@@ -37,32 +37,18 @@ export class PolicyTable {
   constructor(job, paint) {
     this.job = job;
     this.paint = paint;
-    this.body = h("tbody");
-    this.position = h("span", { class: "muted", role: "status" });
+    this.position = h("span.muted", { role: "status" });
     const step = (text, by) =>
       h("button", { text, onclick: () => this.show(this.start + by * ROWS) });
     [this.back, this.on] = [step("Earlier rows", -1), step("More rows", 1)];
-    this.says = h("p", { class: "muted" });
-    this.element = h(
-      "div",
-      {},
-      this.says,
-      h(
-        "table",
-        { class: "policy" },
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            ["Row", "Marking", "Choice"].map((text) => h("th", { text })),
-          ),
-        ),
-        this.body,
-      ),
-      h("div", { class: "buttons" }, this.back, this.on, this.position),
+    this.says = h("p.muted");
+    const rows = table(
+      "table.policy",
+      ["Row", "Marking", "Choice"].map((text) => h("th", text)),
+      [],
     );
+    this.body = rows.lastChild;
+    this.element = h("div", this.says, rows, h("div.buttons", this.back, this.on, this.position));
   }
 
   async show(start = 0) {
@@ -88,25 +74,21 @@ export class PolicyTable {
     const counts = markingOf(places, marking);
     return h(
       "tr",
-      {},
       h(
         "td",
-        {},
-        h("button", {
-          class: "link",
+        h("button.link", {
           text: String(row),
           "aria-label": `Show row ${row} on the net`,
           onclick: () => this.paint(counts, choose, `Row ${row}`),
         }),
       ),
-      h("td", { text: markingText(counts) }),
+      h("td", markingText(counts)),
       h(
         "td",
-        {},
         Object.keys(choose).length ? choiceText(choose) : "the robots wait",
         " ",
-        differs === true && h("span", { class: "badge warn", text: "differs" }),
-        differs === false && h("span", { class: "badge", text: "as before" }),
+        differs === true && h("span.badge.warn", "differs"),
+        differs === false && h("span.badge", "as before"),
       ),
     );
   }

@@ -15,28 +15,20 @@ export const waitingFor = (board, transition) =>
 
 /** Data as lines: name and value. */
 export const dataLines = (named) =>
-  entriesOf(named).map(([name, value]) =>
-    h("div", { class: "datum" }, h("span", { class: "name", text: name }), ` ${value}`),
-  );
+  entriesOf(named).map(([name, value]) => h("div.datum", h("span.name", name), ` ${value}`));
 
 /** A task with its data. */
 export const taskLine = ([id, data]) =>
-  h(
-    "div",
-    { class: "task" },
-    h("strong", { text: id ? `task ${id}` : "a task without an id" }),
-    dataLines(data),
-  );
+  h("div.task", h("strong", id ? `task ${id}` : "a task without an id"), dataLines(data));
 
 /** The task, the held events and the data of a robot; empty if it has none. */
 export function robotExtras(robot) {
   return [
     robot.task && taskLine(robot.task),
     ...entriesOf(robot.held).map(([event, cause]) =>
-      h("div", { class: "held", text: `holds ${event}${cause ? `: ${cause}` : ""}` }),
+      h("div.held", `holds ${event}${cause ? `: ${cause}` : ""}`),
     ),
-    robot.resumed_from > 0 &&
-      h("div", { class: "muted", text: `continues visit ${robot.resumed_from}` }),
+    robot.resumed_from > 0 && h("div.muted", `continues visit ${robot.resumed_from}`),
     ...dataLines(robot.data),
   ].filter(Boolean);
 }

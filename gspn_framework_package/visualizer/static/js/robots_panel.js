@@ -23,7 +23,7 @@ export function robotCard(model, robot, buttons = []) {
   const place = robot.place >= 0 ? model.scene.places[robot.place] : null;
   const ended = Boolean(model.board.status.ended);
   const { word, tone } = robotReport(robot, model.board.status);
-  const disc = h("span", { class: "disc", text: shortName(robot.name), "aria-hidden": "true" });
+  const disc = h("span.disc", { text: shortName(robot.name), "aria-hidden": "true" });
   disc.style.background = colourOf(robot.name);
   const feedback =
     model.following && !ended && !reportOf(robot.phase).gone ? feedbackOf(model, robot) : null;
@@ -38,32 +38,26 @@ export function robotCard(model, robot, buttons = []) {
     disc,
     h(
       "div",
-      {},
+      h("div.line", h("strong", robot.name), h("span", { class: `badge ${tone}`, text: word })),
       h(
-        "div",
-        { class: "line" },
-        h("strong", { text: robot.name }),
-        h("span", { class: `badge ${tone}`, text: word }),
-      ),
-      h(
-        "div",
-        { class: "line muted" },
-        h("span", {
-          text: place
+        "div.line.muted",
+        h(
+          "span",
+          place
             ? `${reportOf(robot.phase).gone || ended ? "was in " : ""}${place.name}${attempt}`
             : "",
-        }),
-        h("span", { class: "since", text: ended ? "" : since(model, robot) }),
+        ),
+        h("span.since", ended ? "" : since(model, robot)),
       ),
     ),
     robot.paused && !ended && place && (model.info.breakpoints || []).includes(place.name)
-      ? h("div", { class: "held", text: "stops at a breakpoint, until it is resumed" })
+      ? h("div.held", "stops at a breakpoint, until it is resumed")
       : null,
-    robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
-    robot.refused ? h("div", { class: "why", text: refusedText(robot.refused) }) : null,
-    feedback ? h("div", { class: "feedback", text: feedback }) : null,
-    extras.length > 0 && h("div", { class: "extras" }, extras),
-    buttons.length > 0 && h("div", { class: "buttons" }, buttons),
+    robot.why && !ended ? h("div.why", robot.why) : null,
+    robot.refused ? h("div.why", refusedText(robot.refused)) : null,
+    feedback ? h("div.feedback", feedback) : null,
+    extras.length > 0 && h("div.extras", extras),
+    buttons.length > 0 && h("div.buttons", buttons),
   );
 }
 
@@ -123,15 +117,14 @@ export class RobotsPanel {
       if (!model.board.robots.has(name)) this.cards.delete(name);
     if (!cards.length) {
       cards.push(
-        h("p", {
-          class: "muted",
-          text:
-            model.mode === "SIMULATE"
-              ? "A simulation moves anonymous tokens. Robots appear in a live run or a replay."
-              : model.head.status.stalled
-                ? "No robot is left."
-                : "No robot has been heard yet.",
-        }),
+        h(
+          "p.muted",
+          model.mode === "SIMULATE"
+            ? "A simulation moves anonymous tokens. Robots appear in a live run or a replay."
+            : model.head.status.stalled
+              ? "No robot is left."
+              : "No robot has been heard yet.",
+        ),
       );
     }
     const content = [
@@ -158,7 +151,7 @@ export class RobotsPanel {
     if (this.model.mode !== "LIVE" || !this.orders.refusal || this.model.head.status.ended)
       return null;
     const text = `No orders: ${this.orders.refusal}.`;
-    if (this.looking?.textContent !== text) this.looking = h("p", { class: "muted", text });
+    if (this.looking?.textContent !== text) this.looking = h("p.muted", text);
     return this.looking;
   }
 
@@ -168,12 +161,7 @@ export class RobotsPanel {
     if (!team || !Object.keys(team).length) return null;
     if (this.teamData !== team) {
       this.teamData = team;
-      this.teamShown = h(
-        "section",
-        { class: "team-data" },
-        h("h3", { text: "Data of the team" }),
-        dataLines(team),
-      );
+      this.teamShown = h("section.team-data", h("h3", "Data of the team"), dataLines(team));
     }
     return this.teamShown;
   }

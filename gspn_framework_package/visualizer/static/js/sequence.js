@@ -86,7 +86,7 @@ export function sequenceControls(sequence) {
     sequence.playing ? sequence.stop() : sequence.play(),
   );
   const next = button("▸", "Next step", () => sequence.next());
-  const where = h("span", { class: "muted", role: "status" });
+  const where = h("span.muted", { role: "status" });
   const show = () => {
     const { at, steps, playing, busy, ended } = sequence;
     if (playing && !where.isConnected) sequence.playing = false; // another answer took its place
@@ -99,5 +99,5 @@ export function sequenceControls(sequence) {
   };
   sequence.addEventListener("change", show);
   show();
-  return h("div", { class: "buttons sequence" }, previous, play, next, where);
+  return h("div.buttons.sequence", previous, play, next, where);
 }

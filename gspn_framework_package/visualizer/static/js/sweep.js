@@ -1,6 +1,6 @@
 // A sweep: its form, and its points as a table and as plots of each measure over what is varied.
 
-import { h, number } from "./dom.js";
+import { h, number, table } from "./dom.js";
 import { curvePlot, CURVES } from "./plot.js";
 
 const PLOTS = 8;
@@ -39,34 +39,21 @@ const estimate = ({ mean, half_width: half }) => {
 
 const titleOf = ({ measure, name }) => name || measure.replace(/_/g, " ");
 
-function table(names, points, measures) {
-  const heads = [...names, ...measures.map(titleOf)];
-  const row = ({ values, measures: own }) =>
-    h(
-      "tr",
-      {},
-      names.map((name) => h("td", { class: "number", text: String(values[name]) })),
-      measures.map(({ measure, name }) => {
-        const found = own[measure]?.[name];
-        return h("td", { class: "number", text: found ? estimate(found) : "–" });
-      }),
-    );
+function pointsOf(names, points, measures) {
+  const cell = (text) => h("td.number", text);
   return h(
-    "div",
-    { class: "scroll" },
-    h(
+    "div.scroll",
+    { id: "sweep-points" },
+    table(
       "table",
-      { id: "sweep-points" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          heads.map((text) => h("th", { class: "number", text })),
-        ),
-      ),
-      h("tbody", {}, points.map(row)),
+      [...names, ...measures.map(titleOf)].map((text) => h("th.number", text)),
+      points.map(({ values, measures: own }) => [
+        ...names.map((name) => cell(String(values[name]))),
+        ...measures.map(({ measure, name }) => {
+          const found = own[measure]?.[name];
+          return cell(found ? estimate(found) : "–");
+        }),
+      ]),
     ),
   );
 }
@@ -95,15 +82,15 @@ export function sweepAnswer(show, found) {
   const plots = measures.slice(0, PLOTS).map((measure) => {
     const curves = sweepCurves(names, found.points, measure).slice(0, CURVES_SHOWN);
     return [
-      h("h3", { text: titleOf(measure) }),
+      h("h3", titleOf(measure)),
       curves.length > 0 && curvePlot(curves, names[0]),
       names.length > 1 && show.key(curves.map(({ name }) => name).slice(0, CURVES.length)),
     ];
   });
   return show.section(
     "Points of the sweep",
-    h("p", { class: "muted", text: `${found.points.length} of ${found.of} points` }),
+    h("p.muted", `${found.points.length} of ${found.of} points`),
     plots,
-    table(names, found.points, measures),
+    pointsOf(names, found.points, measures),
   );
 }

@@ -1,32 +1,31 @@
 // Answers about time: the steady state, the way there, how long something takes, and simulated runs.
 
-import { h, number, plural } from "./dom.js";
+import { facts, h, number, plural } from "./dom.js";
 import { curvePlot, CURVES } from "./plot.js";
 
 export function steadyState(show, result) {
   const steady = result.steady_state;
   if (!steady)
-    return show.section("Steady state", h("p", {}, show.answer(result, "steady_state", null)));
+    return show.section("Steady state", h("p", show.answer(result, "steady_state", null)));
   const tokens = Object.entries(steady.mean_tokens),
     flows = Object.entries(steady.throughput);
   const waits = new Map(Object.entries(steady.mean_waiting_time || {}));
   const states = result.likely_states || [];
   const stay = ({ mean_stay: value }) => (value === "infinite" ? "forever" : number(value));
-  const facts = show.titled(result, "timing");
-  if (steady.reward !== undefined) facts.unshift(["Reward", `${number(steady.reward)} /s`]);
+  const titled = show.titled(result, "timing");
+  if (steady.reward !== undefined) titled.unshift(["Reward", `${number(steady.reward)} /s`]);
   return show.section(
     "Steady state",
-    facts.length > 0 && show.facts(facts),
+    titled.length > 0 && facts(titled),
     steady.component_count > 1 && [
-      h("p", {
-        class: "muted",
-        text:
-          `The net ends up in one of ${steady.component_count} recurrent classes, ` +
+      h(
+        "p.muted",
+        `The net ends up in one of ${steady.component_count} recurrent classes, ` +
           `${steady.deadlock_count} of them deadlocks.` +
           (steady.component_count > steady.components.length
             ? ` The ${steady.components.length} most probable:`
             : ""),
-      }),
+      ),
       show.table(
         ["Most of the time in", "probability", "states"],
         steady.components.map((part) => [
@@ -36,16 +35,15 @@ export function steadyState(show, result) {
           number(part.probability),
           part.deadlock ? "deadlock" : number(part.states),
         ]),
-        { class: "states" },
+        "table.states",
       ),
     ],
     h(
-      "div",
-      { class: "buttons" },
+      "div.buttons",
       show.painter("Show mean tokens", "Mean number of tokens", ...show.heat(steady.mean_tokens)),
       show.painter("Show throughput", "Firings a second", ...show.heat(steady.throughput)),
     ),
-    h("h3", { text: "Tokens" }),
+    h("h3", "Tokens"),
     show.table(
       ["Place", "mean", "wait (s)"],
       tokens.map(([name, value]) => [
@@ -54,14 +52,14 @@ export function steadyState(show, result) {
         number(waits.get(name) ?? null),
       ]),
     ),
-    h("h3", { text: "Throughput (1/s)" }),
+    h("h3", "Throughput (1/s)"),
     show.table(
       ["Transition", "firings"],
       flows.map(([name, value]) => [show.node(name), number(value)]),
     ),
     show.distribution(steady.token_distribution),
     states.length > 0 && [
-      h("h3", { text: "The most probable markings" }),
+      h("h3", "The most probable markings"),
       show.table(
         ["Marking", "probability", "mean stay (s)"],
         states.map((state) => [
@@ -69,10 +67,10 @@ export function steadyState(show, result) {
           number(Number(state.probability.toPrecision(4))),
           stay(state),
         ]),
-        { class: "states" },
+        "table.states",
       ),
     ],
-    h("p", { class: "muted", text: `Residual ${number(steady.residual)}.` }),
+    h("p.muted", `Residual ${number(steady.residual)}.`),
   );
 }
 
@@ -90,14 +88,14 @@ export function simulated(show, found) {
   };
   const means = (values) =>
     Object.fromEntries(Object.entries(values).map(([name, value]) => [name, value.mean]));
-  const table = (head, values) =>
+  const estimates = (head, values) =>
     show.table(
       head,
       Object.entries(values).map(([name, value]) => [show.node(name), estimate(value)]),
     );
   return show.section(
     "Results of the runs",
-    show.facts([
+    facts([
       [
         "Runs",
         `${found.replications.toLocaleString("en")}${found.time === null ? "" : ` of ${number(found.time)} s`}`,
@@ -111,8 +109,7 @@ export function simulated(show, found) {
       found.reached && ["Length of a run (s)", estimate(found.end_time)],
     ]),
     h(
-      "div",
-      { class: "buttons" },
+      "div.buttons",
       show.painter(
         "Show mean tokens",
         "Mean number of tokens (simulated)",
@@ -124,13 +121,13 @@ export function simulated(show, found) {
         ...show.heat(means(found.throughput)),
       ),
     ),
-    h("h3", { text: "Tokens" }),
-    table(["Place", "mean"], found.mean_tokens),
-    h("h3", { text: "Throughput (1/s)" }),
-    table(["Transition", "firings"], found.throughput),
+    h("h3", "Tokens"),
+    estimates(["Place", "mean"], found.mean_tokens),
+    h("h3", "Throughput (1/s)"),
+    estimates(["Transition", "firings"], found.throughput),
     Object.entries(found.titles || {}).map(([key, title]) => [
-      h("h3", { text: title }),
-      table(["Subnet", "mean"], found[key]),
+      h("h3", title),
+      estimates(["Subnet", "mean"], found[key]),
     ]),
     show.distribution(found.token_distribution),
   );
@@ -139,7 +136,7 @@ export function simulated(show, found) {
 export function transient(show, result) {
   const found = result.transient;
   if (!found)
-    return show.section("Tokens over time", h("p", {}, show.answer(result, "transient", null)));
+    return show.section("Tokens over time", h("p", show.answer(result, "transient", null)));
   const names = Object.keys(found[0].mean_tokens);
   const swing = (name) => {
     const values = found.map((entry) => entry.mean_tokens[name]);
@@ -160,12 +157,10 @@ export function transient(show, result) {
       show.key([...shown]),
     );
   const boxes = h(
-    "div",
-    { class: "choices" },
+    "div.choices",
     order.slice(0, 60).map((name) =>
       h(
         "label",
-        {},
         h("input", {
           type: "checkbox",
           checked: shown.has(name),
@@ -225,7 +220,6 @@ export function settling(show, result) {
     "Time to steady state",
     h(
       "p",
-      {},
       value === null
         ? show.answer(result, "time_to_steady_state", null)
         : value === "infinite"
@@ -239,7 +233,7 @@ export function passage(show, result) {
   return show.section(
     "How long until?",
     show.conditions(result, "mean_time_to", (found) => [
-      show.facts([
+      facts([
         ["Condition", found.condition],
         ["Mean time", found.mean_time === "infinite" ? "infinite" : `${number(found.mean_time)} s`],
         ["Probability", number(found.probability)],

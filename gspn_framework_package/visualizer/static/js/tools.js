@@ -1,6 +1,6 @@
 // The tools above the net: those of thesis Figure 5.4 in a simulation, those of the view in a live run or a replay.
 
-import { h, $, ask, attempt, announce, toast, plural, number } from "./dom.js";
+import { h, $, ask, attempt, announce, table, toast, plural, number } from "./dom.js";
 import { post } from "./api.js";
 import { ONLY_LOOK } from "./orders.js";
 
@@ -151,48 +151,27 @@ export class Tools {
         "aria-label": `Firing probability of ${transition.name}`,
       });
       inputs.set(index, input);
-      return h(
-        "tr",
-        {},
-        h("td", { text: transition.name }),
-        h("td", {
-          text: transition.timed
+      return [
+        transition.name,
+        h(
+          "td",
+          transition.timed
             ? `rate ${number(transition.rate)}`
             : `weight ${number(transition.weight)}`,
-        }),
-        h("td", {
-          class: "number",
-          text: choices.has(index) ? `${(choices.get(index) * 100).toFixed(1)} %` : "–",
-        }),
-        h("td", {}, input),
-      );
+        ),
+        choices.has(index) ? `${(choices.get(index) * 100).toFixed(1)} %` : "–",
+        h("td", input),
+      ];
     });
     await ask(
       "Firing probabilities",
       [
-        h("p", {
-          class: "muted",
-          text:
-            "Relative to the other transitions enabled at the same time. Empty: by rate or weight. " +
-            "They change which transition fires, not how long it takes.",
-        }),
         h(
-          "table",
-          {},
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              h("th", { text: "Transition" }),
-              h("th", { text: "In the net" }),
-              h("th", { class: "number", text: "Now" }),
-              h("th", { text: "Probability" }),
-            ),
-          ),
-          h("tbody", {}, rows),
+          "p.muted",
+          "Relative to the other transitions enabled at the same time. Empty: by rate or weight. " +
+            "They change which transition fires, not how long it takes.",
         ),
+        table("table", ["Transition", h("th", "In the net"), "Now", h("th", "Probability")], rows),
       ],
       [
         ["Cancel", ""],
@@ -221,15 +200,23 @@ export class Tools {
     this.speed = this.speed || 4;
     const button = (id, label, action, title) =>
       h("button", { id, text: label, title, onclick: action });
-    const act = (id, label, action, title) =>
-      h("button", {
-        id,
-        text: label,
-        title: page.mayAct ? title : ONLY_LOOK,
-        disabled: !page.mayAct,
-        onclick: action,
-      });
-    const rule = () => h("span", { class: "rule" });
+    const act = (id, label, action, title) => {
+      const made = button(id, label, action, page.mayAct ? title : ONLY_LOOK);
+      made.disabled = !page.mayAct;
+      return made;
+    };
+    const speeds = (id, label, values, chosen, unit, set) =>
+      h(
+        "label",
+        h(
+          "select",
+          { id, "aria-label": label, onchange: (event) => set(Number(event.target.value)) },
+          values.map((v) =>
+            h("option", { value: v, selected: v === chosen, text: `${v} ${unit}` }),
+          ),
+        ),
+      );
+    const rule = () => h("span.rule");
     let tools;
     if (mode === "SIMULATE") {
       tools = [
@@ -238,7 +225,6 @@ export class Tools {
         act("steps", "n steps ▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
         h(
           "label",
-          {},
           h("input", {
             id: "n-steps",
             type: "number",
@@ -256,23 +242,9 @@ export class Tools {
           }),
         ),
         act("run", "▶ Run", () => this.toggleRunning(), "Step repeatedly until stopped (Space)"),
-        h(
-          "label",
-          {},
-          h(
-            "select",
-            {
-              id: "speed",
-              "aria-label": "Steps a second",
-              onchange: (event) => {
-                this.speed = Number(event.target.value);
-              },
-            },
-            [1, 2, 4, 10, 30].map((v) =>
-              h("option", { value: v, selected: v === this.speed, text: `${v} /s` }),
-            ),
-          ),
-        ),
+        speeds("speed", "Steps a second", [1, 2, 4, 10, 30], this.speed, "/s", (speed) => {
+          this.speed = speed;
+        }),
         rule(),
         act(
           "fire-chosen",
@@ -300,31 +272,19 @@ export class Tools {
         ),
         button("view-play", "", () => page.togglePause(), ""),
         button("view-step", "▸", () => attempt(() => this.model.stepView(1)), "Next firing (→)"),
-        h(
-          "label",
-          {},
-          h(
-            "select",
-            {
-              id: "view-speed",
-              "aria-label": "Speed of the playback",
-              onchange: (event) => this.model.setSpeed(Number(event.target.value)),
-            },
-            [0.25, 0.5, 1, 2, 5, 20, 100].map((v) =>
-              h("option", { value: v, selected: v === this.model.speed, text: `${v} ×` }),
-            ),
-          ),
+        speeds(
+          "view-speed",
+          "Speed of the playback",
+          [0.25, 0.5, 1, 2, 5, 20, 100],
+          this.model.speed,
+          "×",
+          (speed) => this.model.setSpeed(speed),
         ),
       ];
     }
     if (this.model.latest.room || this.model.info.room)
       tools.push(
-        h("button", {
-          id: "show-room",
-          text: "Room",
-          title: "The room and the robots in it",
-          onclick: () => page.room.toggle(),
-        }),
+        button("show-room", "Room", () => page.room.toggle(), "The room and the robots in it"),
       );
     $("tools").replaceChildren(...tools);
     this.built = mode;

@@ -82,8 +82,7 @@ export function actionField(form, lens, title, schema) {
         : it,
   );
   return h(
-    "div",
-    { class: "action-form" },
+    "div.action-form",
     form.labelled("Action", choice),
     palette(form, whole, title, kind, allowed),
     kind === "function" && functionHelp(form, value),
@@ -218,8 +217,7 @@ function opener(form, lens, value) {
   const key = nodeKey("place", lens.name);
   if (!value.plan || lens.get()?.plan !== value.plan) return null;
   return h(
-    "div",
-    { class: "buttons" },
+    "div.buttons",
     form.button(`${lens.key} open`, `Open ${value.plan}`, () => form.mode.actions.openSubnet(key)),
   );
 }
@@ -234,8 +232,7 @@ function functionHelp(form, value) {
   const known = form.palette?.functions?.find((it) => it.name === name);
   if (!known) return null;
   return h(
-    "p",
-    { class: "muted" },
+    "p.muted",
     known.doc || "The function has no docstring.",
     known.parameters?.length > 0 &&
       ` Parameters: ${known.parameters.map(parameterName).join(", ")}.`,

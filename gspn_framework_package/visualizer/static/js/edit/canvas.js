@@ -53,7 +53,7 @@ export class Canvas extends EventTarget {
     this.layer = {
       arcs: s("g"),
       nodes: s("g"),
-      liftedArcs: s("g", { class: "arcs" }),
+      liftedArcs: s("g.arcs"),
       liftedNodes: s("g"),
       over: s("g"),
     };
@@ -131,17 +131,7 @@ export class Canvas extends EventTarget {
     const taken = (px, py) =>
       this.nodes.some((node) => Math.abs(node.x - px) < 50 && Math.abs(node.y - py) < 50);
     for (let ring = 0; ring < 40; ring++)
-      for (const [dx, dy] of [
-        [0, 0],
-        [0, 1],
-        [0, -1],
-        [1, 0],
-        [1, 1],
-        [1, -1],
-        [-1, 0],
-        [-1, 1],
-        [-1, -1],
-      ]) {
+      for (const [dx, dy] of [0, 1, -1].flatMap((i) => [0, 1, -1].map((j) => [i, j]))) {
         const [px, py] = [x + dx * ring * 70, y + dy * ring * 70].map(
           (v) => Math.round(v / 10) * 10,
         );
@@ -245,9 +235,7 @@ export class Canvas extends EventTarget {
     if (node.type === "place") {
       node.element = buildPlace(node, { name: node.name, kind: look });
       if (look === "subnet-box")
-        node.element.prepend(
-          s("rect", { class: "box", x: -27, y: -27, width: 54, height: 54, rx: 7 }),
-        );
+        node.element.prepend(s("rect.box", { x: -27, y: -27, width: 54, height: 54, rx: 7 }));
     } else node.element = buildTransition(node, { name: node.name });
     Object.assign(node, { count: undefined, dots: null, label: null, value: null, sign: null });
     node.element.classList.toggle("selected", this.chosen.has(node.key));
@@ -354,10 +342,10 @@ export class Canvas extends EventTarget {
     const key = arcKey(data);
     const line = s("path", { class: `lines${data.inhibitor ? " inhibitor" : ""}` });
     const end = s("path", { class: data.inhibitor ? "circles" : "heads" });
-    const element = s("g", { class: "arc", "data-arc": key }, line, end);
+    const element = s("g.arc", { "data-arc": key }, line, end);
     const arc = { key, data, from, to, both: null, line, end, element, points: [], middle: [0, 0] };
     if ((data.weight ?? 1) !== 1) {
-      arc.weight = s("text", { text: String(data.weight) });
+      arc.weight = s("text", String(data.weight));
       element.append(arc.weight);
     }
     element.classList.toggle("selected", this.chosen.has(key));
@@ -453,10 +441,10 @@ export class Canvas extends EventTarget {
     if (!mark) return;
     node.element.classList.add(`mark-${mark.level}`);
     node.sign = s(
-      "g",
-      { class: "mark-sign", transform: "translate(17 -20)" },
+      "g.mark-sign",
+      { transform: "translate(17 -20)" },
       s("circle", { r: 8 }),
-      s("text", { text: mark.level === "note" ? "i" : "!" }),
+      s("text", mark.level === "note" ? "i" : "!"),
     );
     node.element.append(node.sign);
   }

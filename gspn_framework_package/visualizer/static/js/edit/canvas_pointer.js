@@ -31,10 +31,10 @@ export class CanvasPointer extends Pointer {
     this.mode = mode;
     this.here = null; // the pointer in the drawing, while it is over it
     this.layer = this.view.layer.over;
-    this.handles = s("g", { class: "handles" });
-    this.band = s("rect", { class: "band", visibility: "hidden" });
-    this.ghost = s("g", { class: "ghost" });
-    this.guides = s("g", { class: "guides" });
+    this.handles = s("g.handles");
+    this.band = s("rect.band", { visibility: "hidden" });
+    this.ghost = s("g.ghost");
+    this.guides = s("g.guides");
     this.layer.append(this.guides, this.band, this.ghost, this.handles);
     this.handled = null; // the node whose handles are shown
     const { container } = this.view;
@@ -83,9 +83,8 @@ export class CanvasPointer extends Pointer {
       ...(node
         ? SIDES.map(([x, y], i) =>
             s(
-              "g",
+              "g.handle",
               {
-                class: "handle",
                 "data-handle": i,
                 transform: at({ x: x * HANDLE, y: y * HANDLE }),
               },
@@ -239,7 +238,7 @@ export class CanvasPointer extends Pointer {
           ? s("circle", { cx: x, cy: y, r: RADIUS })
           : s("rect", { x: x - w, y: y - h, width: 2 * w, height: 2 * h }),
       );
-    else parts.push(s("circle", { class: "goal", cx: x, cy: y, r: RADIUS + 7 }));
+    else parts.push(s("circle.goal", { cx: x, cy: y, r: RADIUS + 7 }));
     if (problem) parts.push(s("text", { x, y: y - RADIUS - 14, text: problem }));
     this.ghost.setAttribute("class", problem ? "ghost wrong" : "ghost");
     this.ghost.replaceChildren(...parts);

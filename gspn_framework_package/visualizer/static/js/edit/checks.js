@@ -27,21 +27,19 @@ export class Checks {
     this.revision = 0;
     this.timer = 0;
     this.asked = null; // the state that is being checked, or was; the check reads no positions
-    this.state = h("p", { id: "ed-check-state", class: "ed-check-state", role: "status" });
+    this.state = h("p.ed-check-state", { id: "ed-check-state", role: "status" });
     this.again = h("button", { text: "Check again", hidden: true, onclick: () => this.check() });
-    this.list = h("div", { id: "ed-findings", class: "ed-findings" });
+    this.list = h("div.ed-findings", { id: "ed-findings" });
     this.agents = h("input", { type: "checkbox", id: "ed-agents", onchange: () => this.check() });
     mode.panel(
       "checks",
       "Check",
       h(
         "div",
-        {},
-        h("div", { class: "buttons" }, this.state, this.again),
+        h("div.buttons", this.state, this.again),
         h(
-          "label",
+          "label.check",
           {
-            class: "check",
             title: "Transitions may create and destroy agents; robots they may not.",
           },
           this.agents,
@@ -172,25 +170,23 @@ export class Checks {
   section(level, findings) {
     if (!findings.length) return "";
     const items = findings.slice(0, LISTED).map((finding) => this.item(finding));
-    if (findings.length > LISTED)
-      items.push(h("li", { class: "muted", text: `and ${findings.length - LISTED} more` }));
+    if (findings.length > LISTED) items.push(h("li.muted", `and ${findings.length - LISTED} more`));
     const list = h("ul", { class: `ed-level ${level}` }, items);
     return level === "note"
-      ? h("details", {}, h("summary", { text: plural(findings.length, "note") }), list)
+      ? h("details", h("summary", plural(findings.length, "note")), list)
       : list;
   }
 
   item({ level, text, hint, elements, witness, markings }) {
     const keys = keysOf(elements);
     const rows = elements.filter(({ kind }) => kind === "row");
-    const said = [h("strong", { text: `${LEVELS[level]}: ` }), text];
+    const said = [h("strong", `${LEVELS[level]}: `), text];
     return h(
       "li",
-      {},
       keys.length || rows.length
-        ? h("button", { class: "link", onclick: () => this.go(keys, rows) }, said)
-        : h("span", {}, said),
-      hint && h("div", { class: "muted", text: hint }),
+        ? h("button.link", { onclick: () => this.go(keys, rows) }, said)
+        : h("span", said),
+      hint && h("div.muted", hint),
       witness?.length
         ? h("button", {
             text: `Play ${plural(witness.length, "step")}`,

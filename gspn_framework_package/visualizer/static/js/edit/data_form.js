@@ -38,6 +38,21 @@ export function problemOfData(name) {
     : "a name of data has letters, digits and _; robot., team. or task. may come before it";
 }
 
+/** The control of a value that comes from data: its name. */
+export const dataField = (form, lens, label, attributes) =>
+  form.text(
+    lens.as(
+      (it) => it?.from,
+      (from) => ({ from }),
+    ),
+    label,
+    {
+      ...attributes,
+      names: dataNames(form.document.plan),
+      parse: (text) => problemOfData(text) || [text],
+    },
+  );
+
 /** The controls of one value: its kind, and what it is. `label` names it for screen readers. */
 export function valueField(form, lens, label, { kinds = null, remove = null } = {}) {
   const value = lens.get();
@@ -64,27 +79,10 @@ export function valueField(form, lens, label, { kinds = null, remove = null } = 
       ],
       aria,
     );
-  } else if (kind === "data")
-    control = form.text(
-      lens.as(
-        (it) => it?.from,
-        (from) => ({ from }),
-      ),
-      label,
-      {
-        ...aria,
-        names: dataNames(form.document.plan),
-        parse: (text) => problemOfData(text) || [text],
-      },
-    );
+  } else if (kind === "data") control = dataField(form, lens, label, aria);
   else if (kind === "object") below = fields(form, lens, label);
   else if (kind === "array") below = items(form, lens, label);
-  return h(
-    "div",
-    { class: "value" },
-    h("div", { class: "entry" }, chooser, control, remove),
-    below,
-  );
+  return h("div.value", h("div.entry", chooser, control, remove), below);
 }
 
 /** The fields of an object with any names. `start`: name -> the value of a new one. */
@@ -97,13 +95,12 @@ export function fields(
   const value = lens.get() ?? {};
   const inside = (name) => lens.at(name, { given: true });
   return h(
-    "div",
-    { class: "nest", role: "group", "aria-label": label },
+    "div.nest",
+    { role: "group", "aria-label": label },
     Object.keys(value).map((name) =>
       h(
-        "div",
-        { class: "named" },
-        h("span", { class: "name", text: name }),
+        "div.named",
+        h("span.name", name),
         valueField(form, inside(name), `${label} ${name}`, {
           remove: form.remove(
             inside(name).key,
@@ -136,8 +133,8 @@ function items(form, lens, label) {
   const value = lens.get();
   const inside = (i) => lens.at(i, { given: true });
   return h(
-    "div",
-    { class: "nest", role: "group", "aria-label": label },
+    "div.nest",
+    { role: "group", "aria-label": label },
     value.map((_, i) =>
       valueField(form, inside(i), `${label} ${i + 1}`, {
         remove: form.remove(

@@ -37,14 +37,11 @@ export function changeList(changes, choose = null) {
       "li",
       { class: `diff-${change.what}` },
 
-      can ? h("button", { class: "link", text, onclick: () => choose(change) }) : text,
+      can ? h("button.link", { text, onclick: () => choose(change) }) : text,
     );
   });
-  if (changes.length > LISTED)
-    items.push(h("li", { class: "muted", text: `and ${changes.length - LISTED} more` }));
-  return changes.length
-    ? h("ul", { class: "ed-changes" }, items)
-    : h("p", { class: "muted", text: "There is no difference." });
+  if (changes.length > LISTED) items.push(h("li.muted", `and ${changes.length - LISTED} more`));
+  return changes.length ? h("ul.ed-changes", items) : h("p.muted", "There is no difference.");
 }
 
 /** The changes from one document to another, as the server finds them. */
@@ -59,7 +56,7 @@ export class DiffView {
     this.mode = mode;
     mode.diff = this;
     this.shown = null; // {title, from, to}: to null is the present state
-    this.ghosts = s("g", { class: "diff-ghosts" });
+    this.ghosts = s("g.diff-ghosts");
     this.asked = 0;
     this.body = h("div", { id: "ed-changes" });
     this.title = h("h2", { id: "ed-diff-title" });
@@ -69,10 +66,8 @@ export class DiffView {
       "Changes",
       h(
         "div",
-        {},
         h(
-          "div",
-          { class: "buttons" },
+          "div.buttons",
           h("button", {
             id: "ed-diff-unsaved",
             text: "Not saved",
@@ -122,7 +117,7 @@ export class DiffView {
     this.title.textContent = "";
     this.closeButton.hidden = true;
     this.body.replaceChildren(
-      h("p", { class: "muted", text: "Changes are drawn green, amber and red where they are." }),
+      h("p.muted", "Changes are drawn green, amber and red where they are."),
     );
   }
 
@@ -152,7 +147,7 @@ export class DiffView {
       if (asked !== this.asked) return;
       this.clear();
       this.title.textContent = `${title}: not known`;
-      this.body.replaceChildren(h("p", { text: `${error.message}.` }));
+      this.body.replaceChildren(h("p", `${error.message}.`));
     }
   }
 

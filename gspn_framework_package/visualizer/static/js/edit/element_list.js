@@ -11,9 +11,8 @@ const PAUSE = 120; // ms between two drawings
 
 export class ElementList extends RestingList {
   constructor(mode) {
-    const list = h("ul", {
+    const list = h("ul.node-list", {
       id: "ed-list",
-      class: "node-list",
       role: "listbox",
       tabindex: "0",
       "aria-multiselectable": "true",
@@ -50,7 +49,7 @@ export class ElementList extends RestingList {
       const row = event.target.closest("li[data-key]");
       if (row) this.choose(row.dataset.key, event.shiftKey || event.ctrlKey || event.metaKey);
     };
-    $("ed-list-box").append(h("div", { class: "find" }, this.search), list);
+    $("ed-list-box").append(h("div.find", this.search), list);
     this.changed = ({ detail }) => {
       if (detail.before.net !== mode.document.net || detail.before.plan !== mode.document.plan)
         this.later();
@@ -108,8 +107,7 @@ export class ElementList extends RestingList {
     const before = this.rows;
     const wantedRows = [];
     this.rows = new Map();
-    const heading = (text) =>
-      wantedRows.push(h("li", { class: "heading", role: "presentation", text }));
+    const heading = (text) => wantedRows.push(h("li.heading", { role: "presentation", text }));
     let start = 0; // number of the first item of the group
     for (const [title, items] of groups) {
       if (!items.length) continue;
@@ -154,9 +152,9 @@ export class ElementList extends RestingList {
         "aria-selected": "false",
       },
       h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }),
-      h("span", { class: "name", text: item.name }),
-      h("span", { class: "unseen", text: item.says }),
-      item.count > 0 && h("span", { class: "tokens", "aria-hidden": "true", text: item.count }),
+      h("span.name", item.name),
+      h("span.unseen", item.says),
+      item.count > 0 && h("span.tokens", { "aria-hidden": "true", text: item.count }),
     );
     row.shows = shows;
     return row;

@@ -64,12 +64,12 @@ export class Files {
       title: "Deploy this plan, as it is saved, to a running team",
       onclick: () => attempt(() => this.deploy()),
     });
-    this.note = h("span", { id: "ed-draft-state", class: "muted" });
+    this.note = h("span.muted", { id: "ed-draft-state" });
     $("ed-foot").append(this.note);
     this.changed = () => this.later();
     mode.document.addEventListener("change", this.changed);
     mode.document.addEventListener("saved", this.changed);
-    this.banner = h("div", { id: "ed-banner", class: "ed-banner", hidden: true });
+    this.banner = h("div.ed-banner", { id: "ed-banner", hidden: true });
     $("ed-frame").before(this.banner);
     if (this.draft) this.offerDraft();
     else if (this.readOnly) this.tellReadOnly();
@@ -92,7 +92,7 @@ export class Files {
 
   tellReadOnly() {
     this.banner.replaceChildren(
-      h("span", { text: `It cannot be saved here: ${this.readOnly}.` }),
+      h("span", `It cannot be saved here: ${this.readOnly}.`),
       h("button", { text: "Save as…", onclick: () => this.saveAs() }),
       h("button", {
         text: "Close",
@@ -131,16 +131,19 @@ export class Files {
 
   async saveNow() {
     if (this.readOnly) return this.saveAs();
-    const { mode } = this;
-    const { state } = mode.document;
+    return this.tryToPut(this.mode.document.state, this.mode.opened.etag);
+  }
+
+  /** Save a state; if somebody else has changed the files, ask. Resolves to whether it was saved. */
+  async tryToPut(state, etag) {
     try {
-      await this.put(state, mode.opened.etag);
+      await this.put(state, etag);
       return true;
     } catch (error) {
       if (error.status === CHANGED && error.data.theirs)
         return this.settle(state, error.data.theirs);
       toast(`Not saved: ${error.message}`);
-      mode.say(`Not saved: ${error.message}`);
+      this.mode.say(`Not saved: ${error.message}`);
       return false;
     }
   }
@@ -160,19 +163,17 @@ export class Files {
   /** The files have changed on the disk: ask whose state is to count. Resolves to whether mine was saved. */
   async settle(state, theirs) {
     const { mode } = this;
-    const list = h("div", {}, h("p", { class: "muted", text: "Comparing …" }));
+    const list = h("div", h("p.muted", "Comparing …"));
     changesBetween(mode, theirs.document, state).then(
       (changes) => list.replaceChildren(changeList(changes)),
-      (error) => list.replaceChildren(h("p", { text: `Not compared: ${error.message}.` })),
+      (error) => list.replaceChildren(h("p", `Not compared: ${error.message}.`)),
     );
     const answer = await ask(
       "Somebody else has changed this plan",
       h(
         "div",
         { id: "ed-conflict" },
-        h("p", {
-          text: "The files have changed since you opened or saved them. From theirs to yours:",
-        }),
+        h("p", "The files have changed since you opened or saved them. From theirs to yours:"),
         list,
       ),
       [
@@ -181,17 +182,7 @@ export class Files {
         ["Keep mine", "mine", "danger"],
       ],
     );
-    if (answer === "mine") {
-      try {
-        await this.put(state, theirs.etag);
-        return true;
-      } catch (error) {
-        if (error.status === CHANGED && error.data.theirs)
-          return this.settle(state, error.data.theirs);
-        toast(`Not saved: ${error.message}`);
-        return false;
-      }
-    }
+    if (answer === "mine") return this.tryToPut(state, theirs.etag);
     if (answer === "theirs") this.take(theirs);
     else if (mode.diff) mode.diff.show({ title: "From theirs to yours", from: theirs.document });
     return false;
@@ -221,13 +212,8 @@ export class Files {
     await ask(
       "Save as a new plan",
       [
-        this.readOnly && h("p", { text: `It cannot be saved here: ${this.readOnly}.` }),
-        h(
-          "div",
-          { class: "form" },
-          h("label", { for: "ed-save-name", text: "Name of its folder" }),
-          name,
-        ),
+        this.readOnly && h("p", `It cannot be saved here: ${this.readOnly}.`),
+        h("div.form", h("label", { for: "ed-save-name", text: "Name of its folder" }), name),
       ],
       [
         ["Cancel", ""],
@@ -294,9 +280,10 @@ export class Files {
     const older = draft.etag !== undefined && draft.etag !== mode.opened.etag;
     const decide = (label, id, action) => h("button", { text: label, id, onclick: action });
     this.banner.replaceChildren(
-      h("span", {
-        text: `A draft from ${moment(draft.saved_at)} was not saved.${older ? " The files have changed since." : ""}`,
-      }),
+      h(
+        "span",
+        `A draft from ${moment(draft.saved_at)} was not saved.${older ? " The files have changed since." : ""}`,
+      ),
       decide("Continue it", "ed-draft-continue", () => {
         this.draft = null;
         this.hideBanner();
@@ -330,8 +317,7 @@ export class Files {
     await ask(
       "Export",
       h(
-        "div",
-        { class: "form" },
+        "div.form",
         h("label", { for: "ed-export-format", text: "Export the document as" }),
         format,
       ),

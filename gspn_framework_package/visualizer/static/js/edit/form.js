@@ -74,7 +74,7 @@ const SHARE = 4; // a form rests for so many times as long as drawing it took
 export class FormPanel {
   constructor(mode, name, title) {
     this.mode = mode;
-    this.element = h("div", { class: "ed-form", id: `ed-${name}` });
+    this.element = h("div.ed-form", { id: `ed-${name}` });
     this.drafts = new Map(); // key -> {text or value, problem, base}: what is not valid, and so not in the document
     this.open = new Map(); // key -> whether that section is unfolded
     this.session = 0; // counts the visits of fields: what is typed in one visit is undone together
@@ -248,8 +248,7 @@ export class FormPanel {
   /** The line that says why a whole is not in the document. */
   verdict(lens) {
     const problem = this.drafts.get(lens.key)?.problem ?? "";
-    return h("p", {
-      class: "wrong",
+    return h("p.wrong", {
       role: "status",
       "data-verdict": lens.key,
       text: problem && `Not in the plan yet: ${problem}`,
@@ -268,10 +267,10 @@ export class FormPanel {
   section(key, title, open, ...body) {
     const unfolded = this.open.get(key) ?? open;
     const lazy = typeof body[0] === "function";
-    const inside = h("div", { class: "body" }, lazy ? unfolded && body[0]() : body);
+    const inside = h("div.body", lazy ? unfolded && body[0]() : body);
     const details = h(
-      "details",
-      { class: "question", "data-fold": key, open: unfolded },
+      "details.question",
+      { "data-fold": key, open: unfolded },
       h("summary", { text: title, "data-key": `fold ${key}` }),
       inside,
     );
@@ -290,10 +289,9 @@ export class FormPanel {
     target.id ||= newId();
     if (help) target.title = help;
     return h(
-      "div",
-      { class: "field" },
+      "div.field",
       h("label", { for: target.id, text: label, title: help }),
-      h("div", {}, control),
+      h("div", control),
     );
   }
 
@@ -325,7 +323,7 @@ export class FormPanel {
       value: draft ? draft.text : value === MIXED ? "" : String(show(value)),
     });
     const list = names && this.completion(input, names);
-    const wrong = h("p", { class: "wrong", id: newId(), role: "alert", hidden: true });
+    const wrong = h("p.wrong", { id: newId(), role: "alert", hidden: true });
     const says = (problem) => {
       wrong.textContent = problem;
       wrong.hidden = !problem;
@@ -367,7 +365,7 @@ export class FormPanel {
     input.addEventListener("blur", () => {
       this.typing = false;
     });
-    const cell = h("div", { class: "cell" }, input, list, wrong);
+    const cell = h("div.cell", input, list, wrong);
     cell.control = input;
     return cell;
   }
@@ -462,7 +460,7 @@ export class FormPanel {
       placeholder: label,
       "data-key": `${key} add`,
     });
-    const wrong = h("p", { class: "wrong", id: newId(), role: "alert", hidden: true });
+    const wrong = h("p.wrong", { id: newId(), role: "alert", hidden: true });
     const act = () => {
       const problem = check(input.value);
       wrong.textContent = problem;
@@ -480,11 +478,9 @@ export class FormPanel {
       act();
     });
     return h(
-      "div",
-      { class: "adder" },
+      "div.adder",
       h(
-        "div",
-        { class: "entry" },
+        "div.entry",
         input,
         names && this.completion(input, names),
         this.button(`${key} add it`, "Add", act, { "aria-label": `Add: ${label}` }),

@@ -157,7 +157,7 @@ function evidence(form, schema, lens, title) {
   const of = lens.at("of");
   const part = resolved(schema.properties.of, form.schema);
   return [
-    of.get() && h("p", { class: "muted", text: evidenceText(of.get()) }),
+    of.get() && h("p.muted", evidenceText(of.get())),
     form.section(
       of.key,
       "Learned from",

@@ -3,7 +3,7 @@
 
 import { h } from "../dom.js";
 import { get } from "../api.js";
-import { dataNames, fields, isReference, kindOf, problemOfData, valueField } from "./data_form.js";
+import { dataField, fields, isReference, kindOf, valueField } from "./data_form.js";
 import { typeOf } from "./schema.js";
 
 const known = new Map(); // "kind type" -> {sent, received, why}; null: asked for
@@ -38,12 +38,11 @@ export function pathsOf(tree, before = "") {
 export const messageHint = (messages, type) => ({
   draw: (form, lens, title) => [
     h(
-      "fieldset",
-      { class: "message" },
-      h("legend", {}, title, type && h("code", { text: type })),
+      "fieldset.message",
+      h("legend", title, type && h("code", type)),
       messages.why && !messages.waiting
-        ? h("p", { class: "muted", text: `Any fields can be given here: ${messages.why}.` })
-        : messages.waiting && h("p", { class: "muted", text: messages.why }),
+        ? h("p.muted", `Any fields can be given here: ${messages.why}.`)
+        : messages.waiting && h("p.muted", messages.why),
       messages.sent ? message(form, lens, title, messages.sent, true) : fields(form, lens, title),
     ),
   ],
@@ -56,19 +55,18 @@ function message(form, lens, label, tree, drop) {
   if (value !== undefined && typeOf(value) !== "object") return misfit(form, lens, label, "fields");
   const foreign = Object.keys(value ?? {}).filter((name) => !tree.some((it) => it.name === name));
   return h(
-    "div",
-    { class: "nest", role: "group", "aria-label": label },
-    tree.length ? null : h("p", { class: "muted", text: "It has no fields." }),
+    "div.nest",
+    { role: "group", "aria-label": label },
+    tree.length ? null : h("p.muted", "It has no fields."),
     tree.map((field) =>
       one(form, lens.at(field.name, { given: true, drop }), `${label} ${field.name}`, field),
     ),
     foreign.map((name) => {
       const at = lens.at(name, { given: true, drop });
       return h(
-        "div",
-        { class: "named" },
-        h("span", { class: "name", text: name }),
-        h("p", { class: "wrong", text: "The type has no field of this name." }),
+        "div.named",
+        h("span.name", name),
+        h("p.wrong", "The type has no field of this name."),
         valueField(form, at, `${label} ${name}`, {
           remove: removal(form, at, `${label} ${name}`, lens.key),
         }),
@@ -81,27 +79,22 @@ function message(form, lens, label, tree, drop) {
 function one(form, lens, label, field) {
   const { name, type, array, length, fields: inside } = field;
   const written = array ? `${type}[${length ?? ""}]` : type;
-  const title = [h("span", { text: name }), " ", h("span", { class: "of-type", text: written })];
+  const title = [h("span", name), " ", h("span.of-type", written)];
   if (isReference(lens.get()) || !(inside || array))
     return row(form, lens, label, title, () => leaf(form, lens, label, field));
   const body = array ? list(form, lens, label, field) : message(form, lens, label, inside, true);
   const details = form.section(lens.key, "", lens.get() !== undefined, body);
   details.querySelector("summary").replaceChildren(...title);
-  return h("div", { class: "typed-part" }, details, toggle(form, lens, label));
+  return h("div.typed-part", details, toggle(form, lens, label));
 }
 
 /** A row of a form: the name, the value or the data that it comes from, and the button that changes between both. */
 function row(form, lens, label, title, draw, remove = null) {
   return h(
-    "div",
-    { class: "typed" },
-    h("span", { class: "typed-name" }, title),
-    h(
-      "div",
-      { class: "typed-value" },
-      isReference(lens.get()) ? fromData(form, lens, label) : draw(),
-    ),
-    h("div", { class: "entry" }, toggle(form, lens, label), remove),
+    "div.typed",
+    h("span.typed-name", title),
+    h("div.typed-value", isReference(lens.get()) ? fromData(form, lens, label) : draw()),
+    h("div.entry", toggle(form, lens, label), remove),
   );
 }
 
@@ -125,26 +118,13 @@ function toggle(form, lens, label) {
   );
 }
 
-function fromData(form, lens, label) {
-  return form.text(
-    lens.as(
-      (it) => it?.from,
-      (from) => ({ from }),
-    ),
-    label,
-    {
-      "aria-label": `${label}: name of the data`,
-      what: label,
-      names: dataNames(form.document.plan),
-      parse: (text) => problemOfData(text) || [text],
-    },
-  );
-}
+const fromData = (form, lens, label) =>
+  dataField(form, lens, label, { "aria-label": `${label}: name of the data`, what: label });
 
 /** A value that its field cannot hold, as it was written. */
 function misfit(form, lens, label, wanted) {
   return [
-    h("p", { class: "wrong", text: `It is ${kindOf(lens.get())}; the type needs ${wanted}.` }),
+    h("p.wrong", `It is ${kindOf(lens.get())}; the type needs ${wanted}.`),
     valueField(form, lens, label, { remove: removal(form, lens, label, `${lens.key} source`) }),
   ];
 }
@@ -251,8 +231,8 @@ function list(form, lens, label, field) {
     form.put(lens, left.length ? left : undefined, `Remove ${label} ${i + 1}`);
   };
   return h(
-    "div",
-    { class: "nest", role: "group", "aria-label": label },
+    "div.nest",
+    { role: "group", "aria-label": label },
     (value ?? []).map((_, i) => {
       const at = lens.at(i, { given: true, list: true });
       const named = `${label} ${i + 1}`;
@@ -271,9 +251,7 @@ function list(form, lens, label, field) {
         disabled: Boolean(length) && (value ?? []).length >= length,
       },
     ),
-    length && value && value.length !== length
-      ? h("p", { class: "wrong", text: `${length} items are needed.` })
-      : null,
+    length && value && value.length !== length ? h("p.wrong", `${length} items are needed.`) : null,
   );
 }
 

@@ -1,6 +1,6 @@
 // The mode EDIT: its part of the page, and what its parts share. Each panel and each tool is a part of its own.
 
-import { $, h, announce, ask, attempt, withArticle } from "../dom.js";
+import { $, h, announce, ask, attempt, nextTab, withArticle } from "../dom.js";
 import { post } from "../api.js";
 import { Actions, WORDS } from "./actions.js";
 import { ARRANGEMENTS } from "./arrange.js";
@@ -66,55 +66,47 @@ export class EditMode extends EventTarget {
     const trail = [...crumbs, [this.id, path]];
     $("ed-page").replaceChildren(
       h(
-        "div",
-        { id: "ed-tools", class: "tools", role: "toolbar", "aria-label": "Editing" },
-        GROUPS.map((group) =>
-          h("div", { class: "ed-group", id: `ed-group-${group}`, hidden: true }),
-        ),
+        "div.tools",
+        { id: "ed-tools", role: "toolbar", "aria-label": "Editing" },
+        GROUPS.map((group) => h("div.ed-group", { id: `ed-group-${group}`, hidden: true })),
       ),
       h(
-        "section",
-        { class: "left", "aria-label": "Places, transitions and arcs" },
-        h("div", { class: "ed-list", id: "ed-list-box" }),
+        "section.left",
+        { "aria-label": "Places, transitions and arcs" },
+        h("div.ed-list", { id: "ed-list-box" }),
       ),
       h(
-        "section",
-        { class: "centre", "aria-label": "Drawing" },
+        "section.centre",
+        { "aria-label": "Drawing" },
         h(
-          "nav",
-          { id: "ed-crumbs", class: "ed-crumbs", "aria-label": "Files", hidden: !crumbs.length },
+          "nav.ed-crumbs",
+          { id: "ed-crumbs", "aria-label": "Files", hidden: !crumbs.length },
           trail.map(([id, name], i) =>
             i === trail.length - 1
               ? h("strong", { "aria-current": "page", text: name })
               : [
-                  h("button", { class: "link", text: name, onclick: () => this.page.edit(id) }),
+                  h("button.link", { text: name, onclick: () => this.page.edit(id) }),
                   h("span", { "aria-hidden": "true", text: " › " }),
                 ],
           ),
         ),
         h(
-          "div",
-          { id: "ed-frame", class: "frame" },
-          h("div", {
+          "div.frame",
+          { id: "ed-frame" },
+          h("div.net.ed-net", {
             id: "ed-net",
-            class: "net ed-net",
             tabindex: "0",
             role: "application",
             "aria-label": "The drawing. The list of nodes beside it holds the same.",
           }),
-          h("div", { id: "ed-zoom", class: "zoom", role: "group", "aria-label": "View" }),
+          h("div.zoom", { id: "ed-zoom", role: "group", "aria-label": "View" }),
         ),
-        h(
-          "div",
-          { id: "ed-foot", class: "ed-foot" },
-          h("p", { id: "ed-status", class: "ed-status", role: "status" }),
-        ),
+        h("div.ed-foot", { id: "ed-foot" }, h("p.ed-status", { id: "ed-status", role: "status" })),
       ),
       h(
-        "section",
-        { class: "right", id: "ed-right", "aria-label": "Properties", hidden: true },
-        h("div", {
-          class: "tablist",
+        "section.right",
+        { id: "ed-right", "aria-label": "Properties", hidden: true },
+        h("div.tablist", {
           id: "ed-tabs",
           role: "tablist",
           "aria-label": "Properties",
@@ -152,20 +144,16 @@ export class EditMode extends EventTarget {
       text: title,
       onclick: show,
       onkeydown: (event) => {
-        const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-        if (!step) return;
-        event.preventDefault();
-        const names = [...this.panels.keys()];
-        const next = names[(names.indexOf(name) + step + names.length) % names.length];
+        const next = nextTab(event, [...this.panels.keys()], name);
+        if (!next) return;
         this.showPanel(next);
         this.panels.get(next).tab.focus();
       },
     });
     const panel = h(
-      "div",
+      "div.panel",
       {
         id: `ed-panel-${name}`,
-        class: "panel",
         role: "tabpanel",
         "aria-labelledby": tab.id,
         tabindex: "0",
@@ -326,7 +314,7 @@ export class EditMode extends EventTarget {
   zoomButtons() {
     const { camera } = this.canvas;
     const button = (id, text, title, onclick) =>
-      h("button", { id, class: "icon", text, title, "aria-label": title, onclick });
+      h("button.icon", { id, text, title, "aria-label": title, onclick });
     $("ed-zoom").append(
       button("ed-zoom-in", "+", "Zoom in", () => camera.zoom(1.25)),
       button("ed-zoom-out", "−", "Zoom out", () => camera.zoom(0.8)),
@@ -542,15 +530,11 @@ export class EditMode extends EventTarget {
 
 /** Ask whether unsaved work is to be lost; `save` saves it, or is null. Returns whether to go on. */
 export async function mayLeave(names, save) {
-  const answer = await ask(
-    "Leave without saving?",
-    h("p", { text: `Not saved: ${names.join(", ")}.` }),
-    [
-      ["Stay", ""],
-      ["Leave without saving", "leave", "danger"],
-      ...(save ? [["Save and leave", "save", "primary"]] : []),
-    ],
-  );
+  const answer = await ask("Leave without saving?", h("p", `Not saved: ${names.join(", ")}.`), [
+    ["Stay", ""],
+    ["Leave without saving", "leave", "danger"],
+    ...(save ? [["Save and leave", "save", "primary"]] : []),
+  ]);
   if (answer === "save") return save();
   announce(answer === "leave" ? "Left without saving" : "");
   return answer === "leave";

@@ -32,22 +32,23 @@ export function freeName(net, wanted, taken = new Set()) {
   }
 }
 
+/** The net with each node changed to what `change(data, kind)` returns; the same net if nothing changes. */
+function mapNodes(net, change) {
+  let result = net;
+  for (const [kind, list] of Object.entries(LISTS)) {
+    const nodes = net[list].map((data) => change(data, kind));
+    if (nodes.some((node, i) => node !== net[list][i])) result = { ...result, [list]: nodes };
+  }
+  return result;
+}
+
 /** Replace the nodes of some keys by what `change(data, key)` returns. */
 export function changeNodes(net, keys, change) {
   const wanted = new Set(keys);
-  const result = { ...net };
-  for (const [kind, list] of Object.entries(LISTS)) {
-    let other = false;
-    const nodes = net[list].map((data) => {
-      const key = nodeKey(kind, data.name);
-      if (!wanted.has(key)) return data;
-      const after = change(data, key);
-      other = other || after !== data;
-      return after;
-    });
-    if (other) result[list] = nodes;
-  }
-  return Object.values(LISTS).every((list) => result[list] === net[list]) ? net : result;
+  return mapNodes(net, (data, kind) => {
+    const key = nodeKey(kind, data.name);
+    return wanted.has(key) ? change(data, key) : data;
+  });
 }
 
 /** Give nodes positions: `positions`: name -> [x, y]. Nodes without any get theirs too (`all()`: name -> [x, y]), for
@@ -56,18 +57,12 @@ export function moveNodes(net, positions, all) {
   const bare = [...net.places, ...net.transitions].some((node) => !node.position);
   if (!bare && !positions.size) return net;
   const present = bare ? all() : null;
-  const place = (data) => {
+  return mapNodes(net, (data) => {
     const wanted = positions.get(data.name) || (data.position ? null : present.get(data.name));
     if (!wanted) return data;
     const [x, y] = data.position || [];
     return x === wanted[0] && y === wanted[1] ? data : { ...data, position: wanted };
-  };
-  const result = { ...net };
-  for (const list of Object.values(LISTS)) {
-    const nodes = net[list].map(place);
-    if (nodes.some((node, i) => node !== net[list][i])) result[list] = nodes;
-  }
-  return Object.values(LISTS).every((list) => result[list] === net[list]) ? net : result;
+  });
 }
 
 /** Add nodes and arcs. */
@@ -106,10 +101,8 @@ export function changeArcs(net, keys, change) {
 
 /** A transition of the other kind; what does not apply to it is left out. */
 export function otherKind(transition) {
-  if (transition.timed) {
-    const rest = changed(transition, { timed: undefined, rate: undefined, servers: undefined });
-    return rest;
-  }
+  if (transition.timed)
+    return changed(transition, { timed: undefined, rate: undefined, servers: undefined });
   const { name, ...rest } = changed(transition, { weight: undefined, priority: undefined });
   return { name, timed: true, rate: 1, ...rest };
 }

@@ -25,8 +25,7 @@ export async function newPlan(hello) {
   await ask(
     "New plan",
     h(
-      "div",
-      { class: "form" },
+      "div.form",
       h("label", { for: "ed-new-name", text: "Name" }),
       name,
       h("label", { for: "ed-new-template", text: "Begin with" }),

@@ -87,8 +87,7 @@ export const HINTS = {
   "plan.robots": { draw: robotsForm },
   "plan.on_lost": { draw: lostRule },
   "plan.subnets": {
-    draw: () =>
-      h("p", { class: "muted", text: "Written by the package; opening a subnet edits it." }),
+    draw: () => h("p.muted", "Written by the package; opening a subnet edits it."),
   },
 };
 

@@ -88,23 +88,22 @@ export class PolicyPanel extends PlanForm {
     this.first = Math.min(this.first, last);
     return [
       policy.scopes &&
-        h("p", {
-          class: "muted",
-          text: "This policy has parts of subnets, written by the package: edit the plan that has the subnets instead.",
-        }),
-      h("p", {
-        class: "muted",
-        text: policy.rows.length
+        h(
+          "p.muted",
+          "This policy has parts of subnets, written by the package: edit the plan that has the subnets instead.",
+        ),
+      h(
+        "p.muted",
+        policy.rows.length
           ? "A row with fewer “-” (any number) takes precedence; between equals, the first. " +
-            "Weights decide where no row matches."
+              "Weights decide where no row matches."
           : "There are no rows: the weights of the transitions decide.",
-      }),
+      ),
       this.gaps(),
       this.columns(policy),
       policy.rows.length > 0 && this.table(policy),
       h(
-        "div",
-        { class: "buttons" },
+        "div.buttons",
         this.button("policy.rows add", "Add a row", () => this.addRow(), {
           disabled: !this.immediate.length,
           title: this.immediate.length ? "" : "The net has no immediate transition to choose",
@@ -130,13 +129,11 @@ export class PolicyPanel extends PlanForm {
     return (
       found.length > 0 &&
       h(
-        "ul",
-        { class: "ed-gaps", "aria-label": "What the check says of the policy" },
+        "ul.ed-gaps",
+        { "aria-label": "What the check says of the policy" },
         found
           .slice(0, 10)
-          .map(({ text, hint }) =>
-            h("li", { class: "mark", text: `⚠ ${text}${hint ? ` (${hint})` : ""}` }),
-          ),
+          .map(({ text, hint }) => h("li.mark", `⚠ ${text}${hint ? ` (${hint})` : ""}`)),
       )
     );
   }
@@ -148,16 +145,13 @@ export class PolicyPanel extends PlanForm {
     const offered = NAMES.places(this.state).filter((name) => !policy.places.includes(name));
     return h(
       "fieldset",
-      {},
-      h("legend", { text: "Places that the rows speak of" }),
+      h("legend", "Places that the rows speak of"),
       h(
-        "ul",
-        { class: "chips" },
+        "ul.chips",
         policy.places.map((name, i) =>
           h(
             "li",
-            {},
-            h("span", { text: name }),
+            h("span", name),
             i > 0 &&
               this.button(`policy.places.${name} left`, "←", () => this.moveColumn(i, i - 1), {
                 class: "icon",
@@ -229,26 +223,22 @@ export class PolicyPanel extends PlanForm {
       );
     return [
       h(
-        "div",
-        { class: "scroll", tabindex: "0", role: "region", "aria-label": "Rows of the policy" },
+        "div.scroll",
+        { tabindex: "0", role: "region", "aria-label": "Rows of the policy" },
         h(
-          "table",
-          { class: "ed-policy" },
+          "table.ed-policy",
           h(
             "thead",
-            {},
             h(
               "tr",
-              {},
               h("th", { scope: "col", text: "Row" }),
               policy.places.map((name) => h("th", { scope: "col", text: name })),
               h("th", { scope: "col", text: "Chooses" }),
-              h("th", { scope: "col" }, h("span", { class: "unseen", text: "Change the rows" })),
+              h("th", { scope: "col" }, h("span.unseen", "Change the rows")),
             ),
           ),
           h(
             "tbody",
-            {},
             page.map((row, i) =>
               this.tableRow(policy, row, this.first + i, marks.get(this.first + i)),
             ),
@@ -257,12 +247,10 @@ export class PolicyPanel extends PlanForm {
       ),
       policy.rows.length > ROWS &&
         h(
-          "div",
-          { class: "buttons" },
+          "div.buttons",
           turn("earlier", "Earlier rows", this.first - ROWS, this.first === 0),
           turn("later", "More rows", this.first + ROWS, this.first + ROWS >= policy.rows.length),
-          h("span", {
-            class: "muted",
+          h("span.muted", {
             role: "status",
             text: `${this.first + 1} to ${this.first + page.length} of ${plural(policy.rows.length, "row")}`,
           }),
@@ -297,16 +285,14 @@ export class PolicyPanel extends PlanForm {
       "tr",
       { class: marks.length ? "marked" : "" },
       h("th", { scope: "row" }, String(i + 1)),
-      policy.places.map((place, at) => h("td", {}, this.cell(lens.at("marking").at(at), place, i))),
+      policy.places.map((place, at) => h("td", this.cell(lens.at("marking").at(at), place, i))),
       h(
         "td",
-        {},
         this.choose(lens, row, i),
-        marks.map((text) => h("p", { class: "mark", text: `⚠ ${text}` })),
+        marks.map((text) => h("p.mark", `⚠ ${text}`)),
       ),
       h(
-        "td",
-        { class: "row-buttons" },
+        "td.row-buttons",
         named("Move up", () => this.moveRow(i, i - 1), "↑", i === 0),
         named("Move down", () => this.moveRow(i, i + 1), "↓", i === policy.rows.length - 1),
         named(
@@ -350,13 +336,11 @@ export class PolicyPanel extends PlanForm {
     };
     const offered = this.immediate.filter((name) => !(name in now));
     return h(
-      "div",
-      { class: "chosen" },
-      names.length === 0 && h("span", { class: "muted", text: "the robots wait" }),
+      "div.chosen",
+      names.length === 0 && h("span.muted", "the robots wait"),
       names.map((name) =>
         h(
-          "div",
-          { class: "entry" },
+          "div.entry",
           this.choice(
             new Lens(
               `${whole.key}.${name} name`,
@@ -392,8 +376,7 @@ export class PolicyPanel extends PlanForm {
       ),
       this.verdict(whole),
       h(
-        "div",
-        { class: "entry" },
+        "div.entry",
         this.adder(whole.key, `Add to row ${i + 1}`, offered, (name) => {
           this.wanted = `${whole.key}.${name}`;
           const before = whole.get() ?? {};

@@ -5,7 +5,7 @@ import { h, natural, plural } from "../dom.js";
 import { get } from "../api.js";
 import { FormPanel, Lens, MIXED } from "./form.js";
 import { NAMES } from "./names.js";
-import { arcKey, nodeKey } from "./net_edits.js";
+import { arcKey, nodeKey, otherKind } from "./net_edits.js";
 import { changed } from "./plan_document.js";
 import { HINTS } from "./plan_hints.js";
 import { problemOfName, renamed } from "./rename.js";
@@ -27,7 +27,7 @@ export class PlanForm extends FormPanel {
     try {
       this.schema = await planSchema();
     } catch (error) {
-      this.element.replaceChildren(h("p", { class: "wrong", role: "alert", text: error.message }));
+      this.element.replaceChildren(h("p.wrong", { role: "alert", text: error.message }));
       return;
     }
     this.refresh();
@@ -116,10 +116,10 @@ export class PropertyPanel extends PlanForm {
     const found = Object.keys(LISTS).map((kind) => [kind, this.selected(kind)]);
     const several = found.filter(([, list]) => list.length);
     if (!several.length)
-      return h("p", {
-        class: "muted",
-        text: "Select a place, a transition or an arc to see and change what the plan says about it.",
-      });
+      return h(
+        "p.muted",
+        "Select a place, a transition or an arc to see and change what the plan says about it.",
+      );
     const [[kind, list]] = several;
     if (several.length === 1 && list.length === 1) {
       const { name } = list[0];
@@ -130,14 +130,9 @@ export class PropertyPanel extends PlanForm {
           : this.arc(list);
     }
     return [
-      h("h2", { text: several.map(([it, { length }]) => plural(length, it)).join(", ") }),
+      h("h2", several.map(([it, { length }]) => plural(length, it)).join(", ")),
       several.map(([it, { length }]) =>
-        h(
-          "fieldset",
-          {},
-          h("legend", { text: plural(length, it) }),
-          this[`${it}Fields`](this.selected(it)),
-        ),
+        h("fieldset", h("legend", plural(length, it)), this[`${it}Fields`](this.selected(it))),
       ),
     ];
   }
@@ -287,7 +282,7 @@ export class PropertyPanel extends PlanForm {
     const list = this.selected("place");
     const resource = plan.resource_places?.includes(name);
     return [
-      h("h2", { text: name }),
+      h("h2", name),
       this.name("place", name),
       this.placeFields(list),
       this.position("place", name),
@@ -318,7 +313,7 @@ export class PropertyPanel extends PlanForm {
     return [
       here.length
         ? here.map(([robot, i]) => robotRow(this, lens, robot, i, places))
-        : h("p", { class: "muted", text: "none" }),
+        : h("p.muted", "none"),
       this.button("plan.robots add", "Add a robot here", () => addRobot(this, place)),
     ];
   }
@@ -331,9 +326,8 @@ export class PropertyPanel extends PlanForm {
     const there = lens.get() !== undefined || this.drafts.has(lens.key);
     if (!there)
       return h(
-        "div",
-        { class: "absent" },
-        h("span", { class: "muted", text: title }),
+        "div.absent",
+        h("span.muted", title),
         this.button(
           `${lens.key} add`,
           "Add",
@@ -349,8 +343,7 @@ export class PropertyPanel extends PlanForm {
         ),
       );
     return h(
-      "fieldset",
-      { class: "present" },
+      "fieldset.present",
       h("legend", { text: title, class: key === "actions" ? "unseen" : "" }),
       schemaField(this, part, lens, title, {}, true),
       this.button(
@@ -391,21 +384,11 @@ export class PropertyPanel extends PlanForm {
       () => timed,
       (value, label) => {
         const names = new Set(list.map(({ name }) => name));
-        // a key of the other kind would be refused
-        const other = value
-          ? { weight: undefined, priority: undefined }
-          : { rate: undefined, servers: undefined };
         return this.document.edit(label, ({ net }) => ({
           net: {
             ...net,
             transitions: net.transitions.map((it) =>
-              names.has(it.name) && Boolean(it.timed) !== value
-                ? changed(it, {
-                    timed: value || undefined,
-                    ...(value ? { rate: 1 } : {}),
-                    ...other,
-                  })
-                : it,
+              names.has(it.name) && Boolean(it.timed) !== value ? otherKind(it) : it,
             ),
           },
         }));
@@ -455,7 +438,7 @@ export class PropertyPanel extends PlanForm {
     const list = this.selected("transition");
     const [{ timed }] = list;
     return [
-      h("h2", { text: name }),
+      h("h2", name),
       this.name("transition", name),
       this.transitionFields(list),
       this.position("transition", name),
@@ -483,17 +466,15 @@ export class PropertyPanel extends PlanForm {
     const around = arcs.filter(({ from, to }) => from === name || to === name);
     if (!around.length) return null;
     return [
-      h("h3", { text: "Arcs" }),
+      h("h3", "Arcs"),
       h(
-        "ul",
-        { class: "chips" },
+        "ul.chips",
         around
           .map((arc) => [`${arc.from} → ${arc.to}`, arcKey(arc)])
           .sort(([a], [b]) => natural(a, b))
           .map(([text, key]) =>
             h(
               "li",
-              {},
               this.button(`go ${key}`, text, () => this.mode.choose([key]), { class: "link" }),
             ),
           ),
@@ -518,9 +499,9 @@ export class PropertyPanel extends PlanForm {
 
   arc(list) {
     return [
-      h("h2", { text: `${list[0].from} → ${list[0].to}` }),
+      h("h2", `${list[0].from} → ${list[0].to}`),
       this.arcFields(list),
-      h("div", { class: "buttons" }, [
+      h("div.buttons", [
         this.button("go from", `Go to ${list[0].from}`, () =>
           this.mode.choose([this.keyOfNode(list[0].from)]),
         ),

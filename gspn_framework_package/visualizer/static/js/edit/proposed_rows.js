@@ -17,16 +17,12 @@ export class ProposedRows {
   content() {
     const shown = this.found;
     return [
-      h("p", {
-        class: "muted",
-        text: "A policy that was computed for the file, on the tab Optimise, beside the rows here.",
-      }),
-      this.panel.button("policy look", "Look for a computed policy", () => this.look()),
       h(
-        "div",
-        { role: "status" },
-        shown && (shown.text ? h("p", { text: shown.text }) : this.rows(shown)),
+        "p.muted",
+        "A policy that was computed for the file, on the tab Optimise, beside the rows here.",
       ),
+      this.panel.button("policy look", "Look for a computed policy", () => this.look()),
+      h("div", { role: "status" }, shown && (shown.text ? h("p", shown.text) : this.rows(shown))),
     ];
   }
 
@@ -47,45 +43,35 @@ export class ProposedRows {
   rows({ places, rows, total, changed, start }) {
     const same = places.join("\n") === this.panel.policy.places.join("\n");
     return [
-      h("p", {
-        class: "muted",
-        text: `${changed} of ${plural(total, "row")} choose differently; they come first.`,
-      }),
+      h("p.muted", `${changed} of ${plural(total, "row")} choose differently; they come first.`),
       h(
-        "div",
-        { class: "scroll", tabindex: "0", role: "region", "aria-label": "Proposed rows" },
+        "div.scroll",
+        { tabindex: "0", role: "region", "aria-label": "Proposed rows" },
         h(
-          "table",
-          { class: "ed-policy" },
+          "table.ed-policy",
           h(
             "thead",
-            {},
             h(
               "tr",
-              {},
               ["Marking", "Now", "Proposed", "Take"].map((text) => h("th", { scope: "col", text })),
             ),
           ),
           h(
             "tbody",
-            {},
             rows.map((row) => {
               const now = same ? this.present(row.marking) : null;
               return h(
                 "tr",
-                {},
-                h("td", { text: markingText(places, row.marking) }),
-                h("td", { text: now ? choiceText(now.choose) : "no such row" }),
+                h("td", markingText(places, row.marking)),
+                h("td", now ? choiceText(now.choose) : "no such row"),
                 h(
                   "td",
-                  {},
                   Object.keys(row.choose).length ? choiceText(row.choose) : "wait",
                   " ",
-                  row.differs === true && h("span", { class: "badge warn", text: "differs" }),
+                  row.differs === true && h("span.badge.warn", "differs"),
                 ),
                 h(
                   "td",
-                  {},
                   this.panel.button(
                     `take ${row.number}`,
                     "Take over",
@@ -101,8 +87,7 @@ export class ProposedRows {
         ),
       ),
       h(
-        "div",
-        { class: "buttons" },
+        "div.buttons",
         this.panel.button("take all", "Take over the whole policy", () => this.takeAll()),
         start > 0 &&
           this.panel.button("proposed earlier", "Earlier rows", () => this.look(start - ROWS)),

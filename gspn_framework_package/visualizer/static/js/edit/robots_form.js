@@ -56,20 +56,17 @@ export function robotsForm(form, _lens, title) {
   return group(
     title,
     !named &&
-      h("p", {
-        class: "muted",
-        text:
-          "The plan names no robots: there is one for each token of the initial marking. " +
+      h(
+        "p.muted",
+        "The plan names no robots: there is one for each token of the initial marking. " +
           "The first change names them.",
-      }),
+      ),
     h(
-      "div",
-      { class: "rows" },
+      "div.rows",
       robots.map((robot, i) => robotRow(form, lens, robot, i, places)),
     ),
     h(
-      "div",
-      { class: "buttons" },
+      "div.buttons",
       form.button(
         "plan.robots add",
         "Add a robot",
@@ -97,11 +94,10 @@ export function robotRow(form, lens, robot, i, places) {
     (place) => !(place in (robot.actions ?? {})),
   );
   return h(
-    "div",
-    { class: "robot-row", role: "group", "aria-label": `Robot ${robot.name}` },
+    "div.robot-row",
+    { role: "group", "aria-label": `Robot ${robot.name}` },
     h(
-      "div",
-      { class: "entry" },
+      "div.entry",
       form.text(name, `name of the robot ${robot.name}`, {
         "aria-label": "Name of the robot",
         late: true,

@@ -109,7 +109,7 @@ export function schemaField(form, part, lens, title, given = {}, required = fals
 
 /** Elements with a heading. */
 export function group(title, ...body) {
-  return h("fieldset", {}, h("legend", { text: title }), body);
+  return h("fieldset", h("legend", title), body);
 }
 
 function textField(form, schema, lens, title, hint, required) {
@@ -158,15 +158,13 @@ function listForm(form, schema, lens, title, hint) {
   const offered = hint.items?.(form.state).filter((name) => !taken.has(name));
   return group(
     title,
-    schema.description && h("p", { class: "muted", text: schema.description }),
+    schema.description && h("p.muted", schema.description),
     h(
-      "ul",
-      { class: "chips" },
+      "ul.chips",
       value.map((name, i) =>
         h(
           "li",
-          {},
-          h("span", { text: name }),
+          h("span", name),
           form.remove(
             `${lens.key}.${i}`,
             `${name} from ${title}`,
@@ -253,8 +251,7 @@ function blankOf(part, root) {
 export function objectForm(form, schema, lens, title, hint = {}) {
   const left = hint.without ?? [];
   return h(
-    "div",
-    { class: "nest" },
+    "div.nest",
     Object.entries(schema.properties)
       .filter(([key]) => !left.includes(key))
       .map(([key, part]) =>
@@ -294,12 +291,11 @@ function mapForm(form, schema, lens, title, hint) {
   const offered = hint.keys?.(form.state).filter((name) => !(name in value));
   return group(
     title,
-    schema.description && h("p", { class: "muted", text: schema.description }),
+    schema.description && h("p.muted", schema.description),
     Object.keys(value).map((name) =>
       simple
         ? h(
-            "div",
-            { class: "with-remove" },
+            "div.with-remove",
             schemaField(form, part, inside(name), called(name), hint.each ?? {}, true),
             remove(name),
           )
@@ -312,7 +308,7 @@ function mapForm(form, schema, lens, title, hint) {
               hint.each ?? {},
               true,
             ),
-            h("div", { class: "buttons" }, remove(name)),
+            h("div.buttons", remove(name)),
           ]),
     ),
     offered

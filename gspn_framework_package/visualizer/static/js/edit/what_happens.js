@@ -12,22 +12,20 @@ export class WhatHappens {
     this.page = Math.random().toString(36).slice(2);
     this.asked = 0;
     this.result = h("div", { id: "ed-here", "aria-live": "polite" });
-    this.fields = h("div", { class: "ed-tokens form" });
-    this.other = h("details", {}, h("summary", { text: "Another marking" }), this.fields);
+    this.fields = h("div.ed-tokens.form");
+    this.other = h("details", h("summary", "Another marking"), this.fields);
     this.other.addEventListener("toggle", () => this.other.open && this.showFields());
     mode.panel(
       "here",
       "What happens",
       h(
         "div",
-        {},
-        h("p", {
-          class: "muted",
-          text: "Which row of the policy applies at the marking that is shown, and what robots would choose.",
-        }),
-        h("button", {
+        h(
+          "p.muted",
+          "Which row of the policy applies at the marking that is shown, and what robots would choose.",
+        ),
+        h("button.primary", {
           id: "ed-here-ask",
-          class: "primary",
           text: "What would happen here?",
           onclick: () => this.ask(),
         }),
@@ -95,13 +93,12 @@ export class WhatHappens {
       marking: this.marking(),
       page: this.page,
     };
-    this.result.replaceChildren(h("p", { class: "muted", text: "Looking …" }));
+    this.result.replaceChildren(h("p.muted", "Looking …"));
     try {
       const answer = await post("edit/choices", body, { id: this.mode.id });
       if (asked === this.asked && !answer.cancelled) this.show(answer);
     } catch (error) {
-      if (asked === this.asked)
-        this.result.replaceChildren(h("p", { text: `Not known: ${error.message}.` }));
+      if (asked === this.asked) this.result.replaceChildren(h("p", `Not known: ${error.message}.`));
     }
   }
 
@@ -114,21 +111,21 @@ export class WhatHappens {
         on ? "" : ` – ${why.join("; ") || "not enabled"}`,
       );
     this.result.replaceChildren(
-      over ? h("p", { text: "The run is over here: “until” holds." }) : "",
-      places.length ? "" : h("p", { text: "No robot is in a place." }),
+      over ? h("p", "The run is over here: “until” holds.") : "",
+      places.length ? "" : h("p", "No robot is in a place."),
       ...places.map((place) =>
         h(
           "section",
           { "data-place": place.place },
-          h("h2", { text: `${place.place} (${place.tokens})` }),
-          h("p", { text: `${place.why}.` }),
-          h("ul", {}, place.transitions.map(chance)),
+          h("h2", `${place.place} (${place.tokens})`),
+          h("p", `${place.why}.`),
+          h("ul", place.transitions.map(chance)),
         ),
       ),
-      h("p", {
-        class: "muted",
-        text: enabled.length ? `Enabled: ${enabled.join(", ")}.` : "No transition is enabled.",
-      }),
+      h(
+        "p.muted",
+        enabled.length ? `Enabled: ${enabled.join(", ")}.` : "No transition is enabled.",
+      ),
     );
   }
 

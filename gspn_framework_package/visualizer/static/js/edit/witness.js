@@ -16,8 +16,8 @@ export class Witness {
     const sequence = new FiringSequence(steps, this);
     this.sequence = sequence;
     this.box = h(
-      "div",
-      { id: "ed-witness", class: "ed-witness", role: "group", "aria-label": "How it comes about" },
+      "div.ed-witness",
+      { id: "ed-witness", role: "group", "aria-label": "How it comes about" },
       sequenceControls(sequence),
       h("button", { text: "Close", onclick: () => this.end() }),
     );
