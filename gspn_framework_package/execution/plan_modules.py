@@ -318,4 +318,7 @@ def _import_failed(error: Exception, file: Optional[str], element: str) -> PlanE
         file=file,
         line=line,
         element=element,
+        hint="install '%s' for %s" % (error.name, sys.executable)
+        if isinstance(error, ModuleNotFoundError)
+        else None,
     )

@@ -19,6 +19,7 @@ from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLim
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.verifier.merge import is_in_team_after
 from gspn_framework_package.model.compact_json import compact, compact_sorted
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
@@ -108,6 +109,8 @@ class SimulatedNode:
         self.results: Dict[str, interface.OrderResult] = {}
         self.log_id = ""
         """The current id of its log."""
+        self.inside = False
+        """Whether it is in the team, as far as its log says."""
         self.holds = -1
         """The robot has promised to fire no local transition until this slot is decided."""
         self.shows: Dict[str, bool] = {}
@@ -144,6 +147,9 @@ class SimulatedNode:
         self.trusted, self.damage = True, ""
         self.plan = world.plan
         self.shows = {}
+        self.inside = False
+        for record in records:
+            self.inside = is_in_team_after(self.name, record, self.inside)
         resets = [r for r in records if r["kind"] in ("reset", "outage")]
         self.log_id = str((resets or [self.disk.header])[-1]["log"])
         self.carry_out(self.replica.start(world.now))
@@ -632,8 +638,10 @@ class World:
     # -- checks during the run ---------------------------------------------------------------------
 
     def on_record(self, node: SimulatedNode, record: Record) -> None:
-        """Check a written record: no two replicas may put different entries into one slot."""
-        if record["kind"] == "slot" and not self.given_up:
+        """Check a written record: no two members may put different entries into one slot. What a
+        robot outside the team learns may have been lost with the power supply meanwhile."""
+        inside, node.inside = node.inside, is_in_team_after(node.name, record, node.inside)
+        if record["kind"] == "slot" and not self.given_up and inside:
             known = self._chain.setdefault(record["slot"], record["hash"])
             if known != record["hash"]:
                 raise ViolationError(
@@ -641,11 +649,16 @@ class World:
                 )
 
     def forget_what_is_lost(self) -> None:
-        """Slots that are in no log any more were lost with the power supply."""
+        """Slots that no member has any more were lost with the power supply. A robot outside the
+        team that has them forgets them when it hears the others."""
         known: Dict[int, str] = {}
         for node in self.nodes.values():
             records = node.disk.records() if node.disk is not None else []
-            known.update({r["slot"]: r["hash"] for r in records if r["kind"] == "slot"})
+            node.inside = False
+            for record in records:
+                if record["kind"] == "slot" and node.inside:
+                    known[record["slot"]] = record["hash"]
+                node.inside = is_in_team_after(node.name, record, node.inside)
         self._chain = {slot: hash_ for slot, hash_ in self._chain.items() if slot in known}
 
     def keep_syncing(self, every: float) -> None:

@@ -551,7 +551,7 @@ class Membership:
         state = self.state
         if state.ledger.is_cast_out(other) or other in self.electorate.asserted_off():
             return  # the operator gave up what that robot knows
-        if not state.active and not state.torn:
+        if not state.active and not (state.torn and self.electorate.is_member()):
             self.forget("it differs from that of %s" % other)
             return
         if self._ours_is_given_up(other):

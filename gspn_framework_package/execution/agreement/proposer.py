@@ -262,9 +262,9 @@ class Proposer:
         self._send_event([leader])
 
     def _ask_members(self) -> None:
-        """We have no vote: let a member propose our proposals."""
-        others = self.electorate.others()
-        late = self.electorate.heard_of_late()
+        """We have no vote: let a member that has one propose our proposals."""
+        others, voters = self.electorate.others(), self.electorate.whole()
+        late = voters if set(voters) & set(others) else self.electorate.heard_of_late()
         heard = [m for m in others if m in late] or others
         if not heard:
             return

@@ -166,7 +166,10 @@ class _Check:
             for adopted in replay.stages.plans
         ]
         if merged.void:
-            self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
+            self.notes.append(
+                "%d slots were given up by an eviction by force, or lost with the power"
+                % len(merged.void)
+            )
 
     def _check_presence(self, merged: Merged, replay: SlotCheck) -> None:
         """Check that no log is missing of a robot that did anything; robots that were never

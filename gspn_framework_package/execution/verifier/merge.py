@@ -15,13 +15,16 @@ COMPARED = ("entries", "origins", "firings", "hash")
 
 class Memory(NamedTuple):
     """Records ``begin`` to ``end`` (exclusive) of log ``number``, a stretch in which its robot
-    forgot nothing. ``forgotten``: whether it reset or lost its log afterwards. ``time``: the time
-    of the newest of these records (s)."""
+    forgot nothing. ``forgotten``: whether it reset or lost its log afterwards. ``took_part``:
+    whether the team let it in meanwhile. ``left``: whether it was out of the team again at the end.
+    ``time``: the time of the newest of these records (s)."""
 
     number: int
     begin: int
     end: int
     forgotten: bool
+    took_part: bool
+    left: bool
     time: float
 
 
@@ -34,7 +37,8 @@ class Merged:
     :ivar slots: slot -> its record, from the first log that has it.
     :ivar heard: slot -> when the first replica had it (s, monotonic clock of the host).
     :ivar void: (index of the log, index of the record) of slots that the operator gave up by an
-        eviction by force.
+        eviction by force, or that the team lost with the power supply and only a robot outside the
+        team has.
     """
 
     def __init__(self, logs: Sequence[EventLog]) -> None:
@@ -46,10 +50,13 @@ class Merged:
         evictions = _evictions_by_force(logs)
         cast_out = {robot for robot, _ in evictions}
         self._last_forced = max((slot for _, slot in evictions), default=-1)
+        self._decided_anew = _decided_after_outages(logs)
         memories = _memories(logs)
-        # memories kept to the end come first, then robots never cast out, then the newest memories
+        # robots in the team come first, of these the memories kept to the end, then robots never
+        # cast out, then the newest memories
         memories.sort(
             key=lambda m: (
+                not m.took_part or m.left,
                 m.forgotten,
                 logs[m.number].robot in cast_out,
                 -m.time if cast_out else 0.0,
@@ -66,9 +73,11 @@ class Merged:
         """Compare a robot's memory with the slots so far, and add those that are new; rule 1.
 
         :param may_differ: whether the memory may differ, starting at a slot no later than the last
-            eviction by force.
+            eviction by force. What a robot learned outside the team may also differ from a slot on
+            that was decided after a loss of power.
         """
         number = memory.number
+        inside = memory.took_part
         length, chain = 0, str(log.header["plan_hash"])
         given_up = False
         for i in range(memory.begin, memory.end):
@@ -79,6 +88,8 @@ class Merged:
                 known = self.slots.get(record["slot"])
                 if known is not None and known["hash"] != chain:
                     given_up = given_up or (may_differ and record["slot"] <= self._last_forced)
+                    anew = () if inside else self._decided_anew
+                    given_up = given_up or any(slot <= record["slot"] for slot in anew)
                 if known is not None and known["hash"] != chain and not given_up:
                     raise BrokenRuleError(
                         1,
@@ -101,6 +112,7 @@ class Merged:
                 known = self.slots.get(slot)
                 if known is not None and any(known[k] != record[k] for k in COMPARED):
                     given_up = given_up or (may_differ and slot <= self._last_forced)
+                    given_up = given_up or (not inside and slot in self._decided_anew)
                     if not given_up:
                         raise BrokenRuleError(
                             1,
@@ -113,6 +125,7 @@ class Merged:
                                 _short(record),
                             ),
                         )
+                inside = is_in_team_after(log.robot, record, inside)
                 if given_up:
                     self.void.add((number, i))
                     continue
@@ -149,13 +162,42 @@ def _memories(logs: Sequence[EventLog]) -> List[Memory]:
     for number, log in enumerate(logs):
         resets = [i for i, r in enumerate(log.records) if r["kind"] == "reset"]
         for begin, end in zip([0, *resets], [*resets, len(log.records)]):
-            time = max((float(r.get("mono", 0.0)) for r in log.records[begin:end]), default=0.0)
-            out.append(
-                Memory(
-                    number, begin, end, end < len(log.records) or newest[log.robot] != number, time
-                )
-            )
+            records = log.records[begin:end]
+            forgotten = end < len(log.records) or newest[log.robot] != number
+            took_part = not log.robot or any(r["kind"] == "active" for r in records)
+            inside = not log.robot
+            for record in records:
+                inside = is_in_team_after(log.robot, record, inside)
+            time = max((float(r.get("mono", 0.0)) for r in records), default=0.0)
+            out.append(Memory(number, begin, end, forgotten, took_part, not inside, time))
     return out
+
+
+def is_in_team_after(robot: str, record: Record, before: bool) -> bool:
+    """Whether a robot is in the team after a record of its log, as far as that says."""
+    if record["kind"] == "active":
+        return True
+    if record["kind"] == "reset":
+        return False
+    if record["kind"] == "slot":
+        for entry in record["entries"]:
+            if entry.get("robot") == robot and entry["entry"] in ("join", "leave", "evict"):
+                before = entry["entry"] == "join"
+    return before
+
+
+def _decided_after_outages(logs: Sequence[EventLog]) -> Set[int]:
+    """The first slots that logs have after losses of power. Only a robot outside the team can have
+    another one there: it was decided before, and lost."""
+    found = set()
+    for log in logs:
+        torn = False
+        for record in log.records:
+            if record["kind"] == "slot" and torn:
+                found.add(record["slot"])
+            if record["kind"] in ("slot", "outage"):
+                torn = record["kind"] == "outage"
+    return found
 
 
 def _evictions_by_force(logs: Sequence[EventLog]) -> Set[Tuple[str, int]]:

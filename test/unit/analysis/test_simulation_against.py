@@ -249,7 +249,7 @@ def test_a_run_that_ends_keeps_its_marking():
 
 
 def test_the_budget_and_the_precision_end_it():
-    quick = compare_plans(SLOW, QUICK, Objective.long_run(TRIPS), seconds=0.01)
+    quick = compare_plans(SLOW, QUICK, Objective.long_run(TRIPS), seconds=1e-9)
     assert quick.pairs == against.LEAST_PAIRS
     wide = compare_plans(BOTH, QUICK, Objective.long_run(TRIPS), seconds=None, precision=0.1)
     half = (wide.difference.high - wide.difference.low) / 2
