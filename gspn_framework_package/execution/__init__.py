@@ -1,5 +1,5 @@
-"""Execution: the token game, the event log, agreement, and the standalone executor. Nothing here
-imports ROS.
+"""The token game, the event log, the agreement between robots, and the standalone executor. Nothing
+here imports ROS.
 
 Modules: ``actions``, ``agreement``, ``attempts``, ``breakpoints``, ``chance``, ``commands``,
 ``control_socket``, ``displayed_data``, ``enabled_set``, ``environment``, ``event_functions``,

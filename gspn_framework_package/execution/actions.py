@@ -3,29 +3,18 @@
 An action is what a robot does in an action place: a plain function, or a class with callable
 instances. The names of its parameters, all of them optional, declare what it needs:
 
-``place``
-    name of the place it runs for.
-``robot``
-    name of the robot (standalone: of the agent) that runs it.
-``feedback``
-    call it with one or several whole numbers to report progress (by convention, the seconds so
-    far).
-``is_cancelled``
-    call it without arguments to learn whether the action should end; ``is_cancelled.wait(s)``
-    sleeps for ``s`` seconds, or until the action should end.
-``id``
-    number of the robot, which is the number at the end of its name (in standalone execution, agents
-    are numbered from 1); if the name has no number, the name itself. Functions written for the
-    thesis take it.
-``data``
-    the data that it may read, by full name: ``data["task.pose"]``, ``data.get("robot.speed")``. It
-    is a copy: writing to it changes nothing.
-``resumed_from``
-    number of the robot's earlier visit to the place that this one continues after an interrupt; 0
-    if there is none.
-``visit``, ``attempt``
-    number of the robot's visit (it grows with each move) and of the attempt within that visit; if
-    it is above 1, an earlier attempt failed or was interrupted by a crash.
+``place`` name of the place it runs for. ``robot`` name of the robot (standalone: of the agent) that
+    runs it. ``feedback`` call it with one or more whole numbers to report progress (by convention,
+    the elapsed seconds). ``is_cancelled`` call it without arguments to learn whether the action
+    should end; ``is_cancelled.wait(s)`` sleeps for ``s`` seconds, or until the action should end.
+    ``id`` number of the robot, which is the number at the end of its name (in standalone execution,
+    agents are numbered from 1); if the name has no number, the name itself. Functions written for
+    the thesis take it. ``data`` the data that the action may read, by full name:
+    ``data["task.pose"]``, ``data.get("robot.speed")``. It is a copy: writing to it changes nothing.
+    ``resumed_from`` number of the robot's earlier visit to the place that this one continues after
+    an interrupt; 0 if there is none. ``visit``, ``attempt`` number of the robot's visit, which
+    grows with each move, and of the attempt within that visit. An attempt number above 1 means that
+    an earlier attempt failed or was interrupted by a crash.
 
 Any other parameter is a setting: the plan passes its value, under ``settings``, to the function or
 to the ``__init__`` of the class. A class with settings thus defines a new kind of action::
@@ -39,13 +28,13 @@ to the ``__init__`` of the class. A class with settings thus defines a new kind 
 
     {"function": "actions.Wait", "settings": {"seconds": 3}}
 
-An action returns the name of the transition to fire, or None, "" or "None" to let the policy
-decide (thesis Algorithm 1). With a pair it also returns data by name, which other actions read:
-``"T_seen", {"task.pose": [1, 2]}`` (see :mod:`gspn_framework_package.model.data`). Any exception
-means that the action failed; :class:`ActionFailed` reports the failure without logging a traceback.
-A class is instantiated once for each robot (its ``__init__`` may ask for ``robot``) and for each
-different choice of settings. For example, this is ``actions.py`` in a plan's folder; the plan
-refers to the function as ``actions.count``::
+An action returns the name of the transition to fire, or None, "" or "None" to let the policy decide
+(thesis Algorithm 1). It may also return a pair that includes data by name for other actions to
+read: ``"T_seen", {"task.pose": [1, 2]}`` (see :mod:`gspn_framework_package.model.data`). Any
+exception means that the action failed; :class:`ActionFailed` reports the failure without logging a
+traceback. A class is instantiated once for each robot (its ``__init__`` may ask for ``robot``) and
+for each different choice of settings. For example, this is ``actions.py`` in a plan's folder; the
+plan refers to the function as ``actions.count``::
 
     from gspn_framework_package.execution.actions import action
 
@@ -101,16 +90,16 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class ActionFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
-    """An action raises this when it does not succeed; the operator sees its text."""
+    """Raised by an action that does not succeed; the operator sees its text."""
 
 
 TEXT_LIMIT = 500
-"""The text of an action's failure or result is cut to this many characters."""
+"""Maximum length of the text of an action's failure or result; longer texts are truncated."""
 
 
 def error_text(error: BaseException) -> str:
-    """The text of a user's exception, on one line of at most :data:`TEXT_LIMIT` characters; an
-    exception that cannot be converted to text is harmless."""
+    """The text of a user's exception, on one line of at most :data:`TEXT_LIMIT` characters; also
+    handles exceptions that cannot be converted to text."""
     try:
         return shorten(str(error), TEXT_LIMIT)
     except Exception as another:
@@ -143,7 +132,7 @@ class Cancellation:
             function()
 
     def on_cancel(self, function: Callable[[], None]) -> None:
-        """Call ``function`` as soon as the action should end, on the thread that says so."""
+        """Call ``function`` as soon as the action should end, on the thread that cancels it."""
         with self._lock:
             if not self._event.is_set():
                 self._called.append(function)
@@ -191,7 +180,7 @@ class ActionContext(NamedTuple):
 
 
 class ActionResult(NamedTuple):
-    """What an action returned: the ``transition`` that it names, "" to let the policy decide, and
+    """The result of an action: the ``transition`` that it names ("" to let the policy decide), and
     the ``data`` that it wrote."""
 
     transition: str
@@ -216,9 +205,9 @@ class PythonFunction:
     """
 
     known: ClassVar[Tuple[str, ...]] = ()
-    """The parameter names by which it may ask for values."""
+    """The parameter names by which the function may ask for values."""
     role: ClassVar[str] = "function"
-    """What messages call it."""
+    """What error messages call this kind of function."""
 
     def __init__(
         self, function: Callable[..., Any], name: str, settings: Mapping[str, Any] = NO_SETTINGS
@@ -255,7 +244,7 @@ class PythonFunction:
         return name in self._names
 
     def call(self, context: Any) -> Any:
-        """Call it; returns what it returns. Its exceptions propagate.
+        """Call the function and return its result. Its exceptions propagate.
 
         :param context: has an attribute for each name in :attr:`known`, and ``robot``.
         """
@@ -282,7 +271,7 @@ class PythonFunction:
         """The :attr:`known` parameters that ``function`` asks for, apart from its settings."""
         try:
             parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
-        except (TypeError, ValueError):  # built in, without a signature
+        except (TypeError, ValueError):  # built-in functions may lack a signature
             parameters = []
         return self.asked_of(parameters, element, settings)
 
@@ -302,9 +291,9 @@ class PythonFunction:
         reserved = sorted(set(settings).intersection(cls.known))
         if reserved:
             raise PlanError(
-                "the setting '%s' has the name of what the run itself gives" % reserved[0],
+                "the setting '%s' has a reserved name" % reserved[0],
                 element=element,
-                hint="call it otherwise; taken are: %s" % ", ".join(cls.known),
+                hint="rename it; reserved names: %s" % ", ".join(cls.known),
             )
         names: Set[str] = set()
         unused = set(settings)
@@ -318,24 +307,24 @@ class PythonFunction:
                 wanted = _not_fitting(settings[parameter.name], parameter)
                 if wanted:
                     raise PlanError(
-                        "its setting '%s' takes %s, and not %s"
+                        "its setting '%s' takes %s, not %s"
                         % (parameter.name, wanted, json.dumps(settings[parameter.name])[:80]),
                         element=element,
                     )
             elif parameter.name in cls.known:
                 if parameter.kind is parameter.POSITIONAL_ONLY:
                     raise PlanError(
-                        "its parameter '%s' cannot be given by name" % parameter.name,
+                        "its parameter '%s' cannot be passed by name" % parameter.name,
                         element=element,
                     )
                 names.add(parameter.name)
             elif parameter.kind is not parameter.VAR_POSITIONAL and parameter.default is missing:
                 raise PlanError(
-                    "its parameter '%s' is nothing that an %s can ask for, and has no value"
+                    "its parameter '%s' is not one that an %s can ask for, and has no value"
                     % (parameter.name, cls.role),
                     element=element,
-                    hint="there are: %s; the value of any other stands in the plan, under settings"
-                    % ", ".join(cls.known),
+                    hint="known parameters: %s; give a value for any other in the plan, under "
+                    "settings" % ", ".join(cls.known),
                 )
         if unused:
             raise _no_parameter(element, unused)
@@ -351,13 +340,14 @@ _JSON_KINDS: Dict[type, Tuple[str, Tuple[type, ...]]] = {
     tuple: ("a list", (list,)),
     dict: ("an object", (dict,)),
 }
-"""Type of a parameter -> what it takes, for people, and the types of its values in JSON."""
+"""Type of a parameter -> its description for people, and the types of its values in JSON."""
 
 
 def _not_fitting(value: Any, parameter: inspect.Parameter) -> str:
-    """What a parameter takes, if a value from a plan certainly is not that; otherwise ""."""
+    """Describe what a parameter takes if a value from a plan certainly does not fit; otherwise
+    ""."""
     annotation: Any = parameter.annotation
-    if isinstance(annotation, str):  # as "from __future__ import annotations" leaves it
+    if isinstance(annotation, str):  # a string under "from __future__ import annotations"
         annotation = {kind.__name__: kind for kind in _JSON_KINDS}.get(annotation)
     for kind in (annotation, type(parameter.default)):
         known = isinstance(kind, type) and kind in _JSON_KINDS
@@ -378,21 +368,21 @@ class PythonAction(PythonFunction):
     def __call__(self, context: ActionContext) -> ActionResult:
         """Run the action.
 
-        :raises DataError: it returned data that cannot be kept.
+        :raises DataError: the action returned data that cannot be stored.
 
         Its exceptions propagate. A transition that is not a string is returned as its ``repr`` (at
         most 200 characters), which the token game reports as a bad result since it names no
         transition.
         """
-        if context.data:  # what an action does to the values must not reach anybody else
+        if context.data:  # an action must not change the values for others
             context = context._replace(data=copy.deepcopy(dict(context.data)))
         return read_result(self.call(context))
 
 
 def read_result(returned: Any) -> ActionResult:
-    """What a function returned as an action: a transition, nothing, or a pair with data.
+    """Parse an action's return value: a transition, nothing, or a pair with data.
 
-    :raises DataError: the data cannot be kept.
+    :raises DataError: the data cannot be stored.
     """
     data: Mapping[str, Any] = NO_SETTINGS
     if isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], dict):
@@ -408,15 +398,16 @@ _Kind = TypeVar("_Kind", bound=PythonFunction)
 def action(function: _Function) -> _Function:
     """Decorator that marks a function (or class) as an action and checks its parameters at once.
 
-    :raises PlanError: it has a required parameter that is not one of :data:`ACTION_PARAMETERS`.
+    :raises PlanError: the function has a required parameter that is not one of
+        :data:`ACTION_PARAMETERS`.
     """
     PythonAction(function, getattr(function, "__qualname__", repr(function)))
     return function
 
 
 def split_function(name: str) -> Tuple[str, str]:
-    """Return the folder and the ``module.function`` of a function in a plan. There may be a folder
-    before it, relative to the plan's ("": that itself): ``parts/actions.approach``."""
+    """Split a function's name in a plan into its folder, relative to the plan's folder ("" for that
+    folder itself), and ``module.function``; for example ``parts/actions.approach``."""
     within, _, function = name.rpartition("/")
     return within, function
 
@@ -437,8 +428,8 @@ def load_function(
     """Load ``module.function`` of a plan.
 
     :param folder: the plan's folder, which is searched for ``module.py`` (its subfolder for
-        ``package.module``); a module that is not there is imported normally, if it was allowed
-        (see :mod:`gspn_framework_package.execution.plan_modules`).
+        ``package.module``); other modules are imported normally, if the user allowed them (see
+        :mod:`gspn_framework_package.execution.plan_modules`).
     :param name: ``module.function``, or ``folder/module.function`` (see :func:`split_function`).
     :param settings: the settings in the plan, by parameter name.
     :param kind: what the function is for.
@@ -450,7 +441,7 @@ def load_function(
     module_name, dot, function_name = name.rpartition(".")
     if not dot or not module_name or not all(part.isidentifier() for part in name.split(".")):
         raise PlanError(
-            "'%s' is not the name of a function" % name,
+            "'%s' is not a valid function name" % name,
             element=element,
             hint="write module.function",
         )
@@ -466,10 +457,14 @@ def load_function(
             "the module has no '%s'" % function_name,
             file=module.__file__,
             element=element,
-            hint="it has: %s" % ", ".join(there) if there else "it has no functions",
+            hint="functions of the module: %s" % ", ".join(there)
+            if there
+            else "the module has no functions",
         )
     if not callable(function):
-        raise PlanError("this is not a function", file=module.__file__, element=element)
+        raise PlanError(
+            "the name does not refer to a function", file=module.__file__, element=element
+        )
     try:
         refuse_foreign_function(function, name, folder)
     except PlanError as error:
@@ -481,7 +476,7 @@ def load_function(
 
 
 def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
-    """Load the Python actions of a robot, by place; places with another action or none are left
+    """Load the Python actions of a robot, by place. Places with other actions, or none, are left
     out.
 
     :raises PlanError: see :func:`load_action`.
@@ -500,9 +495,9 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
 
 def _no_parameter(element: str, settings: Iterable[str]) -> PlanError:
     return PlanError(
-        "it has no parameter for the setting '%s'" % sorted(settings)[0],
+        "the function has no parameter for the setting '%s'" % sorted(settings)[0],
         element=element,
-        hint="settings are passed by name: to the function, or to __init__ of the class",
+        hint="settings are passed by name to the function, or to __init__ of the class",
     )
 
 

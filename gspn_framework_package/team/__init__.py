@@ -1,5 +1,4 @@
-"""The robots of a team at work, without ROS: the host of a robot's replica, and what carries its
-messages.
+"""Runs a robot of a team without ROS: the host of its replica, and the carriers of its messages.
 
 Modules: ``addressing``, ``agent``, ``carrier``, ``clock``, ``commands``, ``deploy_team``,
 ``deployed_plan``, ``flood_brake``, ``function_actions``, ``function_sources``, ``host``,

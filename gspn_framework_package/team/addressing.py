@@ -1,4 +1,4 @@
-"""What an operator's program does with the answers of a team; the same for all carriers."""
+"""Evaluates a team's answers for an operator's program; shared by all carriers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SILENCE_PATIENCE = 2.0
 """Seconds within which a robot must answer a plain question."""
 
 PLAIN_QUESTIONS = ("status", "plan")
-"""Commands that change nothing and are answered to everybody who may watch."""
+"""Commands that change nothing; robots answer them for everybody who may watch."""
 
 _STATUS_FIELDS = {
     "robot",
@@ -34,7 +34,7 @@ _STATUS_FIELDS = {
 
 
 def read_status(message: str) -> Optional[Dict[str, Any]]:
-    """A node's answer to the command ``status``; None if the text is not such an answer."""
+    """Parse a node's answer to the command ``status``; None if the text is not such an answer."""
     status = json_object(message)
     return status if status is not None and _STATUS_FIELDS <= set(status) else None
 
@@ -42,11 +42,11 @@ def read_status(message: str) -> Optional[Dict[str, Any]]:
 def robots_of_run(
     statuses: Mapping[Address, Optional[Dict[str, Any]]], run: str
 ) -> Dict[Address, Dict[str, Any]]:
-    """Those of one run that answered, with their status.
+    """The robots of one run that answered, with their status.
 
-    :param statuses: where a robot is reached -> its status; None if it did not answer.
+    :param statuses: address of a robot -> its status; None if it did not answer.
     :param run: the name of the run; "" if there is only one.
-    :raises ExecutionError: none answered, or robots of several runs did.
+    :raises ExecutionError: no robot answered, or robots of several runs did.
     """
     there = {at: status for at, status in statuses.items() if status and run in ("", status["run"])}
     runs = sorted({status["run"] for status in there.values()})
@@ -54,14 +54,14 @@ def robots_of_run(
         raise ExecutionError("no execution node answers%s" % (" of run '%s'" % run if run else ""))
     if len(runs) > 1:
         raise ExecutionError(
-            "there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run"
+            "several runs are active: %s" % ", ".join(runs), hint="choose one with --run"
         )
     return there
 
 
 def whom_to_order(there: Mapping[Address, Dict[str, Any]], command: str, robot: str) -> Address:
-    """The address to send an order to: if possible the robot's own node (unless it is to be
-    evicted), then one with a vote."""
+    """The address to send an order to: preferably the robot's own node (unless the order evicts
+    that robot), otherwise a node that has a vote."""
     own_last = command in ("evict", "force_evict")
     return min(
         there,

@@ -1,5 +1,4 @@
-"""One robot of a team without ROS: the host of its replica, with actions and events that are Python
-functions."""
+"""A robot without ROS: the host of its replica, with Python functions as actions and events."""
 
 from __future__ import annotations
 
@@ -25,12 +24,13 @@ def make_agent(
     carrier: Callable[[ReplicaHost], Carrier],
     allow_commands: bool = False,
 ) -> ReplicaHost:
-    """The host of a robot without ROS, ready to be started.
+    """Create the host of a robot without ROS, ready to start.
 
-    :param plan: the checked plan, with the team that begins the run.
-    :param carrier: makes the carrier of the robot's messages.
+    :param plan: the checked plan, with the team at the start of the run.
+    :param carrier: creates the carrier of the robot's messages.
     :param allow_commands: whether the plan may run programs.
-    :raises GspnError: an action needs ROS, the log cannot be used, or nobody can be reached.
+    :raises GspnError: an action needs ROS, the log cannot be used, or no other process can be
+        reached.
     """
     witness = robot in plan.witness
     host = ReplicaHost(
@@ -58,7 +58,7 @@ def make_agent(
 
 
 class PrintedReporter:
-    """The reporter of a robot on a terminal (see :class:`Reporter`): lines on standard error.
+    """A :class:`Reporter` that prints a robot's messages to standard error, for a terminal.
 
     :param quiet: whether only warnings and errors are printed.
     """
@@ -82,7 +82,7 @@ class PrintedReporter:
         self._print("error: %s%s" % (text, cause))
 
     def is_asked(self) -> bool:
-        """See :class:`Reporter`: nobody is there who would listen to diagnoses."""
+        """See :class:`Reporter`: nothing reads diagnoses here."""
         return False
 
     def diagnose(self, level: int, message: str, values: Mapping[str, Any]) -> None:
@@ -93,9 +93,9 @@ class PrintedReporter:
 
 
 class JsonReporter:
-    """The reporter of a robot for programs (see :class:`Reporter`): lines on standard output, a
-    JSON object each, with the key ``event``: ``say``, ``warning`` and ``error`` have a ``text``;
-    ``diagnosis`` has what a robot on ROS publishes on ``/diagnostics``, whenever it changes."""
+    """A :class:`Reporter` for programs: prints a JSON object per line to standard output. Its key
+    ``event`` is ``say``, ``warning`` or ``error``, with a ``text``, or ``diagnosis``, with the
+    values that a robot on ROS publishes on ``/diagnostics``, printed whenever they change."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot

@@ -1,12 +1,12 @@
-"""What carries the messages of a robot's replica to the other robots, and its facts to whoever
-watches.
+"""The interface of a carrier, which sends the messages of a robot's replica to the other robots and
+publishes its firings and activity for watchers.
 
-The host of a replica knows this interface only. :mod:`gspn_framework_package.ros.links` carries
-over the topics and services of ROS.
+A replica's host knows only this interface. :mod:`gspn_framework_package.ros.links` implements it
+with topics and services of ROS.
 
-A carrier may lose, repeat, delay and reorder messages: the agreement copes with all of it. It must
-not invent any. A carrier that knows which robot sent a message drops one that names another sender
-(:func:`sender_of`).
+A carrier may lose, repeat, delay and reorder messages: the agreement tolerates that. It must never
+invent one. A carrier that knows which robot sent a message drops the message if it names another
+sender (:func:`sender_of`).
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from gspn_framework_package.execution.agreement.interface import Message, Send
 
 
 class OperatorRequest(NamedTuple):
-    """What an operator asks of a robot: an order, or a question such as ``status``."""
+    """A request of an operator to a robot: an order, or a question such as ``status``."""
 
     command: str
     """The name of the order or question, as in the service ``Command``."""
     robot: str = ""
-    """The robot that the order concerns; "": the one that is asked, or the team."""
+    """The robot that the order concerns; "" for the receiving robot or the whole team."""
     argument: str = ""
     run: str = ""
-    """The run that is meant; "": whatever run the robot is in."""
+    """The run that is meant; "" for whatever run the robot is in."""
 
 
 class Operator(NamedTuple):
-    """Who gives an order."""
+    """The sender of an order."""
 
     name: str = ""
-    """"" if nobody said."""
+    """"" if unknown."""
     proof: str = ""
-    """What shows that it is so: ``certificate``, ``team key`` (somebody who has it says so), or
-    nothing."""
+    """How the name was authenticated: ``certificate``, ``team key`` (claimed by somebody who has
+    the key), or "" for not at all."""
 
 
 class OperatorAnswer(NamedTuple):
@@ -43,26 +43,26 @@ class OperatorAnswer(NamedTuple):
 
     success: bool
     message: str
-    """For ``status``, a JSON object; else a sentence."""
+    """A JSON object for ``status``, otherwise a sentence."""
 
 
 class NotTaken(NamedTuple):
-    """What came in and was not taken: from whom, why, and how often."""
+    """Incoming messages that were refused: from whom, why, and how often."""
 
     robot: str
-    """The robot or operator that it came from, as far as the carrier knows."""
+    """The robot or operator that sent them, as far as the carrier knows."""
     why: str
     times: int
 
 
 class Handlers(NamedTuple):
-    """What a carrier calls, from any thread."""
+    """Callbacks of a carrier, called from any thread."""
 
     received: Callable[[Message], None]
     """Takes each protocol message for this robot; returns at once."""
     command: Callable[[OperatorRequest, Operator], OperatorAnswer]
-    """Answers an operator. It may take some seconds, because an order waits until it is in the log.
-    It raises ExecutionError if the robot is too busy to answer."""
+    """Answers an operator. May take some seconds, because an order waits until it is in the log.
+    Raises ExecutionError if the robot is too busy to answer."""
 
 
 class Carrier(Protocol):
@@ -70,36 +70,36 @@ class Carrier(Protocol):
 
     @property
     def sent(self) -> int:
-        """How many messages the robot has sent; one to several robots counts once."""
+        """How many messages the robot has sent; a message to several robots counts once."""
 
     def send(self, sends: List[Send]) -> None:
-        """Send protocol messages to the robots that they name; does not wait for anybody."""
+        """Send protocol messages to the robots that they name, without waiting for delivery."""
 
     def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
-        """Publish firings that this robot decided in one slot, or local transitions of its own.
+        """Publish firings that this robot decided in one slot, or its own local transitions.
 
         :param firings: the fields of each, see
             :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
         """
 
     def is_watched(self) -> bool:
-        """Whether somebody may watch the activity now. While nobody does, it is published less
-        often."""
+        """Whether anybody may be watching the activity now. It is published less often while nobody
+        is."""
 
     def publish_activity(self, activity: Dict[str, Any]) -> None:
-        """Publish what the robot does; whoever begins to watch later sees the last one.
+        """Publish what the robot does; later subscribers receive the last activity.
 
         :param activity: a JSON object.
         """
 
     def refusals(self) -> List[NotTaken]:
-        """What came in so far and was not taken."""
+        """The incoming messages that have been refused so far."""
 
     def is_team_watched(self) -> bool:
-        """Whether somebody wants :meth:`publish_team` now."""
+        """Whether anybody uses :meth:`publish_team` now."""
 
     def publish_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
-        """Publish the marking and the state of the whole team, as this robot's log has them.
+        """Publish the marking and the state of the whole team according to this robot's log.
 
         :param marking: see
             :func:`~gspn_framework_package.execution.team_messages.marking_fields`.
@@ -107,10 +107,10 @@ class Carrier(Protocol):
         """
 
     def close(self) -> None:
-        """Send nothing more, and release everything."""
+        """Stop sending, and release all resources."""
 
 
 def sender_of(message: Message) -> str:
-    """The robot that a protocol message says it comes from; "" if it does not say."""
+    """The robot that a protocol message names as its sender; "" if it names none."""
     sender = message.get("from")
     return sender if isinstance(sender, str) else ""

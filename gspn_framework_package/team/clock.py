@@ -1,4 +1,4 @@
-"""The clock by which the times of a plan pass for a robot's actions."""
+"""The clock that times a robot's actions."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import time
 
 
 class Clock:
-    """The machine's own clock, which never goes back; ``ros.ros_clock`` has that of a simulation.
+    """The machine's monotonic clock; ``ros.ros_clock`` has the clock of a simulation.
 
-    :ivar times_back: how often the time of the world went back.
-    :ivar back_by: by how many seconds it did the last time.
+    :ivar times_back: how often simulated time went back.
+    :ivar back_by: by how many seconds it went back the last time.
     """
 
     times_back = 0
     back_by = 0.0
 
     def seconds(self) -> float:
-        """Seconds that have passed since some moment in the past."""
+        """Seconds since some fixed moment in the past."""
         return time.monotonic()
 
     def look_at(self, due: float, now: float) -> float:
-        """When to look whether this clock has come to ``due``, in monotonic seconds.
+        """When to check whether this clock has reached ``due``, in monotonic seconds.
 
         :param due: seconds of this clock.
         :param now: the present in monotonic seconds.

@@ -1,4 +1,4 @@
-"""The orders and questions of an operator, as a robot takes them from any carrier."""
+"""Handles an operator's orders and questions, which a robot may receive from any carrier."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ ANSWER_TIME = 2.0
 """Seconds within which the host's worker must answer a plain question."""
 
 ORDER_TIME = 5.0
-"""Seconds that an operator's order waits to get into the log."""
+"""Seconds within which an operator's order must get into the log."""
 
 ADOPT_TIME = 20.0
-"""The same for an order to adopt a plan, which is checked first, in a process of its own."""
+"""The same for an order to adopt a plan, which is first checked in a separate process."""
 
 
 _NOBODY = Operator()
-"""An operator of whom nothing is known."""
+"""An operator about whom nothing is known."""
 
 
 def order_time(command: str) -> float:
@@ -34,7 +34,7 @@ def order_time(command: str) -> float:
 
 
 def is_question(request: OperatorRequest) -> bool:
-    """Whether a request orders nothing."""
+    """Whether a request is a question, which changes nothing."""
     asks = request.command == "breakpoints" and not request.argument
     return asks or request.command in ("status", "plan")
 
@@ -62,7 +62,7 @@ class Commands:
         if request.command == "plan":
             adopted = ask_worker(self._worker, self._worker.adopted)
             if adopted is None:
-                return OperatorAnswer(False, "the team follows the plan that it began with")
+                return OperatorAnswer(False, "the team still follows its first plan")
             return OperatorAnswer(True, json.dumps(adopted.to_json()))
         if request.command == "breakpoints":
             if request.argument:
@@ -77,16 +77,16 @@ class Commands:
             return OperatorAnswer(False, str(error))
         if entry is None:
             return OperatorAnswer(
-                False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
+                False, "unknown command '%s'; known: %s" % (request.command, _COMMANDS)
             )
         self._worker.enqueue(self._worker.note_order, request, operator)
         return self.order(entry._replace(by=giver_of(operator)))
 
     def other_run(self, run: str) -> str:
-        """Why a request for ``run`` is refused here; "" if it is meant for this robot's run."""
+        """Why this robot refuses a request for ``run``; "" if the request is meant for its run."""
         if run in ("", self._worker.run):
             return ""
-        return "%s is in run '%s', not in run '%s': nothing was done" % (
+        return "nothing was done: %s is in run '%s', not in run '%s'" % (
             self._worker.robot,
             self._worker.run,
             run,
@@ -100,7 +100,10 @@ class Commands:
         try:
             result = results.get(timeout=seconds)
         except queue.Empty:
-            text = "not in the log after %g s; it may still get there (see status)" % seconds
+            text = (
+                "the order is not in the log after %g s, but may still get there (see status)"
+                % seconds
+            )
             return OperatorAnswer(False, text)
         return OperatorAnswer(result.ok, result.text)
 
@@ -113,18 +116,18 @@ class Commands:
 
 
 def ask_worker(worker: Worker, question: Callable[[], AnswerT]) -> AnswerT:
-    """The answer of the worker thread to a plain question.
+    """Get the worker thread's answer to a plain question.
 
     :raises ExecutionError: it did not answer within :data:`ANSWER_TIME`.
     """
     try:
         return worker.ask(question, ANSWER_TIME)
     except queue.Empty:
-        raise ExecutionError("the node is busy; no answer in time") from None
+        raise ExecutionError("the node is busy and did not answer in time") from None
 
 
 def giver_of(operator: Operator) -> log_entries.Giver:
-    """Who gives an order, as the log has it."""
+    """The sender of an order, as the log records it."""
     name = shorten(operator.name, log_entries.GIVER_LIMIT)
     return log_entries.Giver(name, shorten(operator.proof, log_entries.GIVER_LIMIT))
 
@@ -142,13 +145,13 @@ def order_entry(
 
     :param command: the name of the command.
     :param given: the robot that was named; "" for the whole team, if the command allows that.
-    :param robot: the robot that was named, or else the one that serves the call.
+    :param robot: the robot that was named, otherwise the robot that serves the call.
     :param argument: for ``set_place``, the place; for ``fire``, the transition; for ``submit``, the
         task (see :func:`submitted`); for ``stop``, the reason; for ``stage``, the plan (see
         :func:`staged`); for ``adopt`` and ``unstage``, the number of the stage, "" for the present
         one.
-    :raises DataError: the argument is no task.
-    :raises LogError: the argument is no plan.
+    :raises DataError: the argument is not a task.
+    :raises LogError: the argument is not a plan.
     """
     if command == "pause":
         return log_entries.Pause(given)
@@ -179,23 +182,22 @@ def order_entry(
 
 
 def submitted(argument: str) -> log_entries.Submit:
-    """The entry for a task that is given by hand.
+    """The log entry for a task that an operator submits.
 
-    :param argument: a JSON object with ``transition``, and perhaps ``id`` (default: a new one) and
-        ``data``.
-    :raises DataError: it is not.
+    :param argument: a JSON object with ``transition``, and optionally ``id`` (default: a new id)
+        and ``data``. :raises DataError: the argument does not have this form.
     """
     task = json_object(argument)
     if task is None or not set(task) <= {"transition", "id", "data"}:
         raise DataError(
             "%.100r is not a JSON object with transition, id and data" % argument,
-            hint='like {"transition": "order", "id": "o1", "data": {"pose": [1, 2]}}',
+            hint='for example {"transition": "order", "id": "o1", "data": {"pose": [1, 2]}}',
         )
     transition, data = task.get("transition"), task.get("data", {})
     if not isinstance(transition, str) or not transition:
-        raise DataError("it names no transition")
+        raise DataError("the task names no transition")
     if not isinstance(data, dict):
-        raise DataError("its data are not a JSON object, but %.100r" % (data,))
+        raise DataError("the data of the task must be a JSON object, not %.100r" % (data,))
     task_id = task.get("id", "")
     if task_id in ("", None):
         task_id = log_entries.new_task_id("submitted")
@@ -205,14 +207,16 @@ def submitted(argument: str) -> log_entries.Submit:
 def staged(argument: str) -> log_entries.StagePlan:
     """The log entry that stages a plan.
 
-    :param argument: a JSON object: ``plan`` (the plan whole, as an event log has it), ``map``
-        (names of the present net -> names of the new one) and ``folder`` (of its functions; "":
-        where they were).
-    :raises LogError: it is not of this form.
+    :param argument: a JSON object: ``plan`` (the whole plan, as in an event log), ``map`` (names in
+        the present net -> names in the new one) and ``folder`` (of its functions; "" to keep the
+        present folder).
+    :raises LogError: the argument does not have this form.
     """
     given = json_object(argument)
     if given is None or not isinstance(given.get("plan"), dict):
-        raise LogError('not a plan: the argument is no JSON object {"plan": {...}, "map": {...}}')
+        raise LogError(
+            'not a plan: the argument must be a JSON object {"plan": {...}, "map": {...}}'
+        )
     entry = log_entries.checked(
         log_entries.StagePlan(
             given["plan"],

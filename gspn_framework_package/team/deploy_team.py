@@ -1,5 +1,5 @@
-"""Puts a plan into a running team for an operator: has it staged, waits for the votes, and has it
-adopted."""
+"""Deploys a plan to a running team for an operator: stages it, waits for the votes, and orders the
+team to adopt it."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from gspn_framework_package.execution.log_entries import StagePlan
 from gspn_framework_package.model.compact_json import compact
 
 POLL = 0.2
-"""Seconds between two questions for the votes."""
+"""Seconds between two queries of the votes."""
 
 VOTING_TIME = 30.0
-"""Seconds that the members have to look at a plan, unless it is said otherwise."""
+"""Seconds that the members have by default to check a plan."""
 
 Votes = Mapping[str, Optional[str]]
-"""Member -> why it cannot follow the plan; "" if it can, None if it has not said yet."""
+"""Member -> why it cannot follow the plan; "" if it can, None if it has not voted yet."""
 
 
 class DeployOutcome(NamedTuple):
-    """Whether a run follows the plan now, and otherwise why not, in a sentence."""
+    """Whether a run follows the plan now, and if not, why, in a sentence."""
 
     done: bool
     message: str
     stage: int = 0
-    """Number of the stage, 0 if it did not come to one."""
+    """Number of the stage; 0 if the plan was not staged."""
     votes: Votes = {}
 
 
 class DeployTeam:
-    """See the module.
+    """Deploys plans to one team.
 
     :param order: gives the team an order (command, argument); returns whether it was carried out,
-        and what the robot says.
-    :param statuses: asks the robots of the run for their statuses.
+        and the robot's answer.
+    :param statuses: queries the statuses of the run's robots.
     :param tell: receives the votes whenever they change.
-    :param wait: seconds that the members have to look at the plan.
+    :param wait: seconds that the members have to check the plan.
     """
 
     def __init__(
@@ -49,10 +49,10 @@ class DeployTeam:
         self._order, self._statuses, self._tell, self._wait = order, statuses, tell, wait
 
     def deploy(self, entry: StagePlan, stage_only: bool = False) -> DeployOutcome:
-        """Put a plan into the team; a stage that comes to nothing is given up.
+        """Deploy a plan to the team; unstage it if it cannot be adopted.
 
-        :param entry: the entry that stages it.
-        :param stage_only: leave it staged.
+        :param entry: the log entry that stages the plan.
+        :param stage_only: leave the plan staged, without adopting it.
         """
         argument = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
         done, message = self._order("stage", compact(argument))
@@ -60,7 +60,7 @@ class DeployTeam:
             return DeployOutcome(False, message)
         stage, votes, message = self._wait_for_votes(entry.digest)
         if not message and stage_only:
-            text = "every robot can follow the plan; it is staged as number %d" % stage
+            text = "every robot can follow the plan; the plan is staged as number %d" % stage
             return DeployOutcome(True, text, stage, votes)
         if not message:
             done, message = self._order("adopt", str(stage))
@@ -71,12 +71,12 @@ class DeployTeam:
         return DeployOutcome(False, message, stage, votes)
 
     def _wait_for_votes(self, digest: str) -> Tuple[int, Votes, str]:
-        """Wait until every member has looked at the plan: the number of the stage, the votes, and
-        why it cannot be adopted ("" if it can)."""
+        """Wait until every member has voted on the plan. Returns the number of the stage, the
+        votes, and why the plan cannot be adopted ("" if it can)."""
         deadline = time.monotonic() + self._wait
         stage, votes = 0, {}  # type: int, Votes
         while time.monotonic() < deadline:
-            # the robot with the longest log has heard of the most votes
+            # the robot with the longest log knows the most votes
             newest = max(self._statuses(), key=lambda s: int(s["log_length"]), default=None)
             staged = newest.get("staged") if newest else None
             if staged is not None and staged["digest"] == digest:
@@ -84,14 +84,16 @@ class DeployTeam:
                     self._tell(staged["votes"])
                 stage, votes = staged["stage"], staged["votes"]
                 refused = [
-                    "%s cannot follow it: %s" % (who, why) for who, why in votes.items() if why
+                    "%s cannot follow the plan: %s" % (who, why)
+                    for who, why in votes.items()
+                    if why
                 ]
                 if refused:
                     return stage, votes, "; ".join(refused)
                 if None not in votes.values():
                     return stage, votes, ""
             elif stage:
-                return stage, votes, "another plan was staged, or this one was given up"
+                return stage, votes, "another plan was staged, or this one was unstaged"
             time.sleep(POLL)
         missing = [who for who, why in votes.items() if why is None] or ["anybody"]
-        return stage, votes, "no word within %g s of: %s" % (self._wait, ", ".join(missing))
+        return stage, votes, "no vote within %g s from: %s" % (self._wait, ", ".join(missing))

@@ -1,4 +1,4 @@
-"""The plan that a team went on under, as one of its robots reports it."""
+"""The plan that a team has adopted, as reported by one of its robots."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gspn_framework_package.team.message_filter import json_object
 
 
 class DeployedPlan(NamedTuple):
-    """A plan that the team of ``run`` adopted: the ``number`` of its stage, and the names in the
-    plan before it -> those in this one."""
+    """A plan that the team of ``run`` adopted, with the ``number`` of its stage and a map of names
+    in the previous plan -> names in this one."""
 
     run: str
     number: int
@@ -22,8 +22,7 @@ class DeployedPlan(NamedTuple):
 
 
 def read_deployed(run: str, message: str) -> Optional[DeployedPlan]:
-    """The plan in a node's answer to the command ``plan``; None if the text is not such an
-    answer."""
+    """Parse a node's answer to the command ``plan``; None if the text is not such an answer."""
     try:
         staged = StagedPlan.from_json(json_object(message) or {})
         return DeployedPlan(run, staged.number, plan_of(staged), staged.mapping)

@@ -1,10 +1,11 @@
-"""Brakes a connection that brings far more than a robot sends.
+"""Slows down a connection that delivers far more than a robot sends.
 
-A router drops most of a flood (:mod:`~gspn_framework_package.team.lanes`), but what it passes on
-wakes every robot for each message, which costs a team most of its speed. Zenoh cannot give a sender
-who floods less than the others. The operating system can: with ``SO_RCVLOWAT`` it hands the data of
-a connection over in large pieces, whose messages come at the same moment, so that the router passes
-on one for each lane. Other connections are not touched. Does nothing where there is no ``/proc``.
+A router drops most of a flood (:mod:`~gspn_framework_package.team.lanes`), but each message that it
+still forwards wakes every robot, which costs a team most of its speed. Zenoh cannot give a flooding
+sender less bandwidth than the others. The operating system can: with ``SO_RCVLOWAT`` it delivers
+the data of a connection in large chunks. All messages of a chunk arrive at the same moment, so the
+router forwards only one per lane. Other connections are not affected. Does nothing where ``/proc``
+is missing.
 """
 
 from __future__ import annotations
@@ -20,23 +21,27 @@ from typing import Deque, Dict, Iterable, List, Mapping, NamedTuple, Set, Tuple
 from gspn_framework_package.team.own_sockets import CONNECTED, OwnSockets
 
 MOST_SEGMENTS = 3000.0
-"""TCP segments a second that a connection may bring, about as many as messages. A robot sends at
-most 800 messages a second in each of its two channels, and a team at its fastest 500 a robot."""
+"""Limit of TCP segments per second of a connection; a segment holds about one message. A robot
+sends at most 800 messages per second in each of its two channels; in the fastest team measured,
+each robot sent 500."""
 
 MOST_BYTES = 4e6
-"""Bytes a second that a connection may bring; a team at its fastest sends 0.2 MB a robot."""
+"""Limit of bytes per second of a connection; in the fastest team measured, each robot sent 0.2
+MB."""
 
 LOOK = 0.5
-"""Seconds between two looks. Who is too fast in two of them is braked."""
+"""Seconds between two checks. A connection that is too fast in two consecutive checks is slowed
+down."""
 
 HOLDS = 2.0
-"""Seconds for which a connection stays braked after the last look at which it was too fast."""
+"""Seconds for which a connection stays slow after the last check at which it was too fast."""
 
 PIECE = 1_000_000
-"""Bytes that are handed over together while a connection is braked; at each look, what is there."""
+"""Bytes that a slowed connection delivers at once; at each check it also delivers whatever has
+arrived."""
 
 _LETS_IN = 0.02
-"""Seconds at each look in which a braked connection hands over what is there."""
+"""Seconds per check during which a slowed connection delivers whatever has arrived."""
 
 _NEWS = 100
 _BYTES_AT, _SEGMENTS_AT = 128, 152  # tcpi_bytes_received and tcpi_data_segs_in in linux/tcp.h
@@ -44,14 +49,14 @@ _INFO_SIZE = 160
 
 
 class Brought(NamedTuple):
-    """What a connection has brought so far."""
+    """What a connection has delivered so far."""
 
     bytes: int
     segments: int
 
 
 class FloodWatch:
-    """Says which connections to brake. It knows no sockets."""
+    """Decides which connections to slow down. Knows nothing of sockets."""
 
     def __init__(self) -> None:
         self._before: Dict[str, Brought] = {}
@@ -60,10 +65,10 @@ class FloodWatch:
         self._until: Dict[str, float] = {}
 
     def look(self, now: float, received: Mapping[str, Brought]) -> Set[str]:
-        """Which connections are to be braked until the next look.
+        """The connections to slow down until the next check.
 
         :param now: a monotonic clock, in seconds.
-        :param received: what each open connection has brought.
+        :param received: what each open connection has delivered.
         """
         passed = now - self._looked
         fast = {
@@ -89,23 +94,24 @@ def _too_fast(before: Brought, now: Brought, seconds: float) -> bool:
 
 
 class FloodBrake:
-    """Looks at the connections to some ports of this process, on a thread of its own.
+    """Checks the connections to some ports of this process on its own thread.
 
-    :param ports: at which this process listens.
+    :param ports: the ports, at which this process listens.
     """
 
     def __init__(self, ports: Iterable[int]) -> None:
         at = set(ports)
         self._sockets = OwnSockets(lambda state, here, there: state == CONNECTED and here in at)
         self._watch = FloodWatch()
-        self._braked: Dict[str, str] = {}  # number of the socket -> who is at its other end
+        self._braked: Dict[str, str] = {}  # socket number -> address of its peer
         self._news: Deque[str] = collections.deque(maxlen=_NEWS)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work, name="flood brake", daemon=True)
         self._thread.start()
 
     def news(self) -> List[str]:
-        """What was done since the last call, for people; at most the last hundred."""
+        """Messages for the operator about what was done since the last call; at most the last
+        hundred."""
         found = []
         with contextlib.suppress(IndexError):
             while True:
@@ -113,7 +119,7 @@ class FloodBrake:
         return found
 
     def close(self) -> None:
-        """End the thread. Connections that are still open are read as they come."""
+        """End the thread. Connections that are still open are read normally again."""
         self._over.set()
         self._thread.join()
 
@@ -123,30 +129,32 @@ class FloodBrake:
         self._set(set(self._braked), 1)
 
     def look(self) -> None:
-        """Brake who floods, and let go who does so no longer; the thread does it twice a second."""
+        """Slow down connections that flood, and release those that no longer do; the thread calls
+        this twice a second."""
         received, ends = self._received()
         flooding = self._watch.look(time.monotonic(), received)
         for number in flooding - set(self._braked):
             self._braked[number] = ends[number]
             self._news.append(
-                "%s sends more than a robot does: it is read more slowly" % self._braked[number]
+                "%s sends more than a robot should; reading from it more slowly"
+                % self._braked[number]
             )
         freed = set(self._braked) - flooding
-        self._set(set(self._braked), 1)  # who waits for the rest of a piece waits no longer
+        self._set(set(self._braked), 1)  # wakes readers that wait for the rest of a chunk
         for number in freed:
             self._news.append(
-                "%s is read at full speed again, or has disconnected" % self._braked.pop(number)
+                "%s has slowed down or disconnected; no longer limited" % self._braked.pop(number)
             )
         if self._braked:
             self._over.wait(_LETS_IN)
             self._set(set(self._braked), PIECE)
 
     def _received(self) -> Tuple[Dict[str, Brought], Dict[str, str]]:
-        """What the connections have brought, and who is at their other ends."""
+        """What the connections have delivered, and the addresses of their peers."""
         received: Dict[str, Brought] = {}
         ends: Dict[str, str] = {}
         for number, same in self._sockets:
-            with contextlib.suppress(OSError):  # closed meanwhile
+            with contextlib.suppress(OSError):  # closed in the meantime
                 info = same.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
                 if len(info) == _INFO_SIZE:
                     ends[number] = "%s:%d" % same.getpeername()[:2]
@@ -157,7 +165,7 @@ class FloodBrake:
         return received, ends
 
     def _set(self, numbers: Set[str], least: int) -> None:
-        """Have connections handed over from so many bytes on."""
+        """Set the number of bytes from which on the connections deliver data."""
         if numbers:
             for number, same in self._sockets:
                 if number in numbers:

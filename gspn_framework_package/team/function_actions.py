@@ -1,4 +1,5 @@
-"""The actions of a robot without ROS: Python functions and commands, on threads of its process."""
+"""The actions of a robot without ROS: Python functions and commands, run on threads of its
+process."""
 
 from __future__ import annotations
 
@@ -22,10 +23,10 @@ _ALLOW = "gspn agent --allow-commands"
 class FunctionActions:
     """The action side of a robot's host (see :class:`ActionSide`).
 
-    :param plan: the plan with which the robot begins.
+    :param plan: the plan with which the robot starts.
     :param allow_commands: whether the plan may run programs.
-    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
-    :param ended: receives the end of each attempt, once.
+    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
+    :param ended: called once when an attempt ends.
     :param progress: receives the feedback of the running action, whole numbers.
     :param warn: prints a warning.
     :raises PlanError: an action needs ROS, or a function is missing or broken.
@@ -55,7 +56,7 @@ class FunctionActions:
 
     def _jobs_of(self, plan: Plan) -> Dict[str, Job]:
         if self._robot in plan.witness:
-            return {}  # it votes, but has no token
+            return {}  # a witness votes, but has no token
         if not self._allow_commands:
             refuse_commands(plan, _ALLOW)
         for place in plan.action_places:
@@ -65,8 +66,8 @@ class FunctionActions:
                     "its action '%s' needs ROS" % action.label,
                     file=plan.file,
                     element="place '%s'" % place,
-                    hint="run this robot with roslaunch, or give it a function there: 'actions' "
-                    "of the robot",
+                    hint="run this robot with roslaunch, or give it a function for that place "
+                    "('actions' of the robot)",
                 )
         return {
             place: LocalJob(plan, place, plan.action(self._robot, place), do, self._feedback)
@@ -74,7 +75,8 @@ class FunctionActions:
         }
 
     def _feedback(self, *progress: Any) -> None:
-        """The ``feedback`` of a function, on its thread: whole numbers, or one iterable of them."""
+        """The argument ``feedback`` of a function, called on its thread with whole numbers or an
+        iterable of them."""
         values = (
             progress[0] if len(progress) == 1 and hasattr(progress[0], "__iter__") else progress
         )

@@ -1,5 +1,4 @@
-"""The Python functions that a plan's events and tasks come from, watched for one robot of a
-team."""
+"""Runs the Python functions that produce a plan's events and tasks, for one robot of a team."""
 
 from __future__ import annotations
 
@@ -13,18 +12,18 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.sides import EventListener
 
 COMPLAIN_EVERY = 60.0
-"""Seconds between two reports that what one source says cannot be used."""
+"""Seconds between two reports that the output of a source cannot be used."""
 
 
 class Complaints:
-    """Reports that what a source says cannot be used, once in :data:`COMPLAIN_EVERY`."""
+    """Reports unusable output of a source, at most once in :data:`COMPLAIN_EVERY`."""
 
     def __init__(self, listener: EventListener, source: str) -> None:
         self._listener, self._source = listener, source
         self._next = 0.0
 
     def report(self, text: str) -> None:
-        """Report it, unless that was done lately."""
+        """Report a problem, unless one was reported recently."""
         now = time.monotonic()
         if now >= self._next:
             self._next = now + COMPLAIN_EVERY
@@ -32,13 +31,13 @@ class Complaints:
 
 
 class FunctionSources:
-    """Watches the functions of a robot's events and of the tasks.
+    """Runs the functions for a robot's events and for tasks.
 
-    A function that lets tasks in runs in the process of every robot, so it has to give them ids.
+    A function that submits tasks runs in the process of every robot, so it must give them ids.
 
-    :param witness: whether there is no robot, so that nothing is watched.
+    :param witness: whether the member is a witness, for which nothing is watched.
     :param listener: the robot's host.
-    :param topics: whether topics can be subscribed to: an event with a topic then needs no
+    :param topics: whether topics can be subscribed to; an event with a topic then needs no
         function.
     :raises PlanError: a function is missing or broken.
     """
@@ -55,7 +54,7 @@ class FunctionSources:
         )
 
     def subscribe(self) -> None:
-        """See :class:`EventSide`: functions wait until they are started."""
+        """See :class:`EventSide`: functions do not run before :meth:`start`."""
 
     def start(self) -> None:
         """See :class:`EventSide`."""
@@ -71,7 +70,8 @@ class FunctionSources:
         """See :class:`EventSide`."""
         self._functions.close()
 
-    # -- what functions report, on their threads ---------------------------------------------------
+    # -- calls from the functions, on their threads
+    # ---------------------------------------------------
 
     def _observed(
         self, robot: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
@@ -83,7 +83,7 @@ class FunctionSources:
             )
 
     def _hand_over(self, asked: int, robot: str, given: EventObserved) -> None:
-        """Give the replica what a function said, unless it was asked anew since."""
+        """Pass a function's report to the replica, unless the function was restarted since."""
         if asked == self._functions.round(robot, given.transition):
             self._listener.give(given)
 
@@ -92,8 +92,8 @@ class FunctionSources:
             self._listener.enqueue(self._listener.give, TaskCame(task))
         else:
             self._without_id.report(
-                "a task has no id: the function runs in the node of every robot, so it has to "
-                "return an id with each task"
+                "a task has no id; the function runs in the node of every robot and must return an "
+                "id with each task"
             )
 
     def _function_failed(self, robot: str, text: str) -> None:

@@ -1,5 +1,5 @@
-"""The host of a replica: connects one robot's replica of the team's log to a carrier, to the
-robot's actions and to its events (thesis 4.3, Algorithm 1). It does not know ROS."""
+"""The host of a replica: connects one robot's replica of the team's log to a carrier, the robot's
+actions and its events (thesis 4.3, Algorithm 1). Independent of ROS."""
 
 from __future__ import annotations
 
@@ -51,46 +51,45 @@ from gspn_framework_package.team.sides import (
 from gspn_framework_package.team.worker import AnswerT, View, Worker
 
 FAREWELL = 2.0
-"""Seconds that a host keeps running after the end of the run, so that the others hear of it."""
+"""Seconds that a host keeps running after the end of the run, so that the others learn of it."""
 
 MOST_AT_ONCE = 64
-"""Calls in a row, before timers are looked at."""
+"""Maximum number of consecutive calls before timers are checked."""
 
 BREAKPOINTS_PERIOD = 0.5
-"""Seconds between two looks at the file with the breakpoints."""
+"""Seconds between two checks of the file with the breakpoints."""
 
 
 class HostOptions(NamedTuple):
-    """The options of a host besides its plan and robot."""
+    """Options of a host other than its plan and robot."""
 
     run: str
     """Name of the run."""
     log_file: str
     """Path of the robot's log."""
     place: str = ""
-    """The place in which a robot that is not in the plan joins the running team."""
+    """The place where a robot that is not in the plan joins the running team."""
     stay: bool = False
-    """Whether the host keeps running, and answers, when the run is over."""
+    """Whether the host keeps running and answering after the end of the run."""
 
 
 class ReplicaHost(Worker):
     """Executes a plan for one robot, until the run is over.
 
-    One thread, the *worker*, owns all state: callbacks of the carrier and of the robot's parts only
-    put calls into its queue, and the worker executes them one by one.
+    One thread, the *worker*, owns all state. Callbacks of the carrier and of the robot's parts only
+    put calls into its queue; the worker executes them one by one.
 
-    Make it, :meth:`connect` it to its parts, then :meth:`start` it; if that fails, :meth:`discard`
-    it.
+    Create it, :meth:`connect` it to its parts, then :meth:`start` it; if connecting fails,
+    :meth:`discard` it.
 
-    :param plan: the checked plan, with the team that begins the run.
-    :param options: see :class:`HostOptions`.
-    :param reporter: prints for people.
-    :param sources: makes the sources of the events of a plan; they report to the listener.
+    :param plan: the checked plan, with the team at the start of the run.
+    :param options: see :class:`HostOptions`. :param reporter: prints messages for people.
+    :param sources: creates the sources of a plan's events, which report to the listener.
     :raises GspnError: the log or the sources cannot be used.
 
-    :ivar plan: the plan that the robot follows now.
-    :ivar exit_code: None while the run goes on; then 0 if the run completed, 1 if it was stopped or
-        failed, or this host or its replica failed.
+    :ivar plan: the plan that the robot is following.
+    :ivar exit_code: None while the run goes on; then 0 if the run completed, and 1 if it was
+        stopped or failed or if this host or its replica failed.
     """
 
     def __init__(
@@ -105,9 +104,11 @@ class ReplicaHost(Worker):
         self.exit_code: Optional[int] = None
         self.reason = ""
         self._stay = options.stay
-        self._witness = robot in plan.witness  # votes, but has no token and runs no actions
+        # a witness votes, but has no token and runs no actions
+        self._witness = robot in plan.witness
         self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._inputs: List[interface.Input] = []  # the replica takes them before the next wait
+        # inputs that the replica takes before the next wait
+        self._inputs: List[interface.Input] = []
         self._numbers = itertools.count(1)
         self._answers: Dict[str, Callable[[Any], None]] = {}
         self._wake_at = 0.0
@@ -126,7 +127,8 @@ class ReplicaHost(Worker):
         self._make_sources: Callable[[Plan], EventSide] = lambda plan: sources(
             plan, self._listener()
         )
-        self._events = self._make_sources(plan)  # first: a plan that they refuse leaves no log
+        # before the log is opened: a plan that the sources refuse leaves no log
+        self._events = self._make_sources(plan)
         self._log: OpenLog = open_log(options.log_file, plan, options.run, robot)
         self._replica = Replica(
             plan,
@@ -151,33 +153,33 @@ class ReplicaHost(Worker):
         actions: ActionSide,
         others: Sequence[Callable[[], None]] = (),
     ) -> None:
-        """Give the host its parts; once, before :meth:`start`.
+        """Give the host its parts; call this once, before :meth:`start`.
 
         :param carrier: carries the replica's messages.
         :param actions: carries out the robot's actions.
-        :param others: what else to call at the end.
+        :param others: further functions to call at the end.
         """
         self._carrier, self._actions, self._others = carrier, actions, others
         self._report = SelfReport(self.robot, self.run, self._replica, actions, carrier.refusals)
         self._events.subscribe()
 
     def discard(self) -> None:
-        """Let go of the log and of the sources; of a host that could not be connected."""
+        """Release the log and the sources of a host that could not be connected."""
         self._events.close()
         self._close_log()
 
     @property
     def heartbeat(self) -> float:
-        """Seconds between two greetings of a robot, in a small team."""
+        """Seconds between two hellos of a robot in a small team."""
         return self._replica.pace.heartbeat
 
     @property
     def handlers(self) -> Handlers:
-        """What a carrier calls."""
+        """The callbacks for a carrier."""
         return Handlers(self.receive, Commands(self).answer)
 
     def _listener(self) -> EventListener:
-        """This host, as the sources of events use it."""
+        """The interface of this host for the sources of events."""
         return EventListener(
             self.enqueue,
             self._step,
@@ -187,14 +189,15 @@ class ReplicaHost(Worker):
         )
 
     def _data_of(self, robot: str) -> Mapping[str, Any]:
-        """The data that a robot, or "" the team, may read now; called on any thread."""
+        """The data that a robot ("" for the team) may read now; called on any thread."""
         team = self._replica.ledger.state
         if not robot:
             return team.team_data()
         known = team.robots.get(robot)
         return team.data_of(known) if known is not None else {}
 
-    # -- from any thread ---------------------------------------------------------------------------
+    # -- called from any thread
+    # ---------------------------------------------------------------------------
 
     def start(self, ended: Callable[[str], None]) -> None:
         """Start the worker.
@@ -210,8 +213,8 @@ class ReplicaHost(Worker):
         self.enqueue(self._end)
 
     def join(self, timeout: Optional[float] = None) -> None:
-        """Wait until the host has ended, at most ``timeout`` seconds; returns at once if it was
-        never started."""
+        """Wait up to ``timeout`` seconds until the host has ended; return at once if it was never
+        started."""
         if self._thread.ident is not None:
             self._thread.join(timeout)
 
@@ -237,11 +240,11 @@ class ReplicaHost(Worker):
     def serve(
         self, message: interface.Message, answer: Callable[[interface.Message], None]
     ) -> None:
-        """Take a protocol message that is a call, whose reply ``answer`` receives."""
+        """Take a protocol message that expects a reply, which is passed to ``answer``."""
         self.enqueue(self.request, message, answer)
 
     def knows(self, robot: str) -> bool:
-        """Whether the replica listens to another robot."""
+        """Whether the replica accepts messages from another robot."""
         return self._replica.knows(robot)
 
     def warn(self, text: str) -> None:
@@ -263,7 +266,7 @@ class ReplicaHost(Worker):
             if isinstance(error, GspnError):
                 self._narrator.error(str(error))
             else:
-                self._narrator.error("the node fails", traceback=True)
+                self._narrator.error("the node failed", traceback=True)
         finally:
             try:
                 self._close()
@@ -304,17 +307,17 @@ class ReplicaHost(Worker):
             self._narrator.note_change()
             if not self._running:
                 break
-            timeout = 0.0  # the rest: only what waits already
+            timeout = 0.0  # then only calls that are already waiting
         self._take_inputs()
 
     def _look_at_breakpoints(self) -> None:
-        """Halt at other places and transitions if the file with the breakpoints has changed."""
+        """Read the file with the breakpoints again if it has changed."""
         try:
             if self._breakpoints.changed():
                 self._replica.break_at(self._breakpoints.breakpoints)
                 self._narrator.warn("stops at: %s" % self._breakpoints.breakpoints.in_words)
         except GspnError as error:
-            self._narrator.warn("the breakpoints stay as they were: %s" % error)
+            self._narrator.warn("the breakpoints are unchanged: %s" % error)
 
     def _end(self) -> None:
         self._running = False
@@ -332,7 +335,7 @@ class ReplicaHost(Worker):
         self._log.lock.close()
 
     def _step(self, given: interface.Input) -> None:
-        """Queue an input for the replica, which takes all that wait in one step."""
+        """Queue an input for the replica, which takes all queued inputs in one step."""
         self._inputs.append(given)
 
     def _take_inputs(self) -> None:
@@ -347,8 +350,8 @@ class ReplicaHost(Worker):
         self._note_team()
 
     def _note_team(self) -> None:
-        """Report robots that were lost, have left or are back, and detect the end of the run if it
-        came with a snapshot."""
+        """Report robots that were lost, left or came back, and detect an end of the run that
+        arrived in a snapshot."""
         ledger = self._replica.ledger
         if ledger.length == self._told_length:
             return
@@ -366,21 +369,21 @@ class ReplicaHost(Worker):
 
     def _report_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
         if phase is None:
-            self._narrator.report("%s is in the team again" % name)
+            self._narrator.report("%s is back in the team" % name)
         elif phase is Phase.LEFT:
             self._narrator.report("%s has left the team" % name)
         else:
             ledger = self._replica.ledger
             place = ledger.game.net.places[ledger.state.robots[name].place].name
-            text = "%s is lost: the team goes on without it; its token was in %s" % (name, place)
+            text = "%s is lost; the team continues without it. Its token was in %s" % (name, place)
             (self._narrator.report if long_ago else self._narrator.warn)(text)
 
     # -- effects of the replica --------------------------------------------------------------------
 
     def _carry_out(self, effects: List[interface.Effect]) -> None:
-        """Carry out the effects of a step. All records are written at once, before anything leaves
-        the process; then the messages and replies go out, because others wait for them, and only
-        then does this robot act."""
+        """Carry out the effects of a step: first write all records at once, before anything leaves
+        the process; then send messages and replies, because others wait for them; then let this
+        robot act."""
         records: List[interface.Persist] = []
         sends: List[interface.Send] = []
         replies: List[interface.Reply] = []
@@ -422,7 +425,7 @@ class ReplicaHost(Worker):
 
     def _on_fired(self, effect: interface.Fired) -> None:
         for move in effect.firing.moves:
-            # a local transition is reported a second time when it is in the agreed log
+            # a local transition was already reported when it fired; now it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:
                 self._told_visit = move.visit
                 self._narrator.say(
@@ -442,11 +445,11 @@ class ReplicaHost(Worker):
         if fault.robot in ("", self.robot):
             self._narrator.warn(fault.message)
 
-    # -- another plan ------------------------------------------------------------------------------
+    # -- plan changes ------------------------------------------------------------------------------
 
     def _examine(self, effect: interface.Examine) -> None:
-        """Find out whether the robot can follow a staged plan. This may take a while, in which the
-        host has to be heard."""
+        """Find out, on another thread, whether the robot can follow a staged plan. This may take a
+        while, during which the host must keep sending heartbeats."""
         self._narrator.report("examines the staged plan '%s'" % effect.plan.name)
 
         def staged() -> Plan:
@@ -459,7 +462,7 @@ class ReplicaHost(Worker):
         threading.Thread(target=look, name="examine", daemon=True).start()
 
     def _plan_changed(self, effect: interface.PlanChanged) -> None:
-        """Bind later actions as another plan says; what runs goes on.
+        """Follow another plan from the next action on; the running action continues.
 
         :raises GspnError: the robot cannot follow the plan.
         """
@@ -477,14 +480,14 @@ class ReplicaHost(Worker):
             sources.start()
 
     def _status_changed(self, effect: interface.StatusChanged) -> None:
-        """Do nothing: the narrator reports what the robot waits for, if it lasts."""
+        """Do nothing: the narrator reports what the robot waits for if it waits long."""
 
     def _ended(self, effect: Ended) -> None:
         self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
 
     def _is_over(self, how: str) -> None:
-        """End the host if the run is over according to the log, although no effect reported it
-        because this host started late or was behind."""
+        """End the host if the log says that the run is over. A host that started late or was behind
+        gets no effect that reports the end."""
         state = self._replica.ledger.state
         if self.exit_code is None and state.ended is not None:
             text = "the run '%s' %s: %s" % (self.run, how, state.ended)
@@ -523,8 +526,8 @@ class ReplicaHost(Worker):
     # -- reports of the action side, on the worker thread ------------------------------------------
 
     def attempt_ended(self, ended: AttemptEnd) -> None:
-        """Pass the end of an attempt to the replica. The action's text goes into the log, to all
-        robots and onto screens, so it is shortened to one line."""
+        """Pass the end of an attempt to the replica. The action's text is shortened to one line,
+        because it goes into the log, to all robots and onto screens."""
         if isinstance(ended, interface.AttemptFailed):
             ended = ended._replace(detail=shorten(ended.detail, TEXT_LIMIT))
         elif ended.result and ended.result not in self.plan.net.transition_index:
@@ -533,10 +536,10 @@ class ReplicaHost(Worker):
         self._step(ended)
 
     def attempt_progress(self, progress: List[int]) -> None:
-        """Take note of the feedback of the running action."""
+        """Record the feedback of the running action."""
         self._progress = progress
 
-    # -- questions (see Worker) --------------------------------------------------------------------
+    # -- queries (see Worker) --------------------------------------------------------------------
 
     def view(self) -> View:
         """See :class:`Worker`."""
@@ -559,7 +562,7 @@ class ReplicaHost(Worker):
         return self._replica.ledger.state.adopted
 
     def _activity(self) -> Dict[str, Any]:
-        begun = self._begun == self._replica.visit  # otherwise these are those of a place before
+        begun = self._begun == self._replica.visit  # otherwise they belong to an earlier place
         attempt, progress = (self._attempt, self._progress) if begun else (1, [])
         return self._report.activity(self.plan.hash(), attempt, progress)
 
@@ -602,20 +605,21 @@ class ReplicaHost(Worker):
             self._step(interface.Order(number, entry))
 
     def _order_adopt(self, number: str, entry: log_entries.Adopt) -> None:
-        """Have the staged plan adopted, unless the check, from where the team is, refuses it."""
+        """Have the staged plan adopted, unless the check refuses it from the team's present
+        marking."""
         game, team = self._replica.ledger.game, self._replica.ledger.state
         stage = entry.stage if entry.stage >= 0 or team.staged is None else team.staged.number
         order = interface.Order(number, entry._replace(stage=stage))
         why, new = plan_change.why_not_adopted(team, game.plan, stage)
         if why or new is None or team.staged is None:
-            self._step(order)  # which says why not
+            self._step(order)  # answers with the reason
             return
         here = plan_change.begun_here(team, game.plan, new, team.staged.mapping)
 
         def look() -> None:
             refused = why_refused_in_own_process(here)
             if refused:
-                text = "the check refuses the plan from where the team is: %s" % refused
+                text = "the check refuses the plan from the team's present marking: %s" % refused
                 self.enqueue(self._order_result, interface.OrderResult(number, False, text))
             else:
                 self.enqueue(self._step, order)

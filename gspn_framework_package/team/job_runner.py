@@ -1,4 +1,4 @@
-"""Carries out the jobs of one robot, one at a time, each on a thread of its own."""
+"""Runs the jobs of one robot, one at a time, each on its own thread."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from gspn_framework_package.team.jobs import Job, JobAttempt, JobEnd, attempt_jo
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, earliest
 
 ENDING_TIME = 1.0
-"""Seconds that a job which is cancelled has to end before its host does."""
+"""Seconds that a cancelled job has to end before its host ends."""
 
 AttemptEnd = Union[ActionDone, AttemptFailed]
-"""How an attempt ended, as the replica takes it."""
+"""How an attempt ended, in the form that the replica expects."""
 
 
 class _Running:
@@ -42,12 +42,12 @@ class JobRunner:
 
     :param jobs: the jobs of the robot by place; they are open.
     :param timeout: place -> seconds that its job may take, or None.
-    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
-    :param ended: receives the end of each attempt, once.
+    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
+    :param ended: called once when an attempt ends.
     :param patience: how long each step may take.
     :param cancel_grace: seconds that a job has to end after it was cancelled.
-    :param fault: receives the text of a fault: a job did not end in that time.
-    :param clock: the clock by which the times of the plan pass.
+    :param fault: receives the text of a fault if a job does not end in that time.
+    :param clock: the clock that the plan's times refer to.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class JobRunner:
         self._cancelled: Deque[_Cancelled] = deque()
 
     def follow(self, jobs: Mapping[str, Job], timeout: Callable[[str], Optional[float]]) -> None:
-        """From now on do the jobs of another plan; one that is under way goes on."""
+        """Run the jobs of another plan from now on; a running job continues."""
         self._jobs, self._timeout = jobs, timeout
 
     def start(self, command: StartAction, now: float) -> None:
-        """Start a job; cancels the previous one if it still runs."""
+        """Start a job, cancelling the previous one if it still runs."""
         self.cancel()
         look = partial(self._enqueue, self._look)
         attempt = JobAttempt(command, self._patience, look, self._clock)
@@ -83,14 +83,14 @@ class JobRunner:
         self.poll(now)
 
     def cancel(self) -> None:
-        """Cancel the running job, if any; nothing more is reported about it, unless it does not
+        """Cancel the running job, if any. Nothing more is reported about it unless it fails to
         end."""
         running, self._current = self._current, None
         if running is not None:
             self._stop(running)
 
     def close(self) -> None:
-        """Cancel the running job, and give it a moment to end."""
+        """Cancel the running job, and give it some time to end."""
         running = self._current
         self.cancel()
         give_up = time.monotonic() + ENDING_TIME
@@ -100,7 +100,8 @@ class JobRunner:
             time.sleep(0.01)
 
     def doing(self) -> str:
-        """What the current job waits for, in words; "" if nothing, or if there is none."""
+        """What the current job waits for, in words; "" if it waits for nothing or there is no
+        job."""
         running = self._current
         if running is None:
             return ""
@@ -128,7 +129,7 @@ class JobRunner:
         if self._clock.seconds() < cut_off_at:
             return self._clock.look_at(cut_off_at, now)
         self._stop(running)
-        text = "it took longer than %g s (timeout in the plan)"
+        text = "the action took longer than %g s (timeout in the plan)"
         self._report(running, JobEnd("timeout", text % seconds))
         return None
 

@@ -1,5 +1,5 @@
-"""Actions that run on threads of a robot's own process: Python functions, commands, and on ROS the
-kinds that are no action servers."""
+"""Actions that run on threads of the robot's process: Python functions, commands, and on ROS all
+kinds other than action servers."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gspn_framework_package.team.patience import Patience
 
 class JobEnd(NamedTuple):
     """How an attempt ended: ``outcome`` is "succeeded" or one of ``log_entries.FAILURES``. An
-    ``outcome`` that the plan maps to a transition is no failure."""
+    ``outcome`` that the plan maps to a transition is not a failure."""
 
     outcome: str
     text: str = ""
     transition: str = ""
-    """The transition that the action named itself."""
+    """The transition that the action named, if any."""
     data: Mapping[str, Any] = NOTHING
 
 
@@ -37,12 +37,12 @@ CANCELLED = JobEnd("preempted", "cancelled")
 
 
 class JobAttempt:
-    """An attempt at a job, for the thread that makes it.
+    """An attempt at a job, as seen by the thread that runs it.
 
     :param command: what to do.
-    :param patience: how long its steps may take.
-    :param changed: called when it says something new.
-    :param clock: the clock by which the time of the action passes.
+    :param patience: how long each step may take.
+    :param changed: called when the attempt reports something new.
+    :param clock: the clock that times the action.
     """
 
     def __init__(
@@ -56,24 +56,24 @@ class JobAttempt:
         self.is_cancelled = Cancellation()
         self.waits_for = ""
         self.begun_at: Optional[float] = None
-        """When the action itself began (seconds of its clock), from which its time is measured."""
+        """When the action itself began, in seconds of its clock; its timeout counts from here."""
         self._changed, self._clock = changed, clock
 
     def wait_for(self, what: str) -> None:
-        """Say what the attempt waits for; "": for nothing but its own end."""
+        """Report what the attempt waits for; "" if only for its own end."""
         self.waits_for = what
         self._changed()
 
     def begin(self) -> None:
-        """The action itself begins."""
+        """Note that the action itself begins."""
         self.begun_at = self._clock.seconds()
         self._changed()
 
 
 class Job:
-    """An action of one robot in one place, which a thread of the robot's own process carries out.
+    """An action of one robot in one place that runs on a thread of the robot's process.
 
-    :param action: the action, of the kind that this class is for.
+    :param action: the action, of the kind that this class handles.
     """
 
     def __init__(self, place: str, action: Any) -> None:
@@ -84,35 +84,33 @@ class Job:
         """Set up what has to exist before the action starts."""
 
     def clash(self, types: Mapping[str, str]) -> Optional[str]:
-        """What contradicts the plan in the world outside; None if nothing does. Asked before
-        :meth:`open`.
+        """How the system contradicts the plan; None if it does not. Called before :meth:`open`.
 
-        :param types: topic -> type of its messages, where there are topics.
+        :param types: topic -> type of its messages, if there are topics.
         """
         return None
 
     def missing(self) -> Optional[str]:
-        """What is not there yet that this action needs; None if nothing."""
+        """What this action needs that does not exist yet; None if nothing is missing."""
         return None
 
     def prepare(self, data: Mapping[str, Any]) -> Any:
-        """What is sent, with data filled in.
+        """The request to send, with data filled in.
 
         :raises DataError: data is missing.
         :raises PlanError: data does not fit.
         """
 
     def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
-        """Carry the action out, on a thread of its own; it ends soon after it is cancelled.
+        """Carry the action out, on its own thread; returns soon after it is cancelled.
 
-        :raises ActionFailed: it did not succeed.
-        :raises DataError: what it wrote cannot be kept.
+        :raises ActionFailed: the action did not succeed.
+        :raises DataError: the data that the action wrote cannot be stored.
         """
         raise NotImplementedError
 
     def transition_of(self, end: JobEnd) -> Optional[str]:
-        """The transition that an end stands for, "" to let the policy decide; None for a
-        failure."""
+        """The transition that an end selects; "" to let the policy decide, None for a failure."""
         if end.outcome == "succeeded" and end.transition:
             return end.transition
         return self.outcomes.get(end.outcome, "" if end.outcome == "succeeded" else None)
@@ -121,8 +119,8 @@ class Job:
 class LocalJob(Job):
     """A Python function, or an action of another kind that needs no ROS.
 
-    :param do: carries the action out.
-    :param feedback: receives its progress, on its thread.
+    :param do: carries out the action.
+    :param feedback: receives its progress, on the action's thread.
     """
 
     def __init__(
@@ -146,12 +144,12 @@ class LocalJob(Job):
 
 
 def attempt_job(work: Job, prepared: Any, attempt: JobAttempt) -> JobEnd:
-    """Carry a job out; every exception becomes a failure."""
+    """Carry out a job; every exception becomes a failure."""
     try:
         return work.run(prepared, attempt)
     except ActionFailed as error:
         return JobEnd("aborted", error_text(error) or "the action failed")
     except DataError as error:
-        return JobEnd("bad result", error.message)
+        return JobEnd("the action returned a bad result", error.message)
     except BaseException as error:
         return JobEnd("aborted", "%s: %s" % (type(error).__name__, error_text(error)))

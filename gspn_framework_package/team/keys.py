@@ -1,17 +1,16 @@
-"""The keys of a team: an authority of its own, and a certificate for each robot, operator, watcher
-and router.
+"""Manages the keys of a team: its certificate authority, and a certificate for each robot,
+operator, watcher and router.
 
 The folder that :func:`make_team` writes::
 
-    team.json          who is in the team: the allow-list (no secrets)
-    authority/         certificate and key of the authority; stays with the operator
-    NAME/              for each member: what is copied to that member alone
-        authority.pem  certificate.pem  key.pem  team.json
+    team.json who is in the team: the allow-list (no secrets) authority/ certificate and key of the
+    authority; stays with the operator NAME/ for each member: the files to copy to that member, and
+    to no other authority.pem certificate.pem key.pem team.json
 
-A certificate has the name of its member as common name. A name that is used again after a
-revocation gets another common name (``robot_2#2``), so that the allow-list distinguishes the new
-certificate from the stolen one. Zenoh reads no revocation lists; routers enforce the allow-list
-instead (see docs/security.md).
+A certificate has its member's name as common name. A name that is reused after a revocation gets a
+different common name (``robot_2#2``), so that the allow-list distinguishes the new certificate from
+the stolen one. Zenoh does not support revocation lists, so routers enforce the allow-list (see
+docs/security.md).
 """
 
 from __future__ import annotations
@@ -34,13 +33,14 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 ROLES = ("robot", "operator", "watcher", "router")
-"""``robot``: takes part. ``operator``: gives orders and watches. ``watcher``: watches. ``router``:
-passes messages on, and enforces who may send what."""
+"""A ``robot`` takes part, an ``operator`` gives orders and watches, a ``watcher`` only watches, and
+a ``router`` forwards messages and enforces who may send what."""
 
 TEAM_FILE = "team.json"
 AUTHORITY = "authority"
 LONGEST_OPERATOR_NAME = 48
-"""Characters of a name: a common name has at most 64, and carries a number as well."""
+"""Maximum number of characters of a name: a common name has at most 64, and also contains a
+number."""
 
 _KEY_FILE_BYTES = 10_000_000
 _VERSION = 1
@@ -49,8 +49,8 @@ _CLOCKS_DIFFER = datetime.timedelta(days=1)
 
 
 class NewMember(NamedTuple):
-    """A member to be: its name, role, and the addresses at which it listens (host names or IP
-    addresses), which those who connect to it check."""
+    """A new member: its name, its role, and the addresses at which it listens (host names or IP
+    addresses), which connecting members verify."""
 
     name: str
     role: str
@@ -58,8 +58,9 @@ class NewMember(NamedTuple):
 
 
 class KeyHolder(NamedTuple):
-    """A row of the allow-list. ``serial``: of the certificate, in hexadecimal digits. ``expires``:
-    when it ends (ISO 8601, UTC). ``revoked``: since when it is not valid any more; "" if it is."""
+    """An entry of the allow-list. ``serial`` is the certificate's serial number in hexadecimal,
+    ``expires`` its end (ISO 8601, UTC) and ``revoked`` the time of its revocation ("" if it is
+    valid)."""
 
     name: str
     role: str
@@ -70,12 +71,12 @@ class KeyHolder(NamedTuple):
 
 
 class KeyFolder(NamedTuple):
-    """The keys of one member, checked."""
+    """The validated keys of one member."""
 
     folder: str
     member: KeyHolder
     members: Tuple[KeyHolder, ...]
-    """Whoever is in the team, without those revoked."""
+    """The members of the team whose certificates are not revoked."""
 
     @property
     def authority(self) -> str:
@@ -93,22 +94,23 @@ class KeyFolder(NamedTuple):
         return os.path.join(self.folder, "key.pem")
 
 
-# -- making ----------------------------------------------------------------------------------------
+# -- creating keys
+# ----------------------------------------------------------------------------------------
 
 
 def make_team(folder: str, members: Sequence[NewMember], days: int) -> List[KeyHolder]:
-    """Make an authority, and keys for each member.
+    """Create an authority, and keys for each member.
 
-    :param folder: does not exist yet, or is empty.
-    :param days: how long the certificates are valid.
-    :raises KeysError: a name cannot be used, or the folder cannot be written or holds something.
+    :param folder: must be empty or not exist yet.
+    :param days: number of days for which the certificates are valid.
+    :raises KeysError: a name cannot be used, or the folder is not empty or cannot be written.
     """
     _check_new(members, days, [])
     if os.path.lexists(folder) and (not os.path.isdir(folder) or os.listdir(folder)):
         raise KeysError(
             "already exists; nothing was written",
             file=folder,
-            hint="give a new folder, or add members with 'gspn keys add'",
+            hint="choose a new folder, or add members with 'gspn keys add'",
         )
     parent = os.path.dirname(os.path.abspath(folder))
     try:
@@ -128,10 +130,10 @@ def make_team(folder: str, members: Sequence[NewMember], days: int) -> List[KeyH
 
 
 def add_members(folder: str, members: Sequence[NewMember], days: int) -> List[KeyHolder]:
-    """Make keys for further members, with new certificates for names that were revoked.
+    """Create keys for further members. A revoked name gets a new certificate.
 
     :returns: the whole allow-list.
-    :raises KeysError: a name is in use or cannot be used, or the folder is not one of keys.
+    :raises KeysError: a name is already in use or is not allowed, or the folder holds no keys.
     """
     there = read_team(folder)
     _check_new(members, days, there)
@@ -142,15 +144,15 @@ def add_members(folder: str, members: Sequence[NewMember], days: int) -> List[Ke
 
 
 def revoke(folder: str, name: str) -> List[KeyHolder]:
-    """Take a member off the allow-list of all members, and delete its keys here.
+    """Remove a member from the allow-list in every member's folder, and delete its keys here.
 
     :returns: the whole allow-list.
-    :raises KeysError: there is no such member, or the folder is not one of keys.
+    :raises KeysError: there is no such member, or the folder holds no keys.
     """
     rows = read_team(folder)
     if name not in _valid_names(rows):
         known = ", ".join(sorted(_valid_names(rows))) or "nobody"
-        raise KeysError("'%s' is not in the team (there is: %s)" % (name, known), file=folder)
+        raise KeysError("'%s' is not in the team (members: %s)" % (name, known), file=folder)
     now = _told(_now())
     rows = [
         row._replace(revoked=now) if row.name == name and not row.revoked else row for row in rows
@@ -166,9 +168,9 @@ def revoke(folder: str, name: str) -> List[KeyHolder]:
 def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolder]) -> None:
     _require_library()
     if not 1 <= days <= 36500:
-        raise KeysError("certificates cannot be valid for %d days" % days, hint="1 to 36500")
+        raise KeysError("a validity of %d days is not possible" % days, hint="1 to 36500")
     if not members:
-        raise KeysError("no member is named", hint="--robots NAME ...")
+        raise KeysError("no member was named", hint="--robots NAME ...")
     names = _valid_names(there)
     for new in members:
         wrong = (
@@ -180,13 +182,17 @@ def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolde
         )
         if wrong:
             raise KeysError(
-                "'%.60s' cannot be the name of a member" % new.name,
-                hint="at most %d characters, none of / \\ # * $ ?" % LONGEST_OPERATOR_NAME,
+                "'%.60s' is not a valid member name" % new.name,
+                hint="use at most %d characters, and none of / \\ # * $ ?" % LONGEST_OPERATOR_NAME,
             )
         if new.name in names:
             raise KeysError(
-                "'%s' is named twice" % new.name if not there else "'%s' has keys" % new.name,
-                hint="each member needs its own name" if not there else "revoke them first",
+                "'%s' is named twice" % new.name
+                if not there
+                else "'%s' already has keys" % new.name,
+                hint="give each member a different name"
+                if not there
+                else "revoke the present keys first",
             )
         names.add(new.name)
 
@@ -206,7 +212,8 @@ def _issue(
         common_name = "%s#%d" % (new.name, earlier + 1) if earlier else new.name
         certificate, key = authority.certify(common_name, new.hosts, days)
         own = os.path.join(folder, new.name)
-        shutil.rmtree(own, ignore_errors=True)  # of an earlier attempt, which the list lacks
+        # left by an earlier attempt that did not get onto the list
+        shutil.rmtree(own, ignore_errors=True)
         os.mkdir(own, 0o700)
         write_private(os.path.join(own, "authority.pem"), authority.pem)
         write_private(os.path.join(own, "certificate.pem"), _pem(certificate))
@@ -259,13 +266,13 @@ class _Authority(NamedTuple):
         except (ValueError, TypeError):
             raise KeysError("is not a private key", file=path) from None
         if not isinstance(key, EllipticCurvePrivateKey):
-            raise KeysError("is not a key that 'gspn keys team' made", file=path)
+            raise KeysError("was not created by 'gspn keys team'", file=path)
         return cls(read_certificate(os.path.join(folder, AUTHORITY, "certificate.pem")), key)
 
     def certify(
         self, common_name: str, hosts: Sequence[str], days: int
     ) -> Tuple[x509.Certificate, EllipticCurvePrivateKey]:
-        """A certificate that serves at both ends of a connection, and its key."""
+        """Create a certificate for both client and server authentication, and its key."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
@@ -335,7 +342,7 @@ def _signed(builder: x509.CertificateBuilder, key: EllipticCurvePrivateKey) -> x
 
 
 def _new_key() -> EllipticCurvePrivateKey:
-    """A key on P-256, which every TLS library accepts."""
+    """Generate a P-256 key, a curve that every TLS library supports."""
     from cryptography.hazmat.backends import default_backend
     from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -359,16 +366,16 @@ def _key_pem(key: EllipticCurvePrivateKey) -> bytes:
 
 
 def write_private(path: str, content: bytes) -> None:
-    """Write a file that did not exist, for its owner alone.
+    """Create a file that only its owner can read.
 
-    :raises OSError: it is there, or cannot be written.
+    :raises OSError: the file exists already, or cannot be written.
     """
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
         file.write(content)
 
 
 def _write_team(folder: str, rows: Sequence[KeyHolder]) -> None:
-    """Write the allow-list, here and in the folder of each member."""
+    """Write the allow-list to the team's folder and to each member's."""
     text = json.dumps({"version": _VERSION, "members": [r._asdict() for r in rows]}, indent=1)
     own = [os.path.join(folder, name) for name in sorted(_valid_names(rows))]
     for place in [*filter(os.path.isdir, own), folder]:
@@ -379,13 +386,14 @@ def _write_team(folder: str, rows: Sequence[KeyHolder]) -> None:
         os.replace(new, os.path.join(place, TEAM_FILE))
 
 
-# -- reading ---------------------------------------------------------------------------------------
+# -- reading keys
+# ---------------------------------------------------------------------------------------
 
 
 def read_team(folder: str) -> List[KeyHolder]:
-    """The allow-list of a folder, with those revoked.
+    """Read the allow-list of a folder, including revoked entries.
 
-    :raises KeysError: there is none, or it is damaged.
+    :raises KeysError: the folder has no allow-list, or it is damaged.
     """
     path = os.path.join(folder, TEAM_FILE)
     try:
@@ -395,50 +403,51 @@ def read_team(folder: str) -> List[KeyHolder]:
         raise KeysError(
             "cannot be read (%s)" % error.strerror,
             file=path,
-            hint="'gspn keys team' makes a folder of keys",
+            hint="create a folder with keys by 'gspn keys team'",
         ) from None
     except (ValueError, RecursionError) as error:
         raise KeysError("is not JSON (%s)" % error, file=path) from None
     rows = data.get("members") if isinstance(data, dict) else None
     if not isinstance(rows, list) or data.get("version") != _VERSION:
-        raise KeysError("is not an allow-list of version %d" % _VERSION, file=path)
+        raise KeysError("is not an allow-list of format version %d" % _VERSION, file=path)
     return [_member(row, number, path) for number, row in enumerate(rows, 1)]
 
 
 def _member(row: Any, number: int, path: str) -> KeyHolder:
     fields = KeyHolder._fields
     if not isinstance(row, dict) or sorted(row) != sorted(fields):
-        raise KeysError("has not: %s" % ", ".join(fields), file=path, element="member %d" % number)
+        raise KeysError("lacks: %s" % ", ".join(fields), file=path, element="member %d" % number)
     if not all(isinstance(value, str) for value in row.values()) or row["role"] not in ROLES:
         raise KeysError(
-            "has a value that no member can have", file=path, element="member %d" % number
+            "has an invalid value for a member", file=path, element="member %d" % number
         )
     return KeyHolder(**row)
 
 
 def read_keys(folder: str) -> KeyFolder:
-    """The keys of one member, from the folder that was copied to it.
+    """Read the keys of one member from the folder that was copied to it.
 
-    :raises KeysError: they are incomplete, damaged, expired or revoked, or others can read the key.
+    :raises KeysError: the keys are incomplete, damaged, expired or revoked, or other users can read
+        the private key.
     """
     if os.path.isdir(os.path.join(folder, AUTHORITY)):
         names = ", ".join(sorted(_valid_names(read_team(folder))))
         raise KeysError(
             "holds the keys of the whole team",
             file=folder,
-            hint="give the folder in it of one member: %s" % names,
+            hint="name the subfolder of one member: %s" % names,
         )
     rows = read_team(folder)
     keys = KeyFolder(folder, rows[0], tuple(r for r in rows if not r.revoked)) if rows else None
     if keys is None:
-        raise KeysError("names nobody", file=os.path.join(folder, TEAM_FILE))
+        raise KeysError("does not name a member", file=os.path.join(folder, TEAM_FILE))
     certificate = read_certificate(keys.certificate)
     read_certificate(keys.authority)
     check_private(keys.key)
     serial = "%x" % certificate.serial_number
     row = next((row for row in rows if row.serial == serial), None)
     if row is None:
-        raise KeysError("is not on the allow-list of its folder", file=keys.certificate)
+        raise KeysError("is not on the allow-list in its folder", file=keys.certificate)
     if row.revoked:
         raise KeysError(
             "the certificate of '%s' was revoked on %s" % (row.name, row.revoked[:10]),
@@ -448,16 +457,16 @@ def read_keys(folder: str) -> KeyFolder:
         raise KeysError(
             "the certificate of '%s' expired on %s" % (row.name, row.expires[:10]),
             file=keys.certificate,
-            hint="gspn keys revoke, then gspn keys add; or set this machine's clock",
+            hint="run 'gspn keys revoke', then 'gspn keys add'; or correct this machine's clock",
         )
     return keys._replace(member=row)
 
 
 def keys_of_robot(folder: str, robot: str) -> KeyFolder:
-    """The keys of a robot (or witness), from its folder or from one that holds that under the
-    robot's name.
+    """Read the keys of a robot or witness, from its folder or from the parent folder, in which the
+    robot's name is looked up.
 
-    :raises KeysError: as :func:`read_keys`; or they are another member's.
+    :raises KeysError: as :func:`read_keys`, or the keys belong to another member.
     """
     own = os.path.join(folder, robot)
     keys = read_keys(own if os.path.isdir(own) else folder)
@@ -472,21 +481,23 @@ def keys_of_robot(folder: str, robot: str) -> KeyFolder:
 
 
 def check_private(path: str, hint: str = "") -> None:
-    """Check that only the owner can read a file with a secret.
+    """Check that only its owner can read a secret file.
 
-    :param hint: what to do if there is no such file.
-    :raises KeysError: there is none, or others can read it.
+    :param hint: what to do if the file does not exist.
+    :raises KeysError: the file does not exist, or other users can read it.
     """
     try:
         mode = os.stat(path).st_mode
     except OSError as error:
         raise KeysError("cannot be read (%s)" % error.strerror, file=path, hint=hint) from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise KeysError("others can read this private key", file=path, hint="chmod 600 %s" % path)
+        raise KeysError(
+            "other users can read this private key", file=path, hint="chmod 600 %s" % path
+        )
 
 
 def read_certificate(path: str) -> x509.Certificate:
-    """The certificate in a file. :raises KeysError: there is none."""
+    """Read the certificate in a file. :raises KeysError: the file holds no certificate."""
     _require_library()
     from cryptography import x509
     from cryptography.hazmat.backends import default_backend
@@ -505,7 +516,7 @@ def _require_library() -> None:
         import cryptography  # noqa: F401
     except ImportError:
         raise KeysError(
-            "there is no Python library 'cryptography'", hint="pip install cryptography"
+            "the Python library 'cryptography' is not installed", hint="pip install cryptography"
         ) from None
 
 
@@ -514,7 +525,8 @@ def _now() -> datetime.datetime:
 
 
 def _ends(certificate: x509.Certificate) -> datetime.datetime:
-    """When a certificate ends; UTC without a zone, as older versions of the library have it."""
+    """When a certificate expires, as a naive UTC time: older versions of the library have no
+    other."""
     aware = getattr(certificate, "not_valid_after_utc", None)
     ends: datetime.datetime = aware or certificate.not_valid_after
     return ends.replace(tzinfo=None)

@@ -1,9 +1,9 @@
-"""Lanes: how a burst passes a router that drops a flood.
+"""Lanes let a burst of messages pass a router that drops floods.
 
-All that a Zenoh router can do about a rate is to drop what comes too soon after the message before
-under the same key. A robot therefore sends each message under the next of some keys, its lanes, and
-waits for a lane that it has just used. A router lets through somewhat more than that, because
-messages do not arrive as evenly as they were sent.
+The only rate limit of a Zenoh router drops a message that follows the previous one under the same
+key too soon. A robot therefore rotates among several keys, its lanes, and pauses before it uses a
+lane again. The router's limit is somewhat higher than the robot's rate, because messages arrive
+less evenly than they were sent.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ from __future__ import annotations
 from typing import Any, Dict, List, Tuple
 
 LANES = 32
-"""Lanes of a channel. So many messages may go out at once."""
+"""Number of lanes of a channel, which is also the longest burst of messages."""
 
 PAUSE = 0.04
-"""Seconds between two messages of a robot in the same lane: at most 800 a second in a channel. What
-waits meanwhile is sent together, as one."""
+"""Seconds between two messages of a robot in the same lane, which allows 800 per second in a
+channel. Messages that wait in the meantime are sent together as one."""
 
 PASSED_BY_ROUTER = 0.02
-"""Seconds between two messages that a router lets through in the same lane."""
+"""Minimum number of seconds between two messages in the same lane for a router to forward both."""
 
 
 class Lanes:
-    """The lanes of one channel, for a sender.
+    """A sender's lanes in one channel.
 
-    :param lanes: how many.
-    :param pause: seconds between two messages in the same one.
+    :param lanes: number of lanes.
+    :param pause: seconds between two messages in the same lane.
     """
 
     def __init__(self, lanes: int = LANES, pause: float = PAUSE) -> None:
@@ -46,7 +46,8 @@ class Lanes:
 
 
 def router_limits(channels: List[str]) -> List[Dict[str, Any]]:
-    """What makes a router drop a flood, as Zenoh reads it; it counts for each connection.
+    """The Zenoh configuration that makes a router drop floods; applies to each connection
+    separately.
 
     :param channels: key expressions with "%d" for the lane.
     """

@@ -1,4 +1,4 @@
-"""The log file of one robot: locked, read back, and open for more."""
+"""Opens the log file of one robot: locks it, reads it, and appends to it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 LOCK_TIME = 8.0
-"""Seconds to wait for a log that is still locked by a node that is about to end."""
+"""Seconds to wait for a lock that a node still holds while it ends."""
 
 
 def log_path(folder: str, run: str, robot: str) -> str:
     """The path of the log of a robot.
 
-    :param folder: of the logs; by default ``~/.ros/gspn``.
+    :param folder: the folder of the logs; by default ``~/.ros/gspn``.
     :param run: name of the run; see :func:`check_run_name`.
     """
     home = os.environ.get("ROS_HOME") or os.path.join(os.path.expanduser("~"), ".ros")
@@ -37,17 +37,17 @@ def log_path(folder: str, run: str, robot: str) -> str:
 
 
 def check_run_name(run: str, option: str) -> None:
-    """Refuse a name that is no name of a folder.
+    """Refuse a name that cannot be the name of a folder.
 
-    :param option: what the name was given with, for the message.
-    :raises UsageError: it cannot be the name of a run.
+    :param option: the option that gave the name, for the message.
+    :raises UsageError: the name is not valid for a run.
     """
     if os.sep in run or run in ("", ".", ".."):
-        raise UsageError("'%s' cannot be the name of a run" % run, element=option)
+        raise UsageError("'%s' is not a valid name for a run" % run, element=option)
 
 
 def lock_log(path: str) -> BinaryIO:
-    """Lock a log, since two nodes that write to one file would make it unreadable.
+    """Lock a log: two nodes writing to the same file would make it unreadable.
 
     :returns: the file; closing it releases the lock.
     :raises LogError: another process holds the lock, or the file cannot be written.
@@ -66,33 +66,34 @@ def lock_log(path: str) -> BinaryIO:
             if time.monotonic() > deadline:
                 file.close()
                 raise LogError(
-                    "another node is writing this log",
+                    "another node is writing to this log",
                     file=path,
-                    hint="a robot has one node in a run: end that one, or give another run",
+                    hint="a robot has only one node in a run; stop that node, or choose "
+                    "another run",
                 ) from None
             time.sleep(0.1)
-        except OSError:  # a file system without locks
+        except OSError:  # the file system does not support locks
             return file
 
 
 SYNC_PERIOD_NAME = "GSPN_SYNC_PERIOD"
-"""The environment variable that sets the seconds between two syncs of a log."""
+"""Environment variable for the number of seconds between two syncs of a log."""
 
 SYNC_PERIOD = float(os.environ.get(SYNC_PERIOD_NAME) or 1.0)
 """Seconds between two syncs of a log."""
 
 
 class SyncedLog(EventLogWriter):
-    """A log that a thread brings to the disk all the time, so that a loss of power takes no more
-    than the last second. Nobody waits for it.
+    """A log that a background thread syncs to the disk continually, so that a power loss destroys
+    at most the last second. Writers do not wait for it.
 
-    :param length: how many slots it has already.
+    :param length: number of slots that the log already has.
     """
 
     def __init__(self, path: str, first: Record, length: int, *, fsync: bool) -> None:
         self._lost = False
         super().__init__(path, first, fsync=fsync)
-        try:  # the log of a robot that takes part must not vanish
+        try:  # the directory entry must survive a power loss too
             os.fsync(self._file.fileno())
             folder = os.path.dirname(os.path.abspath(path))
             sync_folder(folder)
@@ -107,7 +108,7 @@ class SyncedLog(EventLogWriter):
 
     def _keep_synced(self) -> None:
         while not self._over.wait(SYNC_PERIOD):
-            # a disk that takes no more is reported by whoever appends
+            # a full disk is reported by the next append
             with contextlib.suppress(OSError):
                 self._lost = not self._is_there()
                 if self._lost:
@@ -115,7 +116,7 @@ class SyncedLog(EventLogWriter):
                 self.sync()
 
     def _is_there(self) -> bool:
-        """Whether the path still names the file that is written."""
+        """Whether the path still refers to the open file."""
         try:
             named = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
@@ -128,15 +129,15 @@ class SyncedLog(EventLogWriter):
         super().append(*records, durable=durable, synced=synced)
 
     def check(self) -> None:
-        """Look whether the log can still be written.
+        """Check that the log can still be written.
 
         :raises LogError: the file was removed or replaced while it was open.
         """
         if self._lost:
             raise LogError(
-                "was removed or replaced while its robot was writing it",
+                "was removed or replaced while its robot was writing to it",
                 file=self.path,
-                hint="start the robot again: it learns the log from the others, and joins again",
+                hint="restart the robot; it gets the log from the others and rejoins",
             )
 
     def close(self) -> None:
@@ -146,7 +147,7 @@ class SyncedLog(EventLogWriter):
 
     def close_whole(self) -> None:
         """See :class:`EventLogWriter`."""
-        self._stop()  # nothing comes after the mark
+        self._stop()  # nothing may follow the mark
         super().close_whole()
 
     def _stop(self) -> None:
@@ -155,24 +156,24 @@ class SyncedLog(EventLogWriter):
 
 
 class OpenLog(NamedTuple):
-    """A log that this process writes."""
+    """A log that this process has open for writing."""
 
     lock: BinaryIO
-    """Close it after the writer."""
+    """Lock file; close it after the writer."""
     log_id: str
     records: List[Record]
-    """What it held already."""
+    """The records that the log already held."""
     whole: bool
-    """Whether its end is intact."""
+    """Whether the end of the log is intact."""
     damage: str
-    """What was damaged in it, and where that is kept; "" for nothing."""
+    """What was damaged, and where the damaged file is kept; "" for no damage."""
     writer: SyncedLog
 
 
 def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
-    """Open the log of a robot, a new one where there is none.
+    """Open the log of a robot, creating it if necessary.
 
-    :param plan: the plan that the run began with.
+    :param plan: the first plan of the run.
     :raises LogError: another process writes it, it belongs to another run, robot or plan, or the
         file cannot be used.
     """
@@ -186,7 +187,9 @@ def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
                 whole = end_is_there(known)
         except LogError:
             with open(path, "rb") as file:
-                if b"\n" in file.readline():  # else it was killed while writing the first line
+                if (
+                    b"\n" in file.readline()
+                ):  # otherwise the process was killed while writing the first line
                     raise
     first = header(plan, run, robot, log_id)
     slots = (r["slot"] + 1 for r in reversed(records) if r["kind"] in ("slot", "snapshot"))
@@ -195,8 +198,8 @@ def open_log(path: str, plan: Plan, run: str, robot: str) -> OpenLog:
 
 
 def _read(path: str) -> Tuple[Optional[EventLog], str]:
-    """The log, without the damaged end that a loss of power may have left; or what is whole before
-    other damage, None for nothing, and what that is."""
+    """Read the log, without a damaged end that a power loss may have left. Of a log with other
+    damage, read the intact part before it (None if there is none), and describe the damage."""
     try:
         known = read_log(path)
         found = set_damage_aside(path) if known.cut else None

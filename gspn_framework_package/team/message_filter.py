@@ -1,4 +1,4 @@
-"""Checks what comes in from the network before anybody works on it."""
+"""Checks incoming messages before anything else processes them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.team.carrier import NotTaken, sender_of
 
 LARGEST_MESSAGE = 4 * 1024 * 1024
-"""Bytes of a message; larger ones are dropped. A robot that missed a thousand slots is taught in
-messages far smaller than this."""
+"""Maximum size of a message in bytes; larger messages are dropped. Even a robot that missed a
+thousand slots catches up with messages far smaller than this."""
 
 FASTEST = 3000.0
-"""Messages a second that are taken from one robot, and at once from one that was quiet. A leader at
-its fastest sends fewer. One that goes on sending more is not heard at all until it is slower."""
+"""Messages accepted from one robot per second, and also in one burst. Even a leader at full speed
+sends fewer. A robot that keeps sending more is ignored until it slows down."""
 
 COUNTS_ONCE = 8192
-"""Bytes. A larger message counts as several."""
+"""Size in bytes above which a message counts as several."""
 
 _MOST_SENDERS = 1000
 _MOST_REASONS = 1000
@@ -26,14 +26,14 @@ _LONGEST_NUMBER = 30
 
 
 class MessageFilter:
-    """Lets a message in that has the right size, form and sender, and comes at a bearable rate; may
-    be called on any thread.
+    """Accepts messages that have an acceptable size, form, sender and rate; may be called on any
+    thread.
 
-    Whether it is a message of the protocol is for the replica to say, which names the sender of one
-    that is not.
+    The replica checks whether a message belongs to the protocol, and reports the sender if it does
+    not.
 
     :param largest: bytes of a message.
-    :param fastest: messages a second that are taken from one robot in one channel, and at once.
+    :param fastest: messages accepted from one robot in one channel per second, and in one burst.
     """
 
     def __init__(self, largest: int, fastest: float = FASTEST) -> None:
@@ -43,12 +43,12 @@ class MessageFilter:
         self._buckets: Dict[Tuple[str, str], Tuple[float, float]] = {}
 
     def admits(self, robot: str, size: int, now: float, channel: str = "") -> bool:
-        """Whether to look at a message at all.
+        """Whether to read a message at all.
 
-        :param robot: who sent it.
+        :param robot: the sender.
         :param size: in bytes.
         :param now: a monotonic clock, in seconds.
-        :param channel: where it came; each robot has a limit in each.
+        :param channel: the channel of the message; each robot has a limit in each channel.
         """
         if size > self._largest:
             self.refuse(robot, "too large")
@@ -56,7 +56,7 @@ class MessageFilter:
         sender = (robot, channel)
         with self._lock:
             if sender not in self._buckets and len(self._buckets) >= _MOST_SENDERS:
-                sender = ("", "")  # all others together
+                sender = ("", "")  # all further senders share a limit
             tokens, before = self._buckets.get(sender, (self._fastest, now))
             tokens = min(self._fastest, tokens + (now - before) * self._fastest)
             let_in = tokens >= 1.0
@@ -67,7 +67,8 @@ class MessageFilter:
         return let_in
 
     def read(self, robot: str, body: bytes) -> List[Message]:
-        """The messages in a body, which are one or a list of several; without what is refused."""
+        """The messages in a body, which holds one message or a list; refused messages are left
+        out."""
         messages = [self._own(robot, message) for message in _json_values(body)]
         return [message for message in messages if message is not None]
 
@@ -81,7 +82,7 @@ class MessageFilter:
         return message
 
     def refuse(self, robot: str, why: str) -> None:
-        """Count something that was not taken."""
+        """Count a refused message."""
         with self._lock:
             name = (robot[:100], why)
             if name not in self._refused and len(self._refused) >= _MOST_REASONS:
@@ -89,13 +90,15 @@ class MessageFilter:
             self._refused[name] = self._refused.get(name, 0) + 1
 
     def refusals(self) -> List[NotTaken]:
-        """What was refused so far."""
+        """The messages refused so far."""
         with self._lock:
             return [NotTaken(robot, why, n) for (robot, why), n in sorted(self._refused.items())]
 
 
 def _number(digits: str) -> int:
-    if len(digits) > _LONGEST_NUMBER:  # reading a long one takes time that grows with its square
+    if (
+        len(digits) > _LONGEST_NUMBER
+    ):  # the time to parse a number grows with the square of its length
         raise ValueError("a number of %d digits" % len(digits))
     return int(digits)
 
@@ -108,13 +111,13 @@ _DECODER = json.JSONDecoder(parse_int=_number, parse_constant=_no_number)
 
 
 def json_object(body: Union[str, bytes]) -> Optional[Dict[str, Any]]:
-    """The JSON object in a text of an untrusted sender; None if there is none."""
+    """Parse a JSON object from an untrusted sender; None if the text is not one."""
     value = _json_value(body)
     return value if isinstance(value, dict) else None
 
 
 def json_objects(body: Union[str, bytes]) -> List[Dict[str, Any]]:
-    """The JSON objects in a text of an untrusted sender, which is one or a list of several."""
+    """Parse one JSON object, or a list of them, from an untrusted sender."""
     return [value for value in _json_values(body) if isinstance(value, dict)]
 
 

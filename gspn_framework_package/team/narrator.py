@@ -1,4 +1,4 @@
-"""Reports to people what a robot does: lines on the screen, its activity, and how it is."""
+"""Reports a robot's work to people: lines on the screen, its activity, and its diagnosis."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ACTIVITY_PERIOD = 0.1
 """Minimum number of seconds between two publications of the activity."""
 
 UNHEARD_PERIOD = 1.0
-"""The same while nobody watches."""
+"""The same, while nobody is watching."""
 
 TEAM_PERIOD = 0.2
 """Minimum number of seconds between two publications of the marking and the team's state."""
@@ -25,7 +25,7 @@ DIAGNOSIS_PERIOD = 1.0
 """Seconds between two diagnoses."""
 
 Diagnosis = Tuple[int, str, Mapping[str, Any]]
-"""How the robot is: (level, message, values), see :meth:`Reporter.diagnose`."""
+"""A diagnosis of the robot: (level, message, values), see :meth:`Reporter.diagnose`."""
 
 WAITING_TIME = 1.0
 """Seconds after which a waiting robot reports what it waits for."""
@@ -34,7 +34,7 @@ WAITING_TIME = 1.0
 class Narrator:
     """Reports what one robot does. All methods belong to the host's worker thread.
 
-    :param reporter: prints the lines, and hears the diagnoses.
+    :param reporter: prints the lines, and receives the diagnoses.
     """
 
     def __init__(self, reporter: Reporter) -> None:
@@ -53,18 +53,18 @@ class Narrator:
         self._lines = 0
 
     def say(self, text: str) -> None:
-        """Print a line about what happens, unless there were too many in this second."""
+        """Print a line about an occurrence, unless there were too many lines in this second."""
         second = int(time.monotonic())
         if second != self._second:
             if self._lines > LINES_PER_SECOND:
-                self.report("and %d lines more" % (self._lines - LINES_PER_SECOND))
+                self.report("and %d more lines" % (self._lines - LINES_PER_SECOND))
             self._second, self._lines = second, 0
         self._lines += 1
         if self._lines <= LINES_PER_SECOND:
             self.report(text)
 
     def report(self, text: str) -> None:
-        """Print a line regardless of how many there are."""
+        """Print a line regardless of the limit."""
         self._reporter.say(text)
 
     def warn(self, text: str) -> None:
@@ -76,7 +76,7 @@ class Narrator:
         self._reporter.error(text, traceback)
 
     def note_change(self) -> None:
-        """Note that what the robot does may have changed."""
+        """Note that the activity may have changed."""
         self._changed = True
 
     def poll(
@@ -87,14 +87,14 @@ class Narrator:
         team: Callable[[], Tuple[MessageFields, MessageFields]],
         diagnosis: Callable[[], Diagnosis],
     ) -> float:
-        """Publish what is due; returns when to call this next, unless something changes before.
+        """Publish what is due; returns when to call this next, unless something changes earlier.
 
         :param now: the time (monotonic seconds).
         :param carrier: publishes the activity.
-        :param activity: returns what the robot does, a JSON object.
+        :param activity: returns the robot's activity, a JSON object.
         :param team: returns the marking and the state of the team, as :meth:`Carrier.publish_team`
             takes them.
-        :param diagnosis: returns how the robot is.
+        :param diagnosis: returns the robot's diagnosis.
         """
         if now >= self._look_at:
             self._look_at = now + ACTIVITY_PERIOD
@@ -130,7 +130,7 @@ class Narrator:
             self._reason, self._reason_since = reason, now
 
     def _report_reason(self, now: float) -> None:
-        """Print what the robot waits for, once, after it has waited for a while."""
+        """Print what the robot waits for, once it has waited for a while."""
         if self._reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
             self._reason_told = self._reason
             if self._reason:

@@ -1,5 +1,5 @@
-"""Calls a function in a process of its own, which ends with the call: a robot's process does not
-carry the libraries of the analysis."""
+"""Calls a function in a separate, short-lived process, so that a robot's process need not load the
+libraries of the analysis."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _Result = TypeVar("_Result")
 
 
 def in_own_process(function: Callable[..., _Result], *arguments: Any) -> _Result:
-    """The result of a function, called in a process of its own.
+    """Call a function in a separate process and return its result.
 
-    :param function: a function of a module, which imports the libraries only when it is called.
-    :param arguments: values that can be pickled, like plans.
-    :raises GspnError: what the function raises, or that the process ended without a result.
+    :param function: a module-level function that imports the libraries only when it is called.
+    :param arguments: values that can be pickled, such as plans.
+    :raises GspnError: the function raised it, or the process ended without a result.
     """
     try:
         done = subprocess.run(
@@ -31,12 +31,12 @@ def in_own_process(function: Callable[..., _Result], *arguments: Any) -> _Result
             check=False,
         )
     except OSError as error:
-        raise ExecutionError("no process can be started: %s" % error.strerror) from None
+        raise ExecutionError("cannot start a process: %s" % error.strerror) from None
     if done.returncode != 0:
         raise ExecutionError(
-            "%s ended with exit code %d and without a result"
+            "%s ended with exit code %d, without a result"
             % (function.__name__.strip("_"), done.returncode),
-            hint="what it printed says why; too little memory?",
+            hint="see its output for the reason; perhaps it ran out of memory",
         )
     result = pickle.loads(done.stdout)
     if isinstance(result, GspnError):
@@ -45,9 +45,10 @@ def in_own_process(function: Callable[..., _Result], *arguments: Any) -> _Result
 
 
 def be_process() -> None:
-    """Be that process: read the call on stdin, and write the result on stdout."""
+    """Entry point of the separate process: read the call from stdin, and write the result to
+    stdout."""
     out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever the function prints must not come between
+    os.dup2(2, 1)  # keeps the function's own output out of stdout
     function, arguments, modules = pickle.load(sys.stdin.buffer)
     try:
         allow_modules(modules)

@@ -1,5 +1,5 @@
-"""Finds the TCP sockets of this process, which Zenoh opens and does not hand out. Finds none where
-there is no ``/proc``."""
+"""Finds the TCP sockets of this process that Zenoh has opened but does not expose. Finds none where
+``/proc`` is missing."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ LISTENS, CONNECTED = "0A", "01"
 
 
 class OwnSockets:
-    """The sockets that are wanted, again and again.
+    """An iterable of the matching sockets, which may be iterated repeatedly.
 
     The table of all sockets of the network namespace may be long, so it is read only after this
-    process has opened or closed one, and once more after that: a socket that was just opened may
-    not be in the table yet.
+    process has opened or closed a socket, and once more after that, because a new socket may not be
+    in the table yet.
 
-    :param wanted: says so of a state (see :data:`LISTENS`), the port here and the one elsewhere.
+    :param wanted: says whether a socket matches, given its state (see :data:`LISTENS`), local port
+        and remote port.
     """
 
     def __init__(self, wanted: Callable[[str, int, int], bool]) -> None:
@@ -29,8 +30,8 @@ class OwnSockets:
         self._numbers: Dict[str, str] = {}
 
     def __iter__(self) -> Iterator[Tuple[str, socket.socket]]:
-        """The number of each, and another descriptor of it, which is closed before the next one
-        comes."""
+        """Yield the number of each socket and a duplicate descriptor, which is closed before the
+        next iteration."""
         descriptors = _descriptors()
         if not self._is_known or self._open != set(descriptors):
             self._is_known = self._open == set(descriptors)
@@ -45,8 +46,8 @@ class OwnSockets:
 
 
 def _duplicate(link: str, descriptor: int) -> Optional[socket.socket]:
-    """Another descriptor of a socket; None if that was closed meanwhile. Its number may belong to
-    another file by now, which must not stay open here: it may be a lock."""
+    """Duplicate a socket's descriptor; None if the socket was closed in the meantime. Its number
+    may belong to another file by now, which must not stay open here, since it may be a lock."""
     try:
         copy = os.dup(descriptor)
     except OSError:
@@ -61,11 +62,11 @@ def _duplicate(link: str, descriptor: int) -> Optional[socket.socket]:
 
 
 def _descriptors() -> Dict[str, int]:
-    """The sockets of this process: what a descriptor links to -> the descriptor."""
+    """The sockets of this process: link target of a descriptor -> the descriptor."""
     found: Dict[str, int] = {}
     with contextlib.suppress(OSError):
         for name in os.listdir("/proc/self/fd"):
-            with contextlib.suppress(OSError):  # closed meanwhile
+            with contextlib.suppress(OSError):  # closed in the meantime
                 link = os.readlink("/proc/self/fd/" + name)
                 if link.startswith("socket:"):
                     found[link] = int(name)
@@ -73,8 +74,8 @@ def _descriptors() -> Dict[str, int]:
 
 
 def _numbers(wanted: Callable[[str, int, int], bool]) -> Dict[str, str]:
-    """The numbers of the sockets of this network namespace that are wanted, by what a descriptor
-    links to."""
+    """The numbers of the matching sockets of this network namespace, by the link target of a
+    descriptor."""
     found: Dict[str, str] = {}
     for table in ("tcp", "tcp6"):
         with contextlib.suppress(OSError), open("/proc/self/net/" + table) as file:

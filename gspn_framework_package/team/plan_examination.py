@@ -1,5 +1,5 @@
-"""Whether a robot may follow a plan: the check before a run; and for another plan during one,
-whether its functions load and its actions can be carried out."""
+"""Decides whether a robot may follow a plan: checks the plan before a run; during a run, also
+checks that the functions of another plan load and its actions can be carried out."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from gspn_framework_package.team.sides import ActionSide, EventSide
 
 
 def with_folder(plan: Plan, folder: str, present: Plan) -> Plan:
-    """A plan from the log, with the folder of its functions.
+    """Set the folder of functions of a plan from the log.
 
-    :param folder: where they are; "": where those of ``present`` are.
-    :raises PlanError: it is not a folder of plans.
+    :param folder: the folder; "" for that of ``present``.
+    :raises PlanError: the folder does not belong to the plan.
     """
     if folder and folder != present.folder:
         if not os.path.isdir(folder):
-            raise PlanError("there is no folder %s" % folder)
+            raise PlanError("the folder %s does not exist" % folder)
         if not may_hold_functions(folder):
             raise PlanError(
-                "the folder %s is not that of a plan" % folder, hint=HOW_TO_ALLOW % (folder, folder)
+                "the folder %s does not contain a plan" % folder,
+                hint=HOW_TO_ALLOW % (folder, folder),
             )
     return replace(plan, folder=folder or present.folder, file=present.file)
 
@@ -36,13 +37,13 @@ def why_not_followed(
     actions: ActionSide,
     sources: Callable[[Plan], EventSide],
 ) -> str:
-    """Why a robot cannot follow a staged plan; "" if it can. It may take some seconds: do not
-    call this on the worker thread.
+    """Why a robot cannot follow a staged plan; "" if it can. This may take some seconds, so do not
+    call it on the worker thread.
 
     :param staged: returns the plan, with its folder, or raises a :class:`GspnError`.
     :param present: the plan that the robot follows now.
     :param actions: the robot's action side.
-    :param sources: makes the sources of the events of a plan.
+    :param sources: creates the sources of a plan's events.
     """
     try:
         plan = staged()
@@ -50,13 +51,13 @@ def why_not_followed(
         return actions.why_not(plan, present)
     except GspnError as error:
         return str(error)
-    except Exception as error:  # whatever it is, the robot cannot follow the plan
+    except Exception as error:  # any failure means that the robot cannot follow the plan
         return "%s: %s" % (type(error).__name__, error)
 
 
 def why_refused_in_own_process(plan: Plan) -> str:
-    """What the check has against a plan that begins where the team is; "" for nothing. It may take
-    some seconds: do not call this on the worker thread."""
+    """Why the check refuses a plan that starts from the team's present marking; "" if it does not.
+    This may take some seconds, so do not call it on the worker thread."""
     try:
         return in_own_process(_why_refused, plan)
     except GspnError as error:
@@ -72,7 +73,7 @@ def _why_refused(plan: Plan) -> str:
 def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
     """Check a plan before it runs.
 
-    :param warn: receives one warning for each kind of finding.
+    :param warn: receives a warning for each kind of finding.
     :raises ExecutionError: the plan must not run.
     """
     warnings, reasons = in_own_process(_findings, plan)

@@ -1,4 +1,4 @@
-"""A router between the robots of a team: passes messages on, and enforces who may send what."""
+"""A router between the robots of a team: forwards messages, and enforces who may send what."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
     import zenoh
 
 REPLACED = "the allow-list was replaced"
-"""How a router begins to say that it follows another one."""
+"""Beginning of a router's message about a new allow-list."""
 
 
 class Router:
-    """A router in this process, until it is closed.
+    """A router that runs in this process until it is closed.
 
     :param listen: endpoints at which robots, operators and other routers connect.
     :param connect: endpoints of other routers.
-    :param keys_folder: the keys of this router; "" for none: anybody may take part.
-    :param limited: drop what comes faster over a connection than a robot sends. Without keys, a
-        router to which others connect must not; with keys it knows whether there are others.
-    :raises GspnError: the keys cannot be used, or an endpoint cannot be listened at.
+    :param keys_folder: the keys of this router; "" for none, which lets anybody take part.
+    :param limited: drop messages that arrive over a connection faster than a robot sends. Do not
+        set this without keys if other routers connect; with keys, the router recognises them.
+    :raises GspnError: the keys cannot be used, or it cannot listen at an endpoint.
 
-    :ivar members: how many may take part; None: anybody.
+    :ivar members: how many members may take part; None if anybody may.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Router:
         return session
 
     def _stamp(self) -> Tuple[int, int]:
-        """What changes when the allow-list is replaced."""
+        """A value that changes when the allow-list is replaced."""
         if not self._folder:
             return (0, 0)
         try:
@@ -66,10 +66,10 @@ class Router:
         return (there.st_mtime_ns, there.st_ino)
 
     def follow_keys(self) -> str:
-        """Apply the allow-list if it was replaced: all connections are closed, and those who are
-        still on it connect again. Call it about once a second.
+        """Apply the allow-list if it was replaced: close all connections; members that are still on
+        the list connect again. Call this about once a second.
 
-        :returns: what was done, for people; "" if nothing.
+        :returns: a message about what was done; "" if nothing was.
         """
         if self._connect:  # there may be a new connection
             self._limit.apply()
@@ -80,17 +80,17 @@ class Router:
         try:
             _keys_of_router(self._folder)
         except GspnError as error:
-            return "the allow-list stays as it was: %s" % error
+            return "the previous allow-list stays in force: %s" % error
         self.close()
         try:
             self._session = self._open()
         except GspnError as error:
-            self._seen = (-1, -1)  # once more the next time
+            self._seen = (-1, -1)  # try again next time
             return "the router is down: %s" % error
         return "%s: %s may take part" % (REPLACED, self.members)
 
     def floods(self) -> List[str]:
-        """Who was braked, or let go, since the last call, for people."""
+        """Messages about connections that were slowed down or released since the last call."""
         return self._brake.news() if self._brake is not None else []
 
     def close(self) -> None:
@@ -104,13 +104,13 @@ class Router:
 def router_access(
     listen: Sequence[str], connect: Sequence[str], keys_folder: str, limited: bool
 ) -> TeamAccess:
-    """How a :class:`Router` with these parameters takes part.
+    """The access of a :class:`Router` with these parameters.
 
     :raises GspnError: the keys cannot be used.
     """
     keys = _keys_of_router(keys_folder) if keys_folder else None
     routers = [member for member in keys.members if member.role == "router"] if keys else []
-    # a connection to another router carries more than one robot sends, and has no limit
+    # a connection to another router carries the messages of many robots and must not be limited
     limited = limited and not connect and len(routers) <= 1
     return TeamAccess(tuple(connect), tuple(listen), keys, router=True, limited=limited)
 

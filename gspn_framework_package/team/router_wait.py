@@ -1,4 +1,4 @@
-"""Waits for a router that is started later than its robots."""
+"""Waits for a router that starts later than its robots."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _STREAMS = ("tcp", "tls")
 def await_router(
     endpoints: Sequence[str], say: Callable[[str], None], wait: Callable[[float], object]
 ) -> None:
-    """Return when somebody takes a connection at one of the endpoints, and say it once if that is
-    not so at first. Whether it is a router of the team is found out by the session.
+    """Wait until one of the endpoints accepts a connection, and report the wait once. The session
+    finds out whether it is a router of the team.
 
-    :param endpoints: of the routers; returns at once if one is reached by other means than TCP.
+    :param endpoints: the endpoints of the routers; returns at once if one of them does not use TCP.
     :param say: prints a line for people.
-    :param wait: waits so many seconds; something true ends the waiting.
+    :param wait: waits for some seconds; a true result ends the waiting.
     """
     told = False
     while True:
@@ -38,7 +38,7 @@ def await_router(
 
 
 def _why_not(endpoint: str) -> str:
-    """Why nobody takes a connection; "" if somebody does, or that cannot be tried."""
+    """Why no endpoint accepts a connection; "" if one does, or if that cannot be tried."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol not in _STREAMS or not port.isdigit():

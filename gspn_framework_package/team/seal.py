@@ -1,4 +1,5 @@
-"""Seals the messages of a team that shares one key, for carriers that do not know who sends.
+"""Authenticates the messages of a team with a shared key, for carriers that do not identify
+senders.
 
 A sealed text is a line with a code (HMAC-SHA256 under the key, over the run and all that follows),
 the session of the sender, a number, a time, the sender and the addressee; then the body::
@@ -6,15 +7,15 @@ the session of the sender, a number, a time, the sender and the addressee; then 
     gspn1 CODE SESSION NUMBER MILLISECONDS SENDER ADDRESSEE
     BODY
 
-What stops a recording from being played again: a *session* is one life of a sender's process, with
-a random name. For each session and addressee the numbers grow, and each counts once; one that is
-:data:`WINDOW` behind is too late. A receiver begins with a session that it does not know only with
-a message that is at most :data:`FRESH` seconds old, so that an older session, or a recording
-for a receiver that has restarted, is refused. Recordings younger than that are no more than delayed
-messages to a receiver that has just started, and the agreement copes with these. Orders are not
-delayed: each has to be fresh, counts once, and is younger than the receiver's process.
+Protection against replayed messages: a *session* is one life of a sender's process, with a random
+name. Numbers grow within a session and addressee, and each is accepted once; a number
+:data:`WINDOW` behind the latest is too late. A receiver accepts a session that it does not know
+only if the message is at most :data:`FRESH` seconds old. It thus refuses older sessions, and
+recordings made before it restarted. For a receiver that has just started, more recent recordings
+are the same as delayed messages, which the agreement tolerates. Orders may not be delayed: an order
+must be fresh, is accepted once, and must be younger than the receiver's process.
 
-Whoever has the key can speak for every robot: the key keeps others out, and identifies nobody.
+Anybody with the key can pose as any robot: the key keeps outsiders out, but identifies no sender.
 """
 
 from __future__ import annotations
@@ -33,10 +34,11 @@ from gspn_framework_package.model.errors import KeysError
 from gspn_framework_package.team.keys import check_private, write_private
 
 WINDOW = 64
-"""Messages of one session that may arrive in another order."""
+"""How many messages of one session may arrive out of order."""
 
 FRESH = 30.0
-"""Seconds within which a new session and an order have to arrive; so far may clocks differ."""
+"""Maximum age in seconds of an order and of the first message of a session. Clocks may differ by as
+much."""
 
 MAGIC = "gspn1"
 """The first word of a sealed text."""
@@ -48,7 +50,7 @@ SEALED = "sealed"
 """The command of a request whose argument is a sealed order."""
 
 _SESSIONS = 8
-"""Sessions of one sender that are remembered: its lives, and processes of the same name."""
+"""Number of sessions remembered for one sender: its restarts, and processes of the same name."""
 
 _KEY_BYTES = 32
 _LONGEST_LINE = 4096
@@ -56,7 +58,7 @@ _ALL_SEEN = (1 << WINDOW) - 1
 
 
 class NotSealedError(Exception):
-    """A text is refused; ``sender`` is who it says it is of, as far as it says so."""
+    """A text is refused; ``sender`` is the sender that it claims, if any."""
 
     def __init__(self, why: str, sender: str = "") -> None:
         super().__init__(why)
@@ -65,7 +67,7 @@ class NotSealedError(Exception):
 
 
 class TeamKey:
-    """A secret that all robots and operators of a team have; it shows itself in no text.
+    """A secret shared by all robots and operators of a team; never printed.
 
     :param secret: at least 32 bytes.
     """
@@ -80,9 +82,9 @@ class TeamKey:
 
 
 def make_team_key(path: str) -> None:
-    """Write a new key into a new file, which only its owner can read.
+    """Create a key, in a new file that only its owner can read.
 
-    :raises KeysError: there is such a file, or it cannot be written.
+    :raises KeysError: the file exists already, or cannot be written.
     """
     try:
         write_private(path, os.urandom(_KEY_BYTES).hex().encode() + b"\n")
@@ -93,11 +95,11 @@ def make_team_key(path: str) -> None:
 
 
 def read_team_key(path: str) -> TeamKey:
-    """The key in a file.
+    """Read the key in a file.
 
-    :raises KeysError: there is none, or others can read the file.
+    :raises KeysError: the file holds no key, or other users can read it.
     """
-    hint = "'gspn keys shared FILE' makes one"
+    hint = "create one with 'gspn keys shared FILE'"
     check_private(path, hint)
     try:
         with open_file(path) as file:
@@ -114,7 +116,7 @@ def read_team_key(path: str) -> TeamKey:
 
 
 class Unsealed(NamedTuple):
-    """What a seal kept: who sealed it, and the text."""
+    """An authenticated text, and who sealed it."""
 
     sender: str
     body: str
@@ -129,14 +131,14 @@ class _Line(NamedTuple):
 
 
 class _Numbers:
-    """Which numbers of one stream have come. It begins with its first one; those before are taken
-    as seen."""
+    """The numbers received in one stream, which begins with the first one received; smaller numbers
+    count as received."""
 
     def __init__(self, first: int) -> None:
         self._newest, self._seen = first, _ALL_SEEN
 
     def why_not(self, number: int) -> str:
-        """Note a number; why it does not count, "" if it does."""
+        """Record a number. Returns why it is refused, "" if it is not."""
         ahead = number - self._newest
         if ahead > 0:
             self._seen = ((self._seen << min(ahead, WINDOW)) | 1) & _ALL_SEEN
@@ -145,7 +147,7 @@ class _Numbers:
         if -ahead >= WINDOW:
             return "too late"
         if self._seen >> -ahead & 1:
-            return "a message that was received before"
+            return "a repeated message"
         self._seen |= 1 << -ahead
         return ""
 
@@ -154,8 +156,8 @@ class Seal:
     """Seals and opens the texts of one robot or operator; may be used on any thread.
 
     :param key: the key of the team.
-    :param run: the name of the run; texts of other runs do not open.
-    :param name: who seals: a robot, or an operator.
+    :param run: the name of the run; texts of other runs are refused.
+    :param name: the name of the robot or operator that seals.
     :param clock: seconds since 1970.
     """
 
@@ -171,10 +173,10 @@ class Seal:
         self._orders: OrderedDict[Tuple[str, int], float] = OrderedDict()
 
     def close(self, to: str, body: str, purpose: str) -> str:
-        """The sealed text.
+        """Seal a text.
 
-        :param to: whom it is for; "" for everybody.
-        :param purpose: what it is, and whatever else goes with it and must not be changed.
+        :param to: the addressee; "" for everybody.
+        :param purpose: what the text is, and any accompanying values that must not be changed.
         """
         with self._lock:
             number = self._sent[to] = self._sent.get(to, 0) + 1
@@ -188,14 +190,14 @@ class Seal:
         return "%s %s %s\n%s" % (MAGIC, self._code(purpose, line, body), line, body)
 
     def open(self, text: str, purpose: str, claimed: str = "") -> Unsealed:
-        """A message that was sealed for us or for everybody.
+        """Open a message that was sealed for us or for everybody.
 
-        :param purpose: as it was sealed.
-        :param claimed: who is said to have sealed it; "": nobody says.
-        :raises NotSealedError: it was not, or it has come before.
+        :param purpose: the purpose with which it was sealed.
+        :param claimed: the supposed sender; "" if unknown.
+        :raises NotSealedError: it was not, or it was received before.
         """
         line, body = self._verified(text, purpose)
-        if claimed not in ("", line.sender):  # before its number counts as come
+        if claimed not in ("", line.sender):  # before its number is recorded as received
             raise NotSealedError("in the name of another robot", line.sender)
         now = self._clock()
         with self._lock:
@@ -216,10 +218,10 @@ class Seal:
         return Unsealed(line.sender, body)
 
     def open_order(self, text: str, purpose: str) -> Unsealed:
-        """An order that was sealed for us.
+        """Open an order that was sealed for us.
 
-        :param purpose: as it was sealed.
-        :raises NotSealedError: it was not, or it is old, or it has come before.
+        :param purpose: the purpose with which it was sealed.
+        :raises NotSealedError: it was not, it is too old, or it was received before.
         """
         line, body = self._verified(text, purpose)
         now = self._clock()
@@ -233,7 +235,7 @@ class Seal:
             while self._orders and next(iter(self._orders.values())) < now - 4 * FRESH:
                 self._orders.popitem(last=False)
             if (line.session, line.number) in self._orders:
-                raise NotSealedError("an order that was received before", line.sender)
+                raise NotSealedError("a repeated order", line.sender)
             self._orders[line.session, line.number] = now
         return Unsealed(line.sender, body)
 
@@ -267,12 +269,12 @@ def _milliseconds(seconds: float) -> int:
 
 
 def _age(seconds: float) -> str:
-    return "%.0f s old by our clock: a recording, or the clocks differ" % seconds
+    return "%.0f s old by our clock; it was recorded earlier, or the clocks differ" % seconds
 
 
 @lru_cache(maxsize=4096)
 def _word(name: str) -> str:
-    """A name as one word, never empty."""
+    """Encode a name as one word that is never empty."""
     return quote(name + ".", safe="")
 
 

@@ -1,4 +1,4 @@
-"""What a host says of its robot: to services, to people, and to whoever watches."""
+"""What a host reports about its robot to services, people and watchers."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from gspn_framework_package.team.sides import ActionSide
 from gspn_framework_package.team.worker import View
 
 MOST_REFUSALS = 20
-"""Kinds of refused messages that are reported by name, the most frequent ones."""
+"""How many kinds of refused messages are reported by name, the most frequent first."""
 
 
 MOST_ORDERS = 5
-"""Orders that are reported, the last ones."""
+"""How many orders are reported, the latest."""
 
 
 class SelfReport:
-    """Reads what it says from the replica and the action side; belongs to the worker thread.
+    """Compiles reports from the replica and the action side; belongs to the worker thread.
 
     :param actions: its action side.
-    :param refusals: says what its carrier did not take.
+    :param refusals: returns the messages that its carrier refused.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class SelfReport:
 
     @property
     def _net(self) -> Net:
-        """The net of the plan that the team follows, as far as our log goes."""
+        """The net of the plan that the team follows according to our log."""
         return self._replica.ledger.game.net
 
     def view(self) -> View:
@@ -67,7 +67,7 @@ class SelfReport:
             if visit != robot.visit and ledger.state.ended is None:
                 phase = Phase.DOING
             if phase is Phase.DOING and own.reported == own.position.goal:
-                phase = Phase.DONE  # although this is not in the log yet
+                phase = Phase.DONE  # the log does not have this yet
         elif robot is not None and not robot.phase.gone:
             place, visit = self._net.places[robot.place].name, robot.visit
         return View(
@@ -82,7 +82,7 @@ class SelfReport:
         )
 
     def status(self, data: str = "") -> Dict[str, Any]:
-        """What :meth:`Worker.status` returns, but for what the replica does not know."""
+        """The result of :meth:`Worker.status`, except for what only the host knows."""
         status = self._replica.status()
         state = self._replica.ledger.state
         status.update(
@@ -113,7 +113,7 @@ class SelfReport:
         return "; ".join(filter(None, reasons))
 
     def needs_operator(self) -> bool:
-        """Whether this robot cannot go on without the operator: it was evicted, it has halted, its
+        """Whether this robot needs the operator to continue: it was evicted, it has halted, its
         action failed, or too many logs of the team are lost."""
         state = self._replica.ledger.state
         robot = state.robots.get(self._robot)
@@ -122,12 +122,11 @@ class SelfReport:
         return robot is not None and state.ended is None and robot.phase.report.needs_operator
 
     def note_order(self, given: OrderGiven) -> None:
-        """An operator gave this robot an order."""
+        """Record that an operator gave this robot an order."""
         self._orders.append({**given._asdict(), "wall": round(time.time(), 3)})
 
     def refused(self) -> List[NotTaken]:
-        """What came in and was not taken, by the carrier or by the replica, the most frequent kinds
-        first."""
+        """The messages that the carrier or the replica refused, the most frequent kinds first."""
         there = [*self._refusals()]
         there += [NotTaken(*kind, times) for kind, times in self._replica.complaints.items()]
         return sorted(there, key=lambda kind: (-kind.times, kind.robot, kind.why))
@@ -139,10 +138,10 @@ class SelfReport:
         return self._replica.ledger.state.fault or self._replica.halted is not None
 
     def activity(self, plan: str, attempt: int, progress: Sequence[int]) -> Dict[str, Any]:
-        """What the robot does, a JSON object.
+        """The robot's activity, a JSON object.
 
-        :param plan: the hash of the plan that it follows.
-        :param attempt: which attempt at its action this is.
+        :param plan: the hash of the plan that the robot follows.
+        :param attempt: number of the attempt at its action.
         :param progress: the last feedback of the action.
         """
         view, state = self.view(), self._replica.ledger.state
@@ -168,14 +167,14 @@ class SelfReport:
         }
 
     def team(self) -> Tuple[MessageFields, MessageFields]:
-        """The marking and the state of the team, as the log has them (see
+        """The marking and the state of the team, according to the log (see
         :meth:`Carrier.publish_team`)."""
         ledger = self._replica.ledger
         about = (ledger.game, ledger.state, self._run, ledger.game.plan.hash())
         return marking_fields(*about), team_fields(*about)
 
     def diagnosis(self) -> Diagnosis:
-        """How the robot is."""
+        """The diagnosis of the robot."""
         view, waits_for = self.view(), self.waits_for()
         message = "%s in %s" % (view.robot_state, view.place or "no place")
         if waits_for:

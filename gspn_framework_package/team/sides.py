@@ -1,5 +1,5 @@
-"""What the host of a replica needs besides a carrier: somebody who acts, somebody who watches for
-events, and a reporter. A robot with ROS has them on ROS, one without in Python."""
+"""The interfaces that a replica's host needs in addition to a carrier: for actions, for events, and
+for reports. They are implemented with ROS and in plain Python."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.plan import Plan
 
 LOOK_AGAIN = 0.01
-"""Seconds after which an action side that waits for something is polled again."""
+"""Seconds between two polls of an action side that waits for something."""
 
 
 class ActionSide(Protocol):
@@ -18,7 +18,7 @@ class ActionSide(Protocol):
     methods but :meth:`why_not`."""
 
     def start(self, command: StartAction, now: float) -> None:
-        """Start an action; cancels the previous one if it still runs.
+        """Start an action, cancelling the previous one if it still runs.
 
         :param now: the time (monotonic seconds).
         """
@@ -27,24 +27,24 @@ class ActionSide(Protocol):
         """Cancel the running action, if any; nothing more is reported about it."""
 
     def doing(self) -> str:
-        """What the current action waits for, in words; "" if it runs or there is none."""
+        """What the current action waits for, in words; "" if it is running or there is none."""
 
     def poll(self, now: float) -> Optional[float]:
-        """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
+        """Do what is due at ``now`` (monotonic seconds). Returns when to call this next; None if no
         time is set."""
 
     def why_not(self, plan: Plan, present: Plan) -> str:
-        """Why the robot cannot act as ``plan`` says; "" if it can. May take some seconds; called on
-        a thread of its own.
+        """Why the robot cannot carry out ``plan``; "" if it can. May take some seconds; called on a
+        separate thread.
 
         :param present: the plan that the robot follows now.
-        :raises GspnError: another way to say that it cannot.
+        :raises GspnError: the robot cannot, for this reason.
         """
 
     def follow(self, plan: Plan) -> None:
-        """From now on start the actions of another plan; the one that is under way goes on.
+        """Start the actions of another plan from now on; a running action continues.
 
-        :raises GspnError: the robot cannot act as the plan says.
+        :raises GspnError: the robot cannot carry out the plan.
         """
 
     def close(self) -> None:
@@ -55,21 +55,21 @@ class EventSide(Protocol):
     """Watches for the events of one robot, and for tasks, under one plan."""
 
     def subscribe(self) -> None:
-        """Begin to listen to what comes from outside."""
+        """Subscribe to the sources of events."""
 
     def start(self) -> None:
-        """Start the functions; the host works by now."""
+        """Start the functions; called once the host is running."""
 
     def visit_began(self) -> None:
-        """Ask the functions anew: what they said of the last visit, or of the data then, is out of
+        """Restart the functions: their reports on the last visit, and on its data, are out of
         date."""
 
     def close(self) -> None:
-        """End watching."""
+        """Stop watching."""
 
 
 class EventListener(NamedTuple):
-    """What those who watch for events need of the host; all but ``give`` may be called from any
+    """The interface of the host for sources of events; all but ``give`` may be called from any
     thread."""
 
     enqueue: Callable[..., None]
@@ -79,13 +79,13 @@ class EventListener(NamedTuple):
     watches: Callable[[str], bool]
     """Whether an event could interrupt the robot in its present visit."""
     complain: Callable[[str], None]
-    """Reports a fault of a source."""
+    """Reports an error of a source."""
     data_of: Callable[[str], Mapping[str, Any]] = lambda robot: {}
-    """The data that a robot, or "" the team, may read."""
+    """Returns the data that a robot ("" for the team) may read."""
 
 
 class Reporter(Protocol):
-    """Prints lines for people, and says how the robot is."""
+    """Prints lines for people, and publishes the robot's diagnosis."""
 
     def say(self, text: str) -> None:
         """Print a line."""
@@ -100,10 +100,10 @@ class Reporter(Protocol):
         """
 
     def is_asked(self) -> bool:
-        """Whether anybody listens to :meth:`diagnose`."""
+        """Whether anybody receives the reports of :meth:`diagnose`."""
 
     def diagnose(self, level: int, message: str, values: Mapping[str, Any]) -> None:
-        """Say how the robot is.
+        """Publish the robot's diagnosis.
 
         :param level: 0 if all is well, 1 if the robot waits or another one is lost, 2 if it needs
             the operator.

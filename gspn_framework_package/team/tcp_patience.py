@@ -1,9 +1,9 @@
 """Makes the operating system close a silent TCP connection after some seconds.
 
-Zenoh closes a connection only once its last data is sent. Over a cut link, or a NAT that dropped
-the connection, TCP gives up after as much as a quarter of an hour; until then a router does not let
-the robot in again. Zenoh has no setting for this, so this module sets ``TCP_USER_TIMEOUT`` on the
-sockets. It does nothing where there is no ``/proc``.
+Zenoh closes a connection only once its last data is sent. Over a broken link, or a NAT that dropped
+the connection, TCP may take a quarter of an hour to give up; a router does not readmit the robot
+before that. Zenoh has no setting for this, so this module sets ``TCP_USER_TIMEOUT`` on the sockets.
+It does nothing where ``/proc`` is missing.
 """
 
 from __future__ import annotations
@@ -15,16 +15,15 @@ from typing import Iterable, Set
 from gspn_framework_package.team.own_sockets import LISTENS, OwnSockets
 
 GIVES_UP = 6.0
-"""Seconds for which sent data may stay unacknowledged. On a bad link TCP repeats itself five times
-in that time."""
+"""Seconds for which sent data may stay unacknowledged. On a bad link, TCP retransmits five times in
+that time."""
 
 
 class SilenceLimit:
-    """Sets the option for this process's sockets that listen at one of these ports, which those
-    that they accept inherit, or that connect or are connected to one.
+    """Sets the option on the sockets of this process that listen at one of the ports (accepted
+    sockets inherit it) or are connected to one.
 
-    :param listens: ports here.
-    :param connects: ports elsewhere.
+    :param listens: local ports. :param connects: remote ports.
     """
 
     def __init__(self, listens: Iterable[int] = (), connects: Iterable[int] = ()) -> None:
@@ -34,11 +33,11 @@ class SilenceLimit:
         )
 
     def apply(self) -> int:
-        """Set it; again and again, because connections are made anew. Returns how many sockets have
-        it."""
+        """Set the option; call this repeatedly, because connections are replaced. Returns how many
+        sockets have the option."""
         done = 0
         for _, same in self._sockets:
-            with contextlib.suppress(OSError):  # closed meanwhile
+            with contextlib.suppress(OSError):  # closed in the meantime
                 same.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * GIVES_UP))
                 done += 1
         return done

@@ -1,7 +1,8 @@
-"""The verdict on a plan before it runs: the check, and what the files beside the plan show.
+"""The verdict on a plan before it runs: the result of the check, and of examining the files that
+belong to the plan.
 
-Whoever starts a plan, deploys it or shows it asks this, so that all say the same; with ROS,
-``ros.check_all`` adds what the types of messages show.
+Everything that starts, deploys or shows a plan uses this, so that all agree; with ROS,
+``ros.check_all`` also checks the types of messages.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from gspn_framework_package.model.plan import Plan
 
 
 def verdict(plan: Plan, **options: Any) -> PreflightReport:
-    """Check a plan, without running anything of it.
+    """Check a plan, without running any of its code.
 
     :param options: see :func:`~gspn_framework_package.analysis.preflight.check_plan.check`.
     :raises GspnError: as there.
@@ -37,13 +38,13 @@ def verdict(plan: Plan, **options: Any) -> PreflightReport:
 
 
 def obey(report: PreflightReport, plan: Plan) -> None:
-    """:raises RefusedError: the plan must not run."""
+    """Raise the refusal, if any. :raises RefusedError: the plan must not run."""
     if report.refused:
         raise RefusedError("the check refuses the plan: %s" % report.why, file=plan.file)
 
 
 def _name_subnets(plan: Plan) -> List[CheckItem]:
-    """Say which parts of the net are plans of their own."""
+    """Report which parts of the net are plans themselves."""
     return [
         CheckItem(
             "subnets",
@@ -57,7 +58,7 @@ def _name_subnets(plan: Plan) -> List[CheckItem]:
 
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:
-    """Report functions that are missing or cannot take their settings, as far as the source shows
+    """Report functions that are missing or cannot take their settings, as far as their source shows
     without running it."""
     found: Dict[str, CheckItem] = {}
     for place, action in plan.bindings():
@@ -84,7 +85,7 @@ def _function_item(text: str, **details: str) -> CheckItem:
 
 
 def _look_at_breakpoints(plan: Plan) -> List[CheckItem]:
-    """Warn of breakpoints that are kept beside the plan: they stop robots in every run."""
+    """Warn about a breakpoint file next to the plan, which stops robots in every run."""
     file = BreakpointFile(plan)
     try:
         file.changed()
@@ -93,7 +94,7 @@ def _look_at_breakpoints(plan: Plan) -> List[CheckItem]:
         return [CheckItem("breakpoints", Severity.WARNING, text, {"file": file.path})]
     if not any(file.breakpoints):
         return []
-    text = "robots stop at %s in every run of this plan here: %s says so" % (
+    text = "robots stop at %s in every run of this plan on this machine, because of %s" % (
         file.breakpoints.in_words,
         os.path.basename(file.path),
     )

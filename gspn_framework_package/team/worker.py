@@ -1,4 +1,4 @@
-"""What those who ask the host of a replica see of it."""
+"""The interface of a replica's host for services and other callers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class View(NamedTuple):
     """What a host knows about its robot and the team, including its own local transitions."""
 
     place: str
-    """Name of the robot's place; "" while it has none."""
+    """Name of the robot's place; "" if it has none."""
     robot_state: str
     incarnation: int
     visit: int
@@ -36,23 +36,23 @@ class Worker:
     run: str
 
     def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Make the worker thread call ``function(*arguments)`` soon."""
+        """Have the worker thread call ``function(*arguments)`` soon."""
         raise NotImplementedError
 
     def ask(self, question: Callable[[], AnswerT], timeout: float) -> AnswerT:
         """Call ``question()`` on the worker thread and return its result.
 
         :param timeout: seconds to wait for it.
-        :raises queue.Empty: it did not return in time.
+        :raises queue.Empty: the call did not return in time.
         """
         raise NotImplementedError
 
     def view(self) -> View:
-        """The robot and the team as this host knows them; call it on the worker thread."""
+        """The robot and the team as this host knows them; call this on the worker thread."""
         raise NotImplementedError
 
     def status(self, data: str = "") -> Dict[str, Any]:
-        """The host's status, for people and programs, as a JSON object; call it on the worker
+        """The host's status, for people and programs, as a JSON object; call this on the worker
         thread.
 
         :param data: ``data``: with the data, tasks and held events of the team; ``brief``: with
@@ -61,31 +61,32 @@ class Worker:
         raise NotImplementedError
 
     def adopted(self) -> Optional[StagedPlan]:
-        """The plan that the team adopted; None if it follows the one that it began with. Call it on
-        the worker thread."""
+        """The plan that the team adopted; None if it still follows its first plan. Call this on the
+        worker thread."""
         raise NotImplementedError
 
     def breakpoints(self, argument: str) -> str:
-        """The breakpoints of the host's robot, for people; call it on the worker thread.
+        """The breakpoints of the host's robot, for people; call this on the worker thread.
 
         :param argument: a JSON list of names to set, "" for none.
-        :raises GspnError: it is not a list of names of the plan, or cannot be kept in the file.
+        :raises GspnError: the argument is not a list of names in the plan, or the file cannot be
+            written.
         """
         raise NotImplementedError
 
     def request(self, message: Message, answer: Callable[[Message], None]) -> None:
-        """Pass a peer's protocol message to the replica; call it on the worker thread.
+        """Pass a peer's protocol message to the replica; call this on the worker thread.
 
         :param answer: receives the reply, once.
         """
         raise NotImplementedError
 
     def note_order(self, request: OperatorRequest, operator: Operator) -> None:
-        """Keep in the log who gave an order; call it on the worker thread, before the order."""
+        """Record in the log who gave an order; call this on the worker thread, before the order."""
         raise NotImplementedError
 
     def order(self, entry: log_entries.Ordered, answer: Callable[[Any], None]) -> None:
-        """Give an operator's order to the replica; call it on the worker thread.
+        """Give an operator's order to the replica; call this on the worker thread.
 
         :param answer: receives the ``OrderResult``.
         """

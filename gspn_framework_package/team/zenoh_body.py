@@ -1,7 +1,7 @@
-"""How the body of a message goes over Zenoh: as JSON, compressed if it is large.
+"""Encodes the body of a message for Zenoh: as JSON, compressed if it is large.
 
-A router's queue holds 16 parts of 64 KB, and what does not fit is lost, so a large message would
-never get through.
+A router's queue holds 16 fragments of 64 KB and drops the rest, so a very large message would never
+arrive.
 """
 
 from __future__ import annotations
@@ -10,26 +10,25 @@ import zlib
 from typing import Optional
 
 COMPRESSED_FROM = 100_000
-"""Bytes from which on a body is compressed."""
+"""Size in bytes from which on a body is compressed."""
 
 _FASTEST = 1
 _ZLIB = 0x78
-"""The first byte of what zlib compressed; JSON does not begin with it."""
+"""The first byte of zlib's output, with which JSON never begins."""
 
 
 def wrapped(body: bytes) -> bytes:
-    """The body as it is sent."""
+    """Encode a body for sending."""
     return zlib.compress(body, _FASTEST) if len(body) >= COMPRESSED_FROM else body
 
 
 def is_compressed(payload: bytes) -> bool:
-    """Whether what came in has to be unwrapped."""
+    """Whether a received body is compressed."""
     return payload[:1] == bytes([_ZLIB])
 
 
 def unwrapped(payload: bytes, largest: int) -> Optional[bytes]:
-    """The body that was compressed; None if nothing was, or if it is larger than ``largest``
-    bytes."""
+    """Decompress a body; None if it is damaged or larger than ``largest`` bytes."""
     decompressor = zlib.decompressobj()
     try:
         body = decompressor.decompress(payload, largest)

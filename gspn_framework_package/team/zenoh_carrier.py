@@ -1,4 +1,4 @@
-"""Carries the messages of a robot over Zenoh; the keys are those of
+"""Carries the messages of a robot over Zenoh, under the keys defined in
 :mod:`~gspn_framework_package.team.zenoh_session`."""
 
 from __future__ import annotations
@@ -36,48 +36,50 @@ if TYPE_CHECKING:
     import zenoh
 
 MOST_WAITING = 16
-"""Orders, and questions, that a robot answers at the same time; more are refused."""
+"""How many orders, and how many questions, a robot answers at the same time; more are refused."""
 
 LARGEST_PACK = 60_000
-"""Bytes of messages that are sent as one; Zenoh splits what is larger."""
+"""Maximum size in bytes of messages that are sent as one; Zenoh fragments larger ones."""
 
 MOST_ALONE = 3
-"""To so many robots a message goes to each alone in partial synchronisation, so that nobody else is
-disturbed; to more it goes once, to everybody."""
+"""Maximum number of receivers to which a message is sent individually in partial synchronisation,
+so that no other robot is disturbed; for more receivers it is broadcast."""
 
 HEARD = 1000.0
-"""Messages a second that are taken from a robot in a channel: what its lanes let it send, and some
-more."""
+"""Messages accepted from a robot per second in a channel: slightly more than its lanes let it
+send."""
 
 _LOOK = 1.0
-"""Seconds between two looks for new connections."""
+"""Seconds between two checks for new connections."""
 
 NAMESAKE_TIME = 1.0
-"""Seconds to wait at most for another process of the same name to answer, at the start."""
+"""Maximum number of seconds to wait, at the start, for an answer from another process of the same
+name."""
 
 _MOST_PUBLISHERS = 4096
 _MOST_KEYS = 10_000
 
 
 class ZenohCarrier:
-    """One robot's session; a :class:`~gspn_framework_package.team.carrier.Carrier`.
+    """The :class:`~gspn_framework_package.team.carrier.Carrier` of one robot over a Zenoh session.
 
-    A message to one robot goes under that robot's key. In full synchronisation one to several
-    robots goes once, to everybody; in partial synchronisation to each alone, if they are few, so
-    that nobody else is disturbed. Messages of one step to the same robots go as one, a list.
-    Answers are messages as well. A message that finds the connection congested is dropped, which
-    the agreement copes with: a slow peer does not slow this robot down.
+    A message to one robot is sent under that robot's key. A message to several robots is broadcast
+    in full synchronisation; in partial synchronisation, if they are few, it is sent to each, so
+    that no other robot is disturbed. Messages of one step to the same robots are sent together, as
+    a list. Answers are messages as well. Messages are dropped while the connection is congested, so
+    that a slow peer does not slow this robot down; the agreement tolerates the loss.
 
-    Orders are taken from operators under their certificate's name. Make it after the last fork.
+    Orders are accepted from operators under their certificate's name. Create the carrier after the
+    last fork.
 
     :param run: name of the run; messages of other runs do not come here.
     :param access: how to reach the team.
-    :param handlers: what to do with what comes.
+    :param handlers: callbacks for received messages.
     :param partial: whether the plan's synchronisation is partial.
-    :raises GspnError: there is no session with the team, or another process is this robot in the
-        run.
+    :raises GspnError: no session with the team can be opened, or another process runs this robot in
+        the run.
 
-    :ivar sent: how many messages the robot has sent; one to several robots counts once.
+    :ivar sent: how many messages the robot has sent; a message to several robots counts once.
     """
 
     def __init__(
@@ -99,8 +101,8 @@ class ZenohCarrier:
         self._zenoh = zenoh_library()
         self._session = open_session(access)
         self._limit = SilenceLimit(ports_of(access.listen), ports_of(access.connect))
-        self._limit.apply()  # those that are accepted inherit it
-        # what only listens makes no connections later
+        self._limit.apply()  # accepted sockets inherit the option
+        # a process that only listens makes no connections later
         self._limited_at = -math.inf if access.connect else math.inf
         try:
             self._refuse_namesake()
@@ -110,23 +112,23 @@ class ZenohCarrier:
             raise
 
     def _refuse_namesake(self) -> None:
-        """Do not take the place of a process that is this robot already: the team would let this
-        one in as its spare.
+        """Refuse to start if another process already runs this robot: the team would admit this one
+        as its spare.
 
-        :raises ExecutionError: one answers.
+        :raises ExecutionError: such a process answers.
         """
         key = key_of(self.run, self.robot, "activity")
         replies = self._session.get(key, timeout=NAMESAKE_TIME)
         if any(reply.ok is not None for reply in replies):
             raise ExecutionError(
-                "another process is robot '%s' in run '%s', and answers" % (self.robot, self.run),
-                hint="end that one first, or give another run",
+                "another process already runs robot '%s' in run '%s'" % (self.robot, self.run),
+                hint="stop that process first, or choose another run",
             )
 
     def _declare(self) -> List[Any]:
-        """Listen to the team, and to those who ask."""
+        """Subscribe to the team's messages, and answer queries."""
         run, robot, session = self.run, self.robot, self._session
-        # on the thread that receives: another thread between would cost more than it does
+        # handled on the receiving thread: handing over to another thread would cost more
         take = self._zenoh.handlers.Callback(self._on_message, indirect=False)
         return [
             session.declare_subscriber(key_of(run, "*", "all", "*"), take),
@@ -136,7 +138,8 @@ class ZenohCarrier:
             session.declare_queryable(key_of(run, robot, "activity"), self._on_asked),
         ]
 
-    # -- out, on the host's worker thread ----------------------------------------------------------
+    # -- sending, on the host's worker thread
+    # ----------------------------------------------------------
 
     def send(self, sends: List[Send]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
@@ -163,8 +166,8 @@ class ZenohCarrier:
                 self._put_in_lane(pack, channel)
 
     def _put_in_lane(self, body: bytes, channel: Tuple[str, ...]) -> None:
-        """Send in the next lane, and wait for it if this robot sends fast: what comes in meanwhile
-        is then answered together."""
+        """Send in the next lane, and wait for it if this robot sends fast: messages that arrive in
+        the meantime are then answered together."""
         lane, wait = self._lanes[channel[0]].take(time.monotonic())
         if wait > 0:
             time.sleep(wait)
@@ -172,7 +175,8 @@ class ZenohCarrier:
 
     def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
-        # without asking for listeners: just after the start or a cut, those are not known yet
+        # published without checking for subscribers: just after the start or a disconnection they
+        # are not known yet
         for pack in _packs([_json(fields) for fields in firings]):
             self._put(pack, "fired")
 
@@ -189,7 +193,7 @@ class ZenohCarrier:
         return False
 
     def is_team_watched(self) -> bool:
-        """Never: who watches over Zenoh reads the firings, and asks for the status."""
+        """Never: watchers over Zenoh read the firings, and query the status."""
         return False
 
     def publish_team(self, marking: Dict[str, Any], team: Dict[str, Any]) -> None:
@@ -210,7 +214,7 @@ class ZenohCarrier:
     def _publisher(self, *rest: str) -> zenoh.Publisher:
         publisher = self._publishers.get(rest)
         if publisher is None:
-            if len(self._publishers) >= _MOST_PUBLISHERS:  # robots come and go: the oldest ends
+            if len(self._publishers) >= _MOST_PUBLISHERS:  # robots come and go: discard the oldest
                 self._publishers.pop(next(iter(self._publishers))).undeclare()
             publisher = self._publishers[rest] = self._session.declare_publisher(
                 key_of(self.run, self.robot, *rest),
@@ -221,7 +225,8 @@ class ZenohCarrier:
             )
         return publisher
 
-    # -- in, on Zenoh's threads --------------------------------------------------------------------
+    # -- receiving, on Zenoh's threads
+    # --------------------------------------------------------------------
 
     def _on_message(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
@@ -261,7 +266,7 @@ class ZenohCarrier:
         given = self._read(query)
         command, robot, argument = (given.get(n, "") for n in ("command", "robot", "argument"))
         if not all(isinstance(text, str) for text in (command, robot, argument)) or not command:
-            self._filter.refuse(operator, "an order that cannot be read")
+            self._filter.refuse(operator, "an unreadable order")
             self._reply(
                 query, _json(OperatorAnswer(False, "not an order")._asdict()), "orders", operator
             )
@@ -270,16 +275,16 @@ class ZenohCarrier:
         self._answer(query, request, "orders", operator)
 
     def _read(self, query: zenoh.Query) -> Dict[str, Any]:
-        """The JSON object that came with a query, {} if there is none."""
+        """The JSON object in a query; {} if there is none."""
         payload = query.payload
         if payload is None or len(payload) > LARGEST_MESSAGE:
             return {}
         return json_object(bytes(payload)) or {}
 
     def _answer(self, query: zenoh.Query, request: OperatorRequest, *rest: str) -> None:
-        """Answer on a thread of its own, because it may take seconds.
+        """Answer on a separate thread, because it may take seconds.
 
-        :param rest: of the key: what was asked for, and by which operator.
+        :param rest: the rest of the key: the kind of query, and the operator.
         """
         kind = rest[0]
         operator = Operator(rest[1] if len(rest) > 1 else "", self._proof)
@@ -295,7 +300,7 @@ class ZenohCarrier:
         def work() -> None:
             try:
                 answer = self._handlers.command(request, operator)
-            except Exception as error:  # a thread of the pool must not end with it
+            except Exception as error:  # must not end a thread of the pool
                 answer = OperatorAnswer(False, "%s: %s" % (type(error).__name__, error))
             finally:
                 with self._lock:
@@ -305,13 +310,14 @@ class ZenohCarrier:
         self._pool.submit(work)
 
     def _reply(self, query: zenoh.Query, body: bytes, *rest: str) -> None:
-        with contextlib.suppress(self._zenoh.ZError):  # the session is closed, or who asked is gone
+        # the session is closed, or the client is gone
+        with contextlib.suppress(self._zenoh.ZError):
             query.reply(key_of(self.run, self.robot, *rest), body)
             query.drop()
 
 
 def _packs(bodies: List[bytes]) -> Iterator[bytes]:
-    """The messages as bodies that hold as many as fit."""
+    """Pack messages into bodies, as many as fit into each."""
     while bodies:
         size, number = 0, 0
         while number < len(bodies) and (not number or size + len(bodies[number]) <= LARGEST_PACK):

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     import zenoh
 
 _ATTEMPT = 0.3
-"""Seconds after which robots that nobody has heard of yet are looked for again."""
+"""Seconds after which the search for robots that have not been found yet is repeated."""
 
 UNNAMED = "operator"
-"""Who gives orders where nobody has keys."""
+"""Name of the operator in a team without keys."""
 
 
 class RobotAddress(NamedTuple):
@@ -44,10 +44,10 @@ class RobotAddress(NamedTuple):
 
 
 class ZenohOperator:
-    """Talks to all robots that can be reached; every call has a deadline.
+    """Connects to all robots that can be reached; every call has a deadline.
 
     :param access: how to reach the team; to give orders, with an operator's keys.
-    :raises GspnError: there is no session with the team.
+    :raises GspnError: no session with the team can be opened.
     """
 
     def __init__(self, access: TeamAccess) -> None:
@@ -63,12 +63,12 @@ class ZenohOperator:
 
     @property
     def gives_orders(self) -> bool:
-        """Whether these keys may give orders; without keys everybody may."""
+        """Whether the holder of these keys may give orders; without keys everybody may."""
         return self._role == "operator"
 
     @property
     def connected(self) -> bool:
-        """Whether a router, or a robot that listens, is reached now."""
+        """Whether a router or a listening robot is connected now."""
         return bool(self.session.info.routers_zid() or self.session.info.peers_zid())
 
     def statuses(self, data: bool = False) -> Dict[RobotAddress, Optional[Dict[str, Any]]]:
@@ -76,13 +76,14 @@ class ZenohOperator:
         ``data``; None for one whose answer is not a status."""
         found: Dict[RobotAddress, Optional[Dict[str, Any]]] = {}
         deadline = time.monotonic() + SILENCE_PATIENCE
-        while not found and time.monotonic() < deadline:  # a new session does not know them yet
+        # a new session does not know the robots yet
+        while not found and time.monotonic() < deadline:
             answers = self._ask(
                 key_of("*", "*", "status"), {"argument": "data" * data}, SILENCE_PATIENCE
             )
             for at, answer in answers.items():
                 status = read_status(answer.message)
-                # a robot speaks for itself alone
+                # a robot may answer only for itself
                 mine = status is not None and (status["run"], status["robot"]) == at
                 found[at] = status if mine else None
             if not found:
@@ -95,17 +96,18 @@ class ZenohOperator:
         :param command: the command; see the service ``Command``.
         :param robot: the robot that the order concerns.
         :param argument: the argument of the command.
-        :param run: only use robots of this run; necessary if there are several runs.
+        :param run: the name of the run; required if there are several.
         :returns: whether the order was carried out, and the robot's message.
-        :raises ExecutionError: no robot answers, or robots of several runs do, or these keys are
-            not an operator's.
+        :raises ExecutionError: no robot answers, robots of several runs do, or the keys are not an
+            operator's.
         """
         at = whom_to_order(robots_of_run(self.statuses(), run), command, robot)
         answer = self._command(at, command, robot, argument)
         if answer is None:
             raise ExecutionError(
                 "%s does not answer an order of '%s'" % (at.robot, self.name),
-                hint="the routers may not know these keys yet: is their team.json up to date?",
+                hint="the routers may not know these keys yet; check that their team.json is up to "
+                "date",
             )
         return answer.success, answer.message
 
@@ -115,7 +117,7 @@ class ZenohOperator:
         """Show or set the breakpoints of every robot of a run.
 
         :param argument: a JSON list of names to set, "" for none.
-        :param run: the name of the run; necessary if there are several.
+        :param run: the name of the run; required if there are several.
         :returns: pairs of a robot's name and its answer; None if it does not answer.
         :raises ExecutionError: as :meth:`order`.
         """
@@ -127,8 +129,8 @@ class ZenohOperator:
     ) -> Optional[OperatorAnswer]:
         if not self.gives_orders:
             raise ExecutionError(
-                "the keys of %s '%s' give no orders" % (self._role, self.name),
-                hint="use those of an operator",
+                "the keys of %s '%s' cannot give orders" % (self._role, self.name),
+                hint="use an operator's keys",
             )
         request = {"command": command, "robot": robot, "argument": argument}
         return self._ask(
@@ -136,7 +138,7 @@ class ZenohOperator:
         ).get(at)
 
     def _key(self, at: RobotAddress, command: str) -> str:
-        """Where a robot takes a question or an order."""
+        """The key under which a robot answers a question or an order."""
         if command in PLAIN_QUESTIONS:
             return key_of(at.run, at.robot, "status")
         return key_of(at.run, at.robot, "orders", self.name)
@@ -150,9 +152,9 @@ class ZenohOperator:
     ) -> None:
         """Ask a robot, or give it an order, without waiting.
 
-        :param seconds: how long the answer may take.
-        :param answered: takes the answer, once, on a thread of Zenoh; at the end of the time, or
-            when it is clear that none comes, None.
+        :param seconds: maximum time for the answer.
+        :param answered: called once, on a thread of Zenoh, with the answer; with None when the time
+            is over or no answer can come.
         """
         got: List[OperatorAnswer] = []
         body = {n: getattr(request, n) for n in ("command", "robot", "argument")}
@@ -177,7 +179,7 @@ class ZenohOperator:
     def _ask(
         self, key: str, request: Dict[str, str], seconds: float
     ) -> Dict[RobotAddress, OperatorAnswer]:
-        """The answers that come within so many seconds. Ends when all have answered."""
+        """The answers that arrive within some seconds. Returns when all have answered."""
         replies = self.session.get(
             key,
             payload=json.dumps(request).encode(),
@@ -189,7 +191,7 @@ class ZenohOperator:
 
 
 def _answer_in(reply: zenoh.Reply) -> Optional[Tuple[RobotAddress, OperatorAnswer]]:
-    """Who answers what; None if it is no answer."""
+    """The robot that answers, and its answer; None if the reply is not an answer."""
     sample = reply.ok
     answer = json_object(bytes(sample.payload)) if sample is not None else None
     if sample is None or answer is None or not {"success", "message"} <= set(answer):

@@ -9,12 +9,12 @@ The names in Zenoh, each of which belongs to one robot (:func:`key_of`)::
     gspn/RUN/ROBOT/status           answers queries of watchers
     gspn/RUN/ROBOT/orders/OPERATOR  answers queries of that operator
 
-With keys, every session demands a certificate of the team's authority at both ends, and lets a
-robot put only under its own name, an operator query only under its own. A robot connects to the
-routers, which see its certificate; routers trust each other, and robots trust routers.
+With keys, every session requires a certificate of the team's authority at both ends, and lets a
+robot publish and an operator query only under its own name. Robots connect to routers, which check
+their certificates; routers trust each other, and robots trust routers.
 
-Whoever is connected to, a router or a robot that listens, drops what comes faster than a robot
-sends (:mod:`~gspn_framework_package.team.lanes`).
+The accepting side of a connection, a router or a listening robot, drops messages that arrive faster
+than a robot sends (:mod:`~gspn_framework_package.team.lanes`).
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor"
 
 
 class TeamAccess(NamedTuple):
-    """How a process takes part.
+    """How a process connects to the team.
 
-    ``connect``: endpoints of routers (``tls/HOST:PORT``); several are alternatives. ``listen``:
-    endpoints at which this process can be reached. ``keys``: of this member; None: without
-    authentication. ``router``: whether it passes messages on. ``patience``: seconds to wait for a
-    router that is not there yet; one that goes away later is connected to again for ever.
-    ``limited``: drop a flood that comes over one connection; not where a router connects, whose
-    connection carries the messages of many.
+    ``connect``: endpoints of routers (``tls/HOST:PORT``), which are alternatives. ``listen``:
+    endpoints at which this process can be reached. ``keys``: of this member; None for no
+    authentication. ``router``: whether it forwards messages. ``patience``: seconds to wait for a
+    router that is not there yet; the connection to a router that goes away later is retried
+    indefinitely. ``limited``: whether to drop floods on a connection; not for connections from
+    routers, which carry the messages of many robots.
     """
 
     connect: Tuple[str, ...] = ()
@@ -62,10 +62,10 @@ class TeamAccess(NamedTuple):
 
 
 def open_session(access: TeamAccess) -> zenoh.Session:
-    """Connect to the team. Do not fork afterwards: a session does not survive it.
+    """Connect to the team. Do not fork afterwards: a session does not survive a fork.
 
-    :raises UsageError: Zenoh is not installed, or the endpoints and the keys do not fit.
-    :raises ExecutionError: nobody is reached, or an endpoint cannot be listened at.
+    :raises UsageError: Zenoh is not installed, or the endpoints do not match the keys.
+    :raises ExecutionError: nothing can be reached, or it cannot listen at an endpoint.
     """
     zenoh = zenoh_library()
     config = zenoh.Config.from_json5(json.dumps(session_config(access)))
@@ -74,15 +74,16 @@ def open_session(access: TeamAccess) -> zenoh.Session:
             return zenoh.open(config)
     except zenoh.ZError as error:
         raise ExecutionError(
-            "no Zenoh session with %s (%s)" % (_told(access), _reason(error)),
-            hint="is a router there ('gspn router'), and do the keys belong to its team?",
+            "cannot open a Zenoh session with %s (%s)" % (_told(access), _reason(error)),
+            hint="check that a router runs there ('gspn router') and that the keys belong to its "
+            "team",
         ) from None
 
 
 @contextlib.contextmanager
 def _threads_chosen(router: bool) -> Iterator[None]:
-    """Have the first session choose its threads, unless the user did: Zenoh reads them from the
-    environment, which programs that actions start must not inherit."""
+    """Set the threads of the first session, unless the user did. Zenoh reads them from the
+    environment, which the programs started by actions must not inherit."""
     if _RUNTIME in os.environ or _chosen:
         yield
         return
@@ -95,9 +96,9 @@ def _threads_chosen(router: bool) -> Iterator[None]:
 
 
 def _threads(router: bool) -> str:
-    """One thread of Zenoh's for everything, as Zenoh reads it. By default a message is handed over
-    between four, and waking each takes longer than its work. A router, which has many
-    connections, may use half of the cores.
+    """Zenoh's setting for a single thread. By default a message passes through four threads, and
+    waking each takes longer than its work. A router, which has many connections, may use half of
+    the cores.
     """
     number = max(1, (os.cpu_count() or 1) // 2) if router else 1
     others = ["%s: (handover: app)" % name for name in ("acc", "net", "rx", "tx")]
@@ -110,42 +111,44 @@ def zenoh_library() -> Any:
         import zenoh
     except ImportError as error:
         raise UsageError(
-            "there is no Python library 'zenoh' (%s)" % error, hint="pip install eclipse-zenoh"
+            "the Python library 'zenoh' is not installed (%s)" % error,
+            hint="pip install eclipse-zenoh",
         ) from None
     return zenoh
 
 
 def key_of(run: str, robot: str, *rest: str) -> str:
-    """The key of a robot in a run; names may hold any character, "*" stands for all."""
+    """The key of a robot in a run; names may contain any character; "*" matches all."""
     return "/".join(
         [_ROOT, *(part if part == "*" else chunk(part) for part in (run, robot, *rest))]
     )
 
 
 def chunk(name: str) -> str:
-    """A name as one part of a key."""
+    """Encode a name as one part of a key."""
     return quote(name, safe="") if name != "*" else "%2A"
 
 
 def names_in_key(key: str) -> List[str]:
-    """The names in a key: run, robot and what follows; [] if the key is none of ours."""
+    """The names in a key: run, robot and what follows; [] if it is not one of our keys."""
     root, *rest = key.split("/")
     return [unquote(part) for part in rest] if root == _ROOT and len(rest) >= 3 else []
 
 
 def session_config(access: TeamAccess) -> Dict[str, Any]:
-    """The configuration of a session, as Zenoh reads it.
+    """The Zenoh configuration of a session.
 
-    :raises UsageError: the endpoints and the keys do not fit.
+    :raises UsageError: the endpoints do not match the keys.
     """
     for endpoint in (*access.connect, *access.listen):
         _check_endpoint(endpoint, access.keys)
     if not access.connect and not access.listen:
-        raise UsageError("no endpoint to connect to or to listen at", hint="tcp/HOST:7447")
+        raise UsageError("no endpoint to connect to or listen at", hint="tcp/HOST:7447")
     mode = "router" if access.router else "peer" if access.listen else "client"
     link: Dict[str, Any] = {
         "rx": {"max_message_size": 2 * LARGEST_MESSAGE},
-        "tx": {"queue": {"size": {"data_high": 16}}},  # room for a burst; what does not fit is lost
+        # room for a burst; further messages are dropped
+        "tx": {"queue": {"size": {"data_high": 16}}},
     }
     config: Dict[str, Any] = {
         "mode": mode,
@@ -157,8 +160,9 @@ def session_config(access: TeamAccess) -> Dict[str, Any]:
     if mode == "client":
         config["connect"]["timeout_ms"] = int(1000 * access.patience)
     if mode == "router":
-        # by default its only thread would sleep for 1 ms before it drops a message, and could send
-        # nothing meanwhile: when a large team on a busy machine filled the queues, nothing passed
+        # By default the only thread sleeps for 1 ms before it drops a message, and cannot send
+        # anything meanwhile: with a large team on a busy machine the queues filled, and nothing got
+        # through
         link["tx"]["queue"]["congestion_control"] = {"drop": {"wait_before_drop": 0}}
         config["low_pass_filter"] = [
             {
@@ -193,17 +197,17 @@ def _check_endpoint(endpoint: str, keys: Optional[KeyFolder]) -> None:
     if not slash or not address or not protocol.isalpha():
         raise UsageError("'%s' is not an endpoint" % endpoint, hint="tls/HOST:7447, tcp/HOST:7447")
     if "#" in address or "?" in address:
-        raise UsageError("an endpoint here takes no settings: '%s'" % endpoint)
+        raise UsageError("settings are not allowed in an endpoint: '%s'" % endpoint)
     if keys is not None and not endpoint.startswith(_SECURE):
-        raise UsageError("keys protect nothing on '%s'" % endpoint, hint="use %s..." % _SECURE)
+        raise UsageError("keys cannot protect '%s'" % endpoint, hint="use %s..." % _SECURE)
     if keys is None and protocol in ("tls", "quic"):
         raise UsageError("'%s' needs keys" % endpoint, hint="--keys DIR, see 'gspn keys'")
 
 
 def access_control(members: Sequence[KeyHolder]) -> Dict[str, Any]:
-    """Who may send what, as Zenoh reads it: all that is not allowed is denied."""
+    """The Zenoh access control: everything that is not allowed is denied."""
     rules: List[Dict[str, Any]] = [
-        # what anybody may learn, and ask to learn
+        # what anybody may receive, and query
         _rule("out", "egress", ["declare_subscriber", *_SENDS, *_ASKS], ["%s/**" % _ROOT]),
         _rule("listens", "ingress", ["declare_subscriber"], ["%s/**" % _ROOT]),
         _rule("asks", "ingress", _ASKS, [key_of("*", "*", "status"), key_of("*", "*", "activity")]),
@@ -251,6 +255,6 @@ def _told(access: TeamAccess) -> str:
 
 
 def _reason(error: Exception) -> str:
-    """The last part of Zenoh's message, which begins with places in its source."""
+    """The last part of Zenoh's message, which begins with locations in its source."""
     text = " ".join(str(error).split())
     return text.split(" at ", 1)[0][:200]

@@ -1,4 +1,4 @@
-"""Watches runs over Zenoh: what fires, and what every robot does."""
+"""Watches runs over Zenoh: firings, and the activity of every robot."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 
 
 class Sights(NamedTuple):
-    """What a watch calls, on Zenoh's threads, with the robot that it comes from."""
+    """Callbacks of a watch, called on Zenoh's threads with the name of the sending robot."""
 
     fired: Callable[[str, Dict[str, Any]], None]
-    """Takes a firing; its fields are those of
+    """Receives a firing; its fields are those of
     :func:`~gspn_framework_package.execution.team_messages.firing_fields`."""
     activity: Callable[[str, Dict[str, Any]], None]
-    """Takes what a robot does."""
+    """Receives the activity of a robot."""
 
 
 class ZenohWatch:
     """Watches one run, or all, and asks its robots.
 
-    A firing is published by the robot that decided it, which may concern another robot.
+    A firing is published by the robot that decided it, but may concern another robot.
 
     :param access: how to reach the team.
     :param run: the name of the run; "" for all runs.
-    :param sights: what to do with what is seen.
-    :raises GspnError: there is no session with the team.
+    :param sights: the callbacks.
+    :raises GspnError: no session with the team can be opened.
 
-    :ivar operator: asks the robots, in the same session.
+    :ivar operator: queries the robots, in the same session.
     """
 
     def __init__(self, access: TeamAccess, run: str, sights: Sights) -> None:
@@ -53,10 +53,10 @@ class ZenohWatch:
         ]
 
     def ask_activity(self, seconds: float = 1.0) -> None:
-        """Have every robot that is reached say again what it does; the answers come as any other
+        """Have every reachable robot report its activity again; the answers arrive like any other
         activity. Returns when all have answered.
 
-        :param seconds: how long to wait for that at most.
+        :param seconds: maximum time to wait for that.
         """
         all_in = threading.Event()
         self._session.get(

@@ -546,7 +546,7 @@ class World:
             ledger = node.replica.ledger
             plan = node.plan.hash() if node.replica.active else ledger.game.plan.hash()
             if plan != ledger.game.plan.hash():
-                raise ViolationError("the host of %s has another plan than its log" % node.key)
+                raise ViolationError("the host of %s has a different plan than its log" % node.key)
             text = compact_sorted(ledger.state.to_json(ledger.game.net))
             first, other = known.setdefault((ledger.length, ledger.hash), (node.key, text))
             if text != other:

@@ -155,13 +155,13 @@ def test_a_simulated_log_is_valid_and_never_overwrites(tmp_path, capsys):
 
 
 SETTINGS = {
-    "def go(seconds=0.5):\n    pass\n": "its setting 'seconds' takes a number, and not \"0.5\"",
+    "def go(seconds=0.5):\n    pass\n": "its setting 'seconds' takes a number, not \"0.5\"",
     "def go(seconds: float):\n    pass\n": "its setting 'seconds' takes a number",
     "def go(seconds='0.5'):\n    pass\n": "",
     "def go(seconds=None):\n    pass\n": "",
     "def go(**more):\n    pass\n": "",
-    "def go():\n    pass\n": "it has no parameter for the setting 'seconds'",
-    "def go(seconds, speed):\n    pass\n": "its parameter 'speed' is nothing that an action can",
+    "def go():\n    pass\n": "the function has no parameter for the setting 'seconds'",
+    "def go(seconds, speed):\n    pass\n": "its parameter 'speed' is not one that an action can",
     "def go(place, seconds, *, speed=2):\n    pass\n": "",
     "class go:\n    def __init__(self, seconds=1):\n        pass\n    def __call__(self):\n"
     "        pass\n": "its setting 'seconds' takes a number",

@@ -1,39 +1,40 @@
-"""Agreement: every replica of a team sees one valid sequence of firings. No ROS in here.
+"""The agreement protocol: every replica of a team sees the same valid sequence of firings. Nothing
+here imports ROS.
 
 *Protocol.* A run is a log of batches of entries, which every replica reduces with the same
 deterministic token game; the replicas agree on the next batch. Single-decree Paxos decides each
-slot of the log, among the members that the log before it names; more than half of them decide, or
-half including the first one. In full synchronisation a promise also holds for all later slots, so
-the robot that got a batch chosen leads without a first phase until another takes over. In partial
-synchronisation nobody leads: a robot makes local transitions, which concern it alone, without
-asking. For everything else it asks *every* member, and the answers bring those transitions into
-the log first.
+slot of the log among the members named by the log before it; a quorum is more than half of them, or
+exactly half including the first. In full synchronisation a promise also holds for all later slots,
+so the robot whose batch was chosen leads without a first phase until another takes over. In partial
+synchronisation there is no leader: a robot makes local transitions, which affect no other robot,
+without asking. For everything else it asks *every* member, and the answers first bring those
+transitions into the log.
 
 *Assumptions.* Messages may be lost, duplicated, reordered and delayed, but are not forged. A
-process may stop at any point, pause and return; what it wrote before is there, or else it knows
-that its log is lost. For progress (not for safety) the team needs a quorum that runs and hears each
-other most of the time.
+process may stop, pause and return at any point; either what it wrote before is intact, or it knows
+that its log is lost. Progress (but not safety) requires a quorum that is running and connected most
+of the time.
 
 *Why it is safe.* Members of a slot follow from the log before it, two quorums intersect, votes are
-written before they are sent, and a proposer adopts the value accepted under the highest ballot that
-is reported to it; so no slot has two values. A robot that lost its log votes only in slots after
-its ``Join``, and its former votes were for slots before; so no slot sees two memories. Proposals
-carry their author and a sequence number, so none has an effect twice. Local transitions have one
-writer and commute with all others.
+written before they are sent, and a proposer adopts the value accepted under the highest ballot
+reported to it; so no slot has two values. A robot that lost its log votes only in slots after its
+``Join``, and its former votes were for earlier slots; so no slot counts votes from both memories.
+Proposals carry their author and a sequence number, so none takes effect twice. Local transitions
+have one writer and commute with all others.
 
-``docs/agreement.md`` has the details and how it was tested. A replica is assembled from parts; each
-part's module says what it owns and whom it calls:
+``docs/agreement.md`` has the details and how it was tested. A replica is assembled from parts; the
+docstring of each part's module says what it owns and what it calls:
 
 - ``replica`` routes each input to the part that handles it; ``interface``: inputs and effects, the
-  border to the host of a replica; ``messages``: what replicas send each other;
-- ``config``: a replica's configuration; ``state``: what it remembers, each field with one owner;
-- ``outbox``: effects on their way out; ``electorate``: whose votes count, asked by all, changed by
-  nobody;
-- ``consensus``: Paxos for the first open slot; ``proposer``: when to propose, ask again and give
-  way; ``proposals``: what waits to get into the log;
-- ``replication``: decided slots, catching up, snapshots; ``recovery``: the own log, read back;
+  interface to a replica's host; ``messages``: the messages between replicas;
+- ``config``: a replica's configuration; ``state``: its state, each field with one owner;
+- ``outbox``: collects effects; ``electorate``: whose votes count (read-only, used by all parts);
+- ``consensus``: Paxos for the first open slot; ``proposer``: when to propose, retry and give way;
+  ``proposals``: entries waiting to get into the log;
+- ``replication``: decided slots, catching up, snapshots; ``recovery``: reads a replica's own log at
+  a restart;
 - ``membership``: hello, incarnations and memories, joining, leaving, eviction;
-- ``local_robot``: goals, local transitions; ``orders``: operators' orders; ``status``: answers for
+- ``local_robot``: goals, local transitions; ``orders``: operators' orders; ``status``: reports for
   people;
 - ``quorum``, ``peers``, ``recent_slots``, ``local_transitions``: the building blocks of these.
 

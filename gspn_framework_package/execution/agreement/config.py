@@ -1,6 +1,6 @@
-"""A replica's configuration: who it is, its plan, the times and sizes of the protocol.
+"""A replica's configuration: its identity, its plan, and the times and sizes of the protocol.
 
-Owns nothing that changes, calls nothing. Every part of a replica reads the same :class:`Config`.
+Immutable, and calls nothing. All parts of a replica share one :class:`Config`.
 """
 
 from __future__ import annotations
@@ -13,36 +13,37 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.plan import Plan, Synchronisation, Timing
 
 SMALL_TEAM = 8
-"""Up to this many replicas, greetings are answered at once and the pace stays as it is."""
+"""Up to this many replicas, hellos are answered at once and the pace is not adjusted."""
 
 
 class Pace(NamedTuple):
-    """Times of the protocol (s). None matters for safety."""
+    """Times of the protocol (s). Safety does not depend on them."""
 
     heartbeat: float = 0.5
     """Interval of the hellos."""
     greeting: float = 0.2
-    """The same, until the replica takes part."""
+    """The same, before the replica takes part."""
     retry: float = 0.1
-    """After this time an unanswered message is sent again (longer each time, up to 1 s)."""
+    """Time after which an unanswered message is sent again; it grows each time, up to 1 s."""
     takeover: float = 0.3
-    """How long a proposal waits for the leader before its robot proposes by itself."""
+    """How long a proposal waits for the leader before its robot starts its own attempt."""
     gather: float = 0.0
     """How long the leader gathers proposals between two slots."""
     backoff: float = 0.02
-    """How long a proposer gives way after its first defeat; doubled at each one in a row."""
+    """How long a proposer gives way after a defeat; doubled at each consecutive defeat."""
     spread: float = 1.0
-    """Round trips over which robots that want the next slot of partial synchronisation start."""
+    """Number of round trips over which robots spread their starts when several want the next slot
+    in partial synchronisation."""
 
     def for_team(self, size: int, timing: Timing) -> Pace:
-        """The pace for a team of that size. Broadcasts are less frequent in large teams, so
-        traffic per replica stays constant. The leader gets more time, because it has more robots
-        to ask, and otherwise all would try to take over at once. For each robot beyond a small
-        team, proposals are gathered for one more millisecond: each slot costs messages to and from
-        everybody, however much is in it.
+        """The pace for a team of a given size. Broadcasts are less frequent in large teams, so
+        traffic per replica stays constant. The leader gets more time, because it has more robots to
+        ask, and otherwise all of them would try to take over at once. For each robot beyond a small
+        team, proposals are gathered for one more millisecond, since the messages of a slot cost the
+        same however much it contains.
 
-        :param timing: of the plan: heartbeats must not be so rare that a robot seems silent for
-            the time that it names.
+        :param timing: the timing of the plan: heartbeats must be frequent enough that no running
+            robot exceeds its time limits for silence.
         """
         slower = max(1.0, size / SMALL_TEAM)
         silence = min(
@@ -59,16 +60,16 @@ class Pace(NamedTuple):
 
 
 class ProtocolLimits(NamedTuple):
-    """Sizes of the protocol. None matters for safety; tests make them small."""
+    """Sizes of the protocol. Safety does not depend on them; tests make them small."""
 
     batch: int = 256
-    """The most items that one slot takes."""
+    """Maximum number of items in a slot."""
     kept: int = 2000
-    """Slots that are kept in memory; a robot that is further behind gets a snapshot."""
+    """Number of slots kept in memory; a robot that is further behind gets a snapshot."""
     chunk: int = 200
-    """Slots sent at a time."""
+    """Number of slots sent at a time."""
     snapshot_every: int = 1000
-    """Slots after which the log gets a snapshot; a restart reads from there."""
+    """Number of slots between two snapshots in the log; a restart reads from the last one."""
 
 
 @dataclass
@@ -77,29 +78,29 @@ class Config:
 
     plan: Plan
     name: str
-    """Our robot, or witness."""
+    """Name of our robot or witness."""
     run: str
     """Messages of other runs are ignored."""
     tag: str
-    """Run and plan, as every message carries them."""
+    """Identifier of run and plan that every message carries."""
     pace: Pace
     limits: ProtocolLimits
     place: str
-    """Where we start when we join for the first time; "": as the plan says."""
+    """The place where we start when we first join; "" for the plan's choice."""
     trusted: bool
-    """The end of our log is intact."""
+    """Whether the end of our log is intact."""
     damage: str
     """What was damaged in it; "" for nothing."""
     partial: bool
-    """Partial synchronisation."""
+    """Whether synchronisation is partial."""
     witness: bool
-    """We vote and have no token."""
+    """Whether we are a witness: vote, but have no token."""
     newcomer: bool
-    """We are not in the first team of the plan."""
+    """Whether we are not in the first team of the plan."""
     is_small: bool
-    """The team is small enough for everybody to inform everybody about each slot."""
+    """Whether the team is small enough for all robots to inform each other about each slot."""
     first: str
-    """Who leads before the first ballot; "" where we cannot know."""
+    """The leader before the first ballot; "" if we cannot know it."""
     game: TokenGame
     """The rules of the plan."""
 
@@ -117,7 +118,7 @@ class Config:
         trusted: bool,
         damage: str,
     ) -> Config:
-        """Work out what follows from the parameters of
+        """Derive the configuration from the parameters of
         :class:`~gspn_framework_package.execution.agreement.replica.Replica`."""
         team = [r.name for r in plan.robots] + list(plan.witness)
         newcomer = joining or robot not in team

@@ -1,24 +1,23 @@
 """Paxos, slot by slot: acceptor, proposer and learner of one replica.
 
-Single-decree Paxos (Lamport 1998) decides each slot of the log, among the members that the log
-before it names. A promise holds for its slot and all later ones; a replica has accepted nothing
-beyond its first open slot. A proposer whose value was just chosen may therefore skip the first
-phase in the next slot, as long as those who promised are a quorum there too. In full
-synchronisation it *leads*, and takes the others' proposals until somebody else takes over. Before
-any ballot, the first member leads under ballot (0, its name), which every fresh replica counts as
-promised.
+Single-decree Paxos (Lamport 1998) decides each slot of the log, among the members named by the log
+before it. A promise holds for its slot and all later ones; a replica has accepted nothing beyond
+its first open slot. A proposer whose value was just chosen may therefore skip the first phase in
+the next slot, as long as the robots that promised are a quorum there too. In full synchronisation
+it *leads*: it takes the others' proposals until another robot takes over. Before any ballot, the
+first member leads under ballot (0, its name), which every fresh replica counts as promised.
 
-In partial synchronisation nobody leads: the first phase is how a proposer learns the local
-transitions of the others. It needs an answer from every member that it does not evict in the same
-slot. A process without the member's memory answers for it only in a slot with which another life of
-the robot begins.
+In partial synchronisation there is no leader: a proposer learns the local transitions of the others
+in the first phase. It needs an answer from every member that it does not evict in the same slot. A
+process that lacks the member's memory may answer for it only in a slot that begins another life of
+the robot.
 
-One slot is open at a time; batches carry the load.
+Only one slot is open at a time; throughput comes from batching.
 
 Owns the ballots, votes and the running attempt of the open slot (the fields of consensus in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`). Asks the electorate who
-may decide and the proposals what to propose, writes and sends through the outbox, and hands what is
-chosen to the log (:class:`ConsensusLog`).
+    may decide and the proposals what to propose, writes and sends through the outbox, and passes
+    chosen batches to the log (:class:`ConsensusLog`).
 """
 
 from __future__ import annotations
@@ -44,24 +43,24 @@ from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.state import BallotAttempt, ReplicaState
 
 LONGEST_ROUND_TRIP = 1.0
-"""Seconds. A longer answer time means that a robot was away, not that the network is slow."""
+"""Seconds; a longer response time means that a robot was away, not that the network is slow."""
 
 MOST_ATTEMPTS = 4
-"""Attempts whose answers are still measured, even if they were beaten."""
+"""Number of recent attempts whose response times are still measured, even if they were beaten."""
 
 MOST_BACKOFF = 20
-"""How often the wait before a repetition may grow by half; other limits apply long before."""
+"""How often the wait before a retransmission may grow by half; other limits apply much earlier."""
 
 
 class ConsensusLog(Protocol):
-    """What the consensus needs of the replicated log."""
+    """The interface of the replicated log for the consensus."""
 
     def is_open(self, message: Envelope) -> bool:
-        """Whether a message is about the open slot, on top of the same log; if not, the robot that
-        is behind is helped."""
+        """Whether a message is about the open slot of the same log; if not, help whichever robot is
+        behind."""
 
     def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
-        """The batch is chosen in the open slot; ``mine``: by our own attempt."""
+        """Take a batch that was chosen in the open slot; ``mine``: by our own attempt."""
 
 
 class Consensus:
@@ -84,13 +83,14 @@ class Consensus:
         state.promised = state.highest = Ballot(0, config.first)
 
     def connect(self, log: ConsensusLog) -> None:
-        """Set the log that takes what is chosen."""
+        """Set the log that receives chosen batches."""
         self.log = log
 
     # -- for the other parts -----------------------------------------------------------------------
 
     def lead_from_the_start(self, followers: Set[str]) -> None:
-        """Everybody is fresh: ballot (0, our name) counts as promised by all."""
+        """Lead without a first phase, since all replicas are fresh and have implicitly promised
+        ballot (0, our name)."""
         self.state.followers = followers
 
     def leads(self) -> bool:
@@ -119,8 +119,8 @@ class Consensus:
                     state.by_all[ballot] = {str(r): tuple(map(str, ids)) for r, ids in torn}
 
     def next_slot(self, keep_lead: bool, returned: Set[str]) -> None:
-        """The open slot was decided. ``keep_lead``: by our own attempt; ``returned``: robots that
-        joined in it; promises from their former life do not count."""
+        """Go on to the next slot. ``keep_lead``: our own attempt decided the last one;
+        ``returned``: robots that joined in it, whose earlier promises do not count."""
         state = self.state
         state.accepted = None
         state.attempt = None
@@ -133,14 +133,14 @@ class Consensus:
             state.followers -= returned
 
     def abandon(self) -> None:
-        """Give the running attempt and the lead up."""
+        """Give up the running attempt and the lead."""
         self.state.attempt = None
         self.state.followers = None
 
     # -- proposer ----------------------------------------------------------------------------------
 
     def propose(self, now: float, frozen: bool = False) -> None:
-        """Try to get the proposals into the open slot. Does nothing while an attempt runs, or
+        """Try to get the proposals into the open slot. Does nothing while an attempt is running or
         if we have no vote."""
         state, torn = self.state, self.electorate.needs_all()
         if state.attempt is not None or not (self.electorate.may_vote() or torn):
@@ -179,7 +179,7 @@ class Consensus:
         return state.attempt.sent + min(patience * 1.5**state.backoff, max(1.0, patience))
 
     def resend(self, now: float) -> None:
-        """Ask the robots again that have not answered."""
+        """Repeat the attempt's message to robots that have not answered."""
         state = self.state
         attempt = state.attempt
         if attempt is None:
@@ -196,14 +196,13 @@ class Consensus:
         self._send_attempt(attempt, [m for m in self.electorate.others() if m not in answered])
 
     def ask_again(self, robot: str) -> None:
-        """A robot that was behind is sent what it lacks; it could not answer what we asked it
-        meanwhile."""
+        """Repeat our question to a robot that was behind and could not answer it."""
         attempt = self.state.attempt
         if attempt is not None and robot in self.missing():
             self._send_attempt(attempt, [robot])
 
     def missing(self) -> List[str]:
-        """The robots whose answers the running attempt lacks."""
+        """The robots whose answers the running attempt still needs."""
         state = self.state
         if state.attempt is None:
             return []
@@ -239,7 +238,7 @@ class Consensus:
                 attempt.frozen and attempt.all_told, first, attempt.promises, by_all
             )
             if forced is None:
-                state.attempt = None  # the next one is frozen
+                state.attempt = None  # the next attempt is frozen
                 return True
             batch = forced
         elif accepted is not None:
@@ -252,7 +251,8 @@ class Consensus:
             if unasked and not self._are_replaced(unasked, batch):
                 if attempt.frozen or not self.proposals.has_control():
                     return False
-                state.attempt = None  # an order is before what ends a life: the next one is frozen
+                # an order precedes the entry that ends a life: the next attempt is frozen
+                state.attempt = None
                 return True
         if not self.config.partial:
             state.followers = None if by_all else set(attempt.promises)
@@ -263,8 +263,8 @@ class Consensus:
         return True
 
     def _unasked(self, attempt: BallotAttempt) -> Dict[str, bool]:
-        """The members whose local transitions nobody has reported yet -> whether another process
-        of that name answered, which knows nothing of them."""
+        """The members whose local transitions nobody has reported yet -> whether a process of that
+        name answered that does not know them."""
         return {
             m: m in attempt.strangers
             for m in self.electorate.members()
@@ -272,9 +272,8 @@ class Consensus:
         }
 
     def _are_replaced(self, robots: Mapping[str, bool], batch: Batch) -> bool:
-        """Whether the batch ends the present life of each of these robots, so that the local
-        transitions of it that are not in the log are void: it evicts the robot, or begins another
-        life of it."""
+        """Whether the batch ends the present life of each of these robots, by an eviction or a new
+        life, so that its local transitions that are not in the log are void."""
         ledger, ended = self.state.ledger, set()
         for item in ledger.news(batch.items):
             if self.electorate.ends_life(item.entry, robots):
@@ -291,7 +290,7 @@ class Consensus:
         if attempt.torn:
             state.by_all[attempt.ballot] = attempt.torn
         alone = self.electorate.may_choose([self.config.name], batch.items, bool(attempt.torn))
-        if not alone:  # otherwise the record of the slot itself follows, before anything leaves
+        if not alone:  # otherwise the record of the slot itself follows before any message is sent
             self._persist_accepted(attempt.slot)
         state.votes.setdefault(attempt.ballot, set()).add(self.config.name)
         if not alone:
@@ -314,8 +313,9 @@ class Consensus:
             state.followers = None
 
     def _persist_accepted(self, slot: int) -> None:
-        """Write what we accepted. What changes the members, or whose votes count, is on the disk
-        before anybody knows that we voted for it: whoever loses power still knows whom to ask."""
+        """Write what we accepted. A batch that changes the members, or whose votes count, is synced
+        to the disk before anybody learns of our vote, so that we still know whom to ask after a
+        power loss."""
         assert self.state.accepted is not None
         ballot, batch = self.state.accepted
         record: Dict[str, Any] = {"kind": "accepted", "slot": slot, "ballot": list(ballot)}
@@ -326,21 +326,20 @@ class Consensus:
         self.outbox.persist(record, durable=True, synced=synced)
 
     def _votes_in(self, torn: Torn) -> bool:
-        """Whether we have a vote in an attempt in which the votes of these robots count."""
+        """Whether we have a vote in an attempt that counts the votes of these robots."""
         ids = torn.get(self.config.name, ())
         mine = bool(self.state.torn) and ids[:1] == (self.state.log_id,)
         return mine or self.electorate.may_vote()
 
     def _is_counted(self, message: Envelope, torn: Torn) -> bool:
-        """Whether the word of a sender counts in an attempt in which the votes of these robots
-        do."""
+        """Whether a sender's answer counts in an attempt that counts the votes of these robots."""
         return not message.torn or torn.get(message.sender, ())[:1] == (message.log,)
 
     def _see(self, ballot: Ballot) -> None:
         self.state.highest = max(self.state.highest, ballot)
 
     def on_prepare(self, message: Envelope, body: Prepare) -> None:
-        """The first phase of another's attempt."""
+        """Handle the first phase of another robot's attempt."""
         state = self.state
         if not self._is_counted(message, body.torn) or not self.log.is_open(message):
             return
@@ -351,7 +350,7 @@ class Consensus:
         if body.frozen:
             state.frozen_by = body.ballot
         if not may_vote:
-            # others learn what we know, but our vote does not count
+            # report what we know, although our vote does not count
             self._answer_prepare(message, body, vote=False)
             return
         self._promise(body.ballot, body.torn)
@@ -361,15 +360,15 @@ class Consensus:
         self._answer_prepare(message, body, vote=True)
 
     def _answer_prepare(self, message: Envelope, body: Prepare, vote: bool) -> None:
-        # what comes after them might as well be made after this answer, unless nothing may be
+        # later ones might as well be made after this answer, unless the slot is frozen
         items = self.proposals.own_items(*(() if body.frozen else (self.config.limits.batch,)))
         self.outbox.answer(
             message, Promise(body.slot, body.ballot, vote, self.state.accepted, items)
         )
 
     def on_accept(self, message: Envelope, body: Accept) -> None:
-        """The second phase of another's attempt. Continuing to the next slot under the same ballot
-        means that what we accepted before was chosen."""
+        """Handle the second phase of another robot's attempt. If it continues to the next slot
+        under the same ballot, then what we accepted in the last one was chosen."""
         state = self.state
         ballot = body.ballot
         held = state.accepted
@@ -398,7 +397,7 @@ class Consensus:
         held_items = {item.origin for item in body.batch.items}
         waiting = self.proposals.own_items(self.config.limits.batch, held_items)
         self.outbox.answer(message, Accepted(body.slot, ballot, waiting))
-        # those who proposed it get the votes directly
+        # the robots whose proposals are in the batch get the votes directly
         if not self.config.partial and self.config.is_small:
             origins = {item.origin.robot for item in body.batch.items}
             known = {self.config.name, message.sender}
@@ -412,10 +411,11 @@ class Consensus:
     # -- proposer and learner: the answers ---------------------------------------------------------
 
     def on_promise(self, message: Envelope, body: Promise, now: float) -> None:
-        """An answer to our first phase."""
+        """Handle an answer to our first phase."""
         self.proposals.add_others(body.items)
         for made in self.state.attempts:
-            if made.ballot == body.ballot and made.batch is None:  # it may have been beaten
+            # our attempt may have been beaten
+            if made.ballot == body.ballot and made.batch is None:
                 self._measure(made, now)
         attempt = self.state.attempt
         if (
@@ -436,7 +436,7 @@ class Consensus:
             attempt.patient = self.state.slow > 0
 
     def on_accepted(self, message: Envelope, body: Accepted, now: float) -> None:
-        """A vote for an attempt, ours or that of another."""
+        """Count a vote for our attempt or another robot's."""
         state = self.state
         self.proposals.add_others(body.items)
         if body.slot != state.ledger.length or message.hash != state.ledger.hash:
@@ -450,7 +450,8 @@ class Consensus:
         self._decide_if_chosen(body.ballot)
 
     def on_nack(self, body: Nack) -> bool:
-        """Somebody promised a higher ballot; returns whether that ended our attempt."""
+        """Handle a refusal by a robot that promised a higher ballot; returns whether that ended our
+        attempt."""
         self._see(body.ballot)
         attempt = self.state.attempt
         if attempt is None or body.slot != attempt.slot or body.ballot <= attempt.ballot:
@@ -460,10 +461,10 @@ class Consensus:
 
     def _measure(self, attempt: BallotAttempt, now: float) -> None:
         """Add an answer to the mean round trip, as TCP does (RFC 6298). After a retransmission, an
-        answer cannot be matched to one of the transmissions (Karn): the longer wait stays until an
-        answer can be matched. The first such answer may mean a slow network, so the next attempt
-        waits until its answer can be matched; if that one must be repeated all the same, messages
-        were lost."""
+        answer cannot be matched to a transmission (Karn), so the longer wait stays until an answer
+        can be matched. The first ambiguous answer may mean a slow network, so the next attempt
+        waits long enough for its answer to be matched; if that attempt must be repeated all the
+        same, messages were lost."""
         state = self.state
         took = min(now - attempt.began, LONGEST_ROUND_TRIP)
         if attempt.tries:
@@ -474,14 +475,15 @@ class Consensus:
         state.round_trip += (took - state.round_trip) / (8 if state.round_trip else 1)
 
     def woke(self, now: float) -> None:
-        """We were suspended: that time is no measure of the network, and whoever took it for one
-        would give way for as long."""
+        """Ignore running measurements after we were suspended: that time says nothing about the
+        network, and we would give way for as long."""
         for attempt in (*self.state.attempts, self.state.attempt):
             if attempt is not None:
                 attempt.began = now
 
     def took(self, seconds: float) -> None:
-        """A proposal of ours that another robot put forward was decided within ``seconds``."""
+        """Note that a proposal of ours, put forward by another robot, was decided within
+        ``seconds``."""
         self.state.slow = min(self.state.slow, seconds)
 
     def _answers(self, message: Envelope, body: Promise, attempt: BallotAttempt) -> bool:
@@ -492,8 +494,8 @@ class Consensus:
         )
 
     def on_chosen(self, ballot: Ballot) -> bool:
-        """We hear that what was accepted under ``ballot`` is chosen in the open slot; False if we
-        do not hold it."""
+        """Handle the news that the batch accepted under ``ballot`` was chosen in the open slot;
+        False if we do not have that batch."""
         state = self.state
         if state.accepted is None or state.accepted[0] != ballot:
             return False

@@ -1,7 +1,7 @@
-"""A plan that was staged for the team: this robot looks at it, and votes.
+"""Examines a plan that was staged for the team, and votes on it.
 
 Owns ``examining`` and ``examined``. Has the host find out whether the robot can follow the plan,
-and proposes the answer. Whether the plan is adopted is for the log alone to say.
+and proposes the answer. Only the log decides whether the plan is adopted.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Deployment:
         self.proposals = proposals
 
     def want_vote(self) -> None:
-        """Look at a staged plan, and vote once the host has answered."""
+        """Have a staged plan examined, and vote once the host has answered."""
         state = self.state
         staged = state.ledger.state.staged
         if staged is None or not self._may_speak() or self._has_voted(staged):
@@ -50,12 +50,12 @@ class Deployment:
             )
 
     def take(self, given: interface.Examined) -> None:
-        """The host has looked at a plan."""
+        """Take the host's answer about a plan."""
         if given.stage == self.state.examining[0]:
             self.state.examined = given.why
 
     def _may_speak(self) -> bool:
-        """Whether the log knows this life of ours, so that its word counts."""
+        """Whether the log knows this incarnation of ours, so that its vote counts."""
         if self.config.witness:
             return self.state.active and self.electorate.is_member()
         return self.electorate.is_settled()
@@ -77,10 +77,10 @@ class Deployment:
         try:
             plan = plan_change.plan_of(staged)
         except GspnError as error:
-            self.state.examined = "it cannot be read: %s" % error
+            self.state.examined = "cannot read the plan: %s" % error
             return
         why = plan_change.why_never(self.state.ledger.game.plan, plan, staged.mapping)
-        if why or self.config.witness:  # a witness acts on no plan
+        if why or self.config.witness:  # a witness runs no actions
             self.state.examined = "; ".join(why)
         else:
             self.outbox.put(interface.Examine(staged.number, plan, staged.folder))

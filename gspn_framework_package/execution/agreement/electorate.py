@@ -1,6 +1,7 @@
 """Whose votes count: members, quorums, valid logs, and what may go into the log.
 
-Owns nothing and changes nothing: questions about the state that every part asks. Calls nobody.
+Answers questions about the state for all parts. Owns nothing, changes nothing, and calls no other
+part.
 """
 
 from __future__ import annotations
@@ -16,22 +17,23 @@ from gspn_framework_package.execution.ledger import Item, Ledger
 from gspn_framework_package.execution.team_state import RobotState
 
 NAMESAKE_CONTACTS = 4
-"""Heartbeats after which a process that is not heard any more does not keep another one of its name
-out of the team."""
+"""Number of heartbeats of silence after which a process no longer keeps another one of its name out
+of the team."""
 
 
 class Electorate:
-    """Answers from the log, from what was heard, and from what operators asserted."""
+    """Answers from the log, received messages and operators' assertions."""
 
     def __init__(self, config: Config, state: ReplicaState) -> None:
         self.config = config
         self.state = state
-        # as long as the log stays
+        # cached for the present log
         self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
 
         self._first_team = {*(r.name for r in config.plan.robots), *config.plan.witness}
 
-    # -- the others --------------------------------------------------------------------------------
+    # -- the other robots
+    # --------------------------------------------------------------------------------
 
     def is_of_team(self, robot: str) -> bool:
         """Whether the robot is, or was, in the team, as far as we know."""
@@ -39,7 +41,7 @@ class Electorate:
         return robot in self._first_team or robot in ledger.state.robots or robot in ledger.logs
 
     def has_namesake(self) -> bool:
-        """Whether another process of our name is in the team, and we are not."""
+        """Whether another process of our name is in the team instead of us."""
         state = self.state
         return (
             not state.active
@@ -55,7 +57,7 @@ class Electorate:
         return known[2]
 
     def others(self) -> List[str]:
-        """The members without us."""
+        """The members other than us."""
         return [m for m in self.members() if m != self.config.name]
 
     def asserted_off(self) -> Set[str]:
@@ -71,11 +73,11 @@ class Electorate:
         }
 
     def may_decide(self, voters: Collection[str], by_all: bool = False) -> bool:
-        """Whether these members may decide the open slot: a quorum; or *all* members that are not
-        asserted to be off, if those are no quorum. Any quorum that does not consist only of robots
-        asserted to be off contains one of the others, so its word is heard.
+        """Whether these members may decide the open slot: a quorum; or, if the members that are not
+        asserted to be off are no quorum, *all* of those. Any quorum that does not consist only of
+        robots asserted to be off contains one of them, so its votes are known.
 
-        :param by_all: some of them do not remember all that they voted for, so no quorum will do.
+        :param by_all: some of them do not remember all their votes, so a quorum is not enough.
         """
         members = self.members()
         if not by_all and is_quorum(voters, members):
@@ -90,15 +92,15 @@ class Electorate:
         self, voters: Collection[str], items: Sequence[Item], by_all: bool = False
     ) -> bool:
         """Whether these members may decide the open slot with these items. Without a quorum, they
-        have to evict by force everybody whose word they do without: what was decided under an
-        assertion, and without its eviction, would not outlast the return of the robot."""
+        have to evict by force every member whose vote is missing: a decision under an assertion,
+        without the eviction, could be contradicted when the robot returns."""
         return self.may_decide(voters, by_all) and not self.not_cast_out(voters, items, by_all)
 
     def not_cast_out(
         self, voters: Collection[str], items: Sequence[Item], by_all: bool = False
     ) -> Set[str]:
-        """The members whose word these voters do without, by an assertion that they are off, and
-        that these items do not evict by force; none where the voters are a quorum."""
+        """The members asserted to be off whose votes are missing and that these items do not evict
+        by force; none if the voters are a quorum."""
         if not by_all and is_quorum(voters, self.members()):
             return set()
         off = self.asserted_off()
@@ -112,22 +114,22 @@ class Electorate:
         }
 
     def known_log(self, robot: str) -> str:
-        """The id of the log whose votes count for a robot: the one with which it was let in, else
-        the first one that we heard of; "" for none."""
+        """The id of the log whose votes count for a robot: the log with which it was admitted,
+        otherwise the first one that we heard of; "" for none."""
         return self.state.ledger.logs.get(robot) or self.state.peers.known.get(robot, "")
 
     def heard_within(self, seconds: float) -> List[str]:
-        """The members that were heard within that time, ourselves included."""
+        """The members heard within a time (s), including us."""
         state = self.state
         return state.peers.near(self.members(), self.config.name, seconds, state.now)
 
     def is_first_running(self) -> bool:
-        """Whether we are the first member that seems to run: the one that proposes what anybody
+        """Whether we are the first member that seems to be running, which proposes what any member
         could."""
         return self.heard_within(3 * self.config.pace.heartbeat)[:1] == [self.config.name]
 
     def heard_of_late(self) -> List[str]:
-        """The members that were heard within four heartbeats, ourselves included."""
+        """The members heard within four heartbeats, including us."""
         return self.heard_within(4 * self.config.pace.heartbeat)
 
     def has_quorum(self) -> bool:
@@ -140,17 +142,17 @@ class Electorate:
         return [m for m in self.members() if m not in near]
 
     def silent(self, limit: float) -> Set[str]:
-        """The members that have been silent for so long (s) that they seem lost."""
+        """The members that have been silent for longer than a time (s), and seem lost."""
         state = self.state
         return state.peers.silent(self.members(), self.config.name, limit, state.now)
 
     def ends_life(self, entry: log_entries.Entry, robots: Mapping[str, bool]) -> bool:
-        """Whether an entry evicts one of these members, or begins another life of it. One about an
-        earlier incarnation has no effect.
+        """Whether an entry evicts one of these members, or begins another life of it. An entry
+        about an earlier incarnation has no effect.
 
-        Any return will do, also one of the memory that the process lacks: a robot makes no local
-        transition between its return and the slot that holds it. If that memory was lost, no other
-        return with the same incarnation would ever be news.
+        Any return counts, including that of the memory that the process lacks: a robot makes no
+        local transition between its return and the slot that contains it. If that memory was lost,
+        no other return with the same incarnation could take effect.
 
         :param robots: member -> whether a process that lacks its memory runs under its name.
         """
@@ -166,8 +168,8 @@ class Electorate:
     # -- robots whose machines lost power ----------------------------------------------------------
 
     def torn(self) -> Torn:
-        """The members whose logs lost their ends with the power supply, and that were not let in
-        since, as far as they were heard."""
+        """The members known to have lost the end of their logs in a power loss that have not been
+        readmitted since."""
         state, me = self.state, self.config.name
         if not state.torn and not state.peers.torn:
             return {}
@@ -182,7 +184,7 @@ class Electorate:
         return state.peers.get(robot).log == ids[0] != state.ledger.logs.get(robot)
 
     def whole(self) -> List[str]:
-        """The members, heard of late, that know all that they promised and voted for."""
+        """The recently heard members that remember all their promises and votes."""
         state, me, torn = self.state, self.config.name, self.torn()
         return [
             m
@@ -191,8 +193,8 @@ class Electorate:
         ]
 
     def missing_after_outage(self) -> List[str]:
-        """The members that are not asserted to be off, and whose word is lacking: they are not
-        heard, or lost their logs."""
+        """The members whose votes are missing although they are not asserted to be off: they are
+        not heard, or lost their logs."""
         off, torn, whole = self.asserted_off(), self.torn(), self.whole()
         here = self.heard_of_late()
         return [
@@ -202,21 +204,22 @@ class Electorate:
         ]
 
     def is_alone_with_damage(self) -> bool:
-        """Whether our log was damaged, and nobody else is in the team to learn it from."""
+        """Whether our log was damaged, and there is no other member to fetch it from."""
         return bool(self.state.damage) and self.members() == [self.config.name]
 
     def waits_to_join(self) -> str:
-        """What we wait for that are not in the team, and what an operator can do."""
+        """What we wait for while we are not in the team, and what an operator can do."""
         if self.is_alone_with_damage():
-            return "%s; nobody else is in the team: go on with what is left of it (gspn trust)" % (
-                self.state.damage
+            return (
+                "%s; no other robot is in the team. To continue with what is left of the log: "
+                "gspn trust" % (self.state.damage)
             )
         if not self.torn():
-            return "it waits to be let in"
+            return "waits to be admitted"
         missing = self.missing_after_outage()
         if not missing or is_quorum(self.whole(), self.members()):
-            return "its machine was restarted, and it is let in soon"
-        return "machines were restarted, and %s: start %s, or go on without (gspn trust)" % (
+            return "waits to be readmitted: its machine was restarted"
+        return "machines were restarted, and %s. Start %s, or continue without (gspn trust)" % (
             self._lacks(missing),
             ", ".join(missing),
         )
@@ -228,8 +231,8 @@ class Electorate:
         return "; ".join([*told, *(["without a log: %s" % ", ".join(empty)] if empty else [])])
 
     def needs_all(self) -> Torn:
-        """The robots whose logs lost their ends, if the team can only go on with their votes, and
-        everybody is here; else none."""
+        """The robots whose logs lost their ends, if the team needs their votes to continue and all
+        members are heard; otherwise none."""
         torn = self.torn()
         if (
             not torn
@@ -241,24 +244,25 @@ class Electorate:
             return {}
         return torn
 
-    # -- ourselves ---------------------------------------------------------------------------------
+    # -- our own robot
+    # ---------------------------------------------------------------------------------
 
     def own_robot(self) -> Optional[RobotState]:
-        """Our robot, as the log has it."""
+        """Our robot, according to the log."""
         return self.state.ledger.state.robots.get(self.config.name)
 
     def known_incarnation(self) -> int:
-        """The newest incarnation of ours that the log has heard of, -1 for none."""
+        """Our newest incarnation that the log knows, -1 for none."""
         robot = self.own_robot()
         seen = self.state.ledger.seen.get(self.config.name, (-1, 0, ""))[0]
         return seen if robot is None else max(seen, robot.incarnation)
 
     def is_member(self) -> bool:
-        """Whether the log counts us in."""
+        """Whether we are a member according to the log."""
         return self.config.name in self.members()
 
     def may_vote(self) -> bool:
-        """Whether we are a member, and know what we promised before."""
+        """Whether we are a member and remember our earlier promises."""
         return (
             self.state.active
             and self.state.halted is None
@@ -267,7 +271,7 @@ class Electorate:
         )
 
     def is_our_name(self) -> bool:
-        """Whether the robot was last let in with our log, if it was let in."""
+        """Whether our robot, if it was ever admitted, was last admitted with our log."""
         return self.state.ledger.logs.get(self.config.name) in (None, "", self.state.log_id)
 
     def is_settled(self) -> bool:
@@ -282,17 +286,17 @@ class Electorate:
         )
 
     def surely_a_member(self) -> bool:
-        """Whether the others cannot have evicted us for our silence by now."""
+        """Whether it is certain that the others have not evicted us for silence yet."""
         limit = self.config.plan.timing.evict_after
         return limit <= 0 or is_quorum(self.heard_within(limit), self.members())
 
     def has_to_join(self) -> bool:
-        """Whether we have no vote before the team lets us in."""
+        """Whether we have no vote until the team admits us."""
         return not self.state.active and (self.state.joining or self.state.amnesic)
 
     def spoken_for(self) -> bool:
-        """Whether the log holds an entry of ours that this life did not propose, so that its
-        entries would count as old."""
+        """Whether the log holds an entry of ours that this incarnation did not propose, so that its
+        entries would count as outdated."""
         state = self.state
         incarnation, number, tag = state.ledger.seen.get(self.config.name, (-1, 0, ""))
         if self.known_incarnation() > state.incarnation:
@@ -302,15 +306,15 @@ class Electorate:
         )
 
     def acted_before(self) -> bool:
-        """Whether the team's log holds entries of our robot from another log than ours. Then ours
-        was lost, even if nobody who can be reached knew it."""
+        """Whether the team's log holds entries of our robot from another log than ours. If so, our
+        earlier log was lost, even if no reachable robot knew it."""
         tag = self.state.ledger.seen.get(self.config.name, (-1, 0, ""))[2]
         return tag not in ("", self.state.log_id[:8])
 
     def witnesses_of_start(self) -> List[str]:
-        """The robots that must not know another log of ours when we begin: the other members. Where
-        the team, as the log says, has shrunk to our robot, perhaps by votes of another process of
-        its name, it is the whole first team."""
+        """The robots that must confirm at our start that they know no other log of ours: the other
+        members. If the team has shrunk to our robot according to the log, perhaps by votes of
+        another process of its name, they are the whole first team."""
         state, plan = self.state, self.config.plan
         others = self.others()
         if not others and state.ledger.length > 1:
@@ -319,18 +323,18 @@ class Electorate:
         return [m for m in others if m not in state.off]
 
     def missing_at_start(self) -> List[str]:
-        """The witnesses of our start that have not said yet that they know our log as ours."""
+        """The witnesses of our start that have not confirmed our log yet."""
         state = self.state
         return [m for m in self.witnesses_of_start() if state.peers.get(m).welcomes != state.log_id]
 
-    # -- whose word counts -------------------------------------------------------------------------
+    # -- whose messages count
+    # -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:
-        """Whether the log of a robot may hold something that we still have to learn. Where we
-        voted for something that needs the votes of all, only a member may say otherwise: another
-        robot may know a slot that the members lost. This includes
-        a robot that, as far as our log goes, was evicted by force, if its own log has that
-        eviction: we shall learn that it joined again."""
+        """Whether a robot's log may hold something that we still have to learn. If we voted for a
+        batch that needs the votes of all, only a member may overrule it: another robot may know a
+        slot that the members lost. A robot that was evicted by force according to our log counts if
+        its own log has that eviction: we will learn that it rejoined."""
         ledger = self.state.ledger
         if self.state.by_all and robot not in self.members():
             return False
@@ -340,8 +344,8 @@ class Electorate:
     # -- what may go into the log ------------------------------------------------------------------
 
     def not_given_up(self, message: Envelope, items: List[Item]) -> List[Item]:
-        """Leave out the proposals of a robot that was evicted by force, unless they come from a
-        robot that knows of the eviction: what it said before was given up, even its return."""
+        """Leave out the proposals of a robot that was evicted by force, unless the sender knows of
+        the eviction: everything proposed before it was given up, even a return."""
         ledger = self.state.ledger
         if not ledger.cast_out:
             return items
@@ -354,8 +358,8 @@ class Electorate:
         ]
 
     def without_spares(self, items: Sequence[Item]) -> List[Item]:
-        """Leave out what a process proposes that wants to join under the name of a robot while that
-        robot is at work: it would take the place of the robot, and the robot would end."""
+        """Leave out the proposals of a process that wants to join under the name of a robot that is
+        still working: it would replace that robot, which would then halt."""
         spares = {
             (i.origin.robot, i.origin.log)
             for i in items
@@ -364,7 +368,7 @@ class Electorate:
         return [i for i in items if (i.origin.robot, i.origin.log) not in spares]
 
     def _is_at_work(self, join: log_entries.Join) -> bool:
-        """Whether the robot that wants to join is at work with another log."""
+        """Whether the robot that wants to join is working with another log."""
         state, robot = self.state, join.robot
         if robot == self.config.name:
             return join.log != state.log_id and self.may_vote()
@@ -376,8 +380,8 @@ class Electorate:
         )
 
     def with_one_who_stays(self, items: List[Item]) -> List[Item]:
-        """If nobody would be left, our own leave or eviction waits for a separate slot, in which it
-        has no effect: the last member stays, and has to be one that was asked for its local
+        """If no member would be left, postpone our own leave or eviction to a separate slot, where
+        it has no effect: the last member stays, and must have been asked for its local
         transitions."""
         me, members = self.config.name, self.members()
         gone = {
@@ -396,10 +400,10 @@ class Electorate:
         ]
 
     def without_ghosts(self, items: Sequence[Item]) -> List[Item]:
-        """Leave out robots that want to join but are not heard themselves, or so many at once that
-        the robots that are heard would be no quorum with them: a team must not lose its quorum to
-        names that nobody answers to. A robot cannot come back in the slot that evicts it by force
-        either, because it does not know of the eviction."""
+        """Leave out joining robots that are not heard themselves, or that are so many that the
+        robots heard would no longer be a quorum: a team must not lose its quorum to names without a
+        process. A robot cannot return in the slot that evicts it by force either, because it does
+        not know of the eviction."""
         me, peers = self.config.name, self.state.peers
         now = list(self.members())
         live = set(self.heard_of_late())

@@ -1,5 +1,4 @@
-"""The inputs and effects of a replica: the border between the agreement core and the host that
-carries its messages.
+"""The inputs and effects of a replica: the interface between the agreement core and its host.
 
 The core is :class:`~gspn_framework_package.execution.agreement.replica.Replica`::
 
@@ -9,25 +8,26 @@ The core is :class:`~gspn_framework_package.execution.agreement.replica.Replica`
     carry_out(replica.step(some_input, now))              # on one thread, one input after the other
 
 ``now`` is a monotonic clock in seconds. ``step`` returns a list of effects, **to be carried out in
-order**: above all a :class:`Persist` must be in the file before anything after it leaves the
-process. Nothing in the core blocks, sleeps, or looks at a clock.
+order**: in particular, a :class:`Persist` must be written to the file before any later effect
+leaves the process. Nothing in the core blocks, sleeps, or reads a clock.
 
 The host of a replica
 
-- gives it a :class:`Tick` at the time of the last :class:`WakeAt` (earlier or more often does no
-  harm);
+- gives it a :class:`Tick` at the time of the last :class:`WakeAt` (earlier or additional ticks are
+  harmless);
 - gives it every protocol message it receives as a :class:`Received`. Loss, duplication, reordering
   and messages that are not for this robot are harmless; messages of its own are ignored;
-- carries out :class:`Send`: in full synchronisation on the one topic (``to`` a name: that robot;
-  ``to`` "": everybody; one message to several robots may be published once, to everybody). In
-  partial synchronisation a message of kind ``hello`` goes on the topic; any other is the request of
-  a service call to that robot, of the service that :data:`SERVICE_OF_MESSAGE` says, whose reply
-  comes back as another :class:`Received`. A call that fails or times out is simply a loss;
-- serves such calls: the request becomes a :class:`Received` with a ``request_id`` of the host's
-  making; the step that takes it returns exactly one :class:`Reply` of that id (its message may be
-  empty, ``{}``: nothing to say; do not feed an empty reply back in);
-- starts and cancels actions for :class:`StartAction` and :class:`CancelAction`, which are only ever
-  for this robot, and reports each attempt's end once, with :class:`ActionDone` or
+- carries out :class:`Send`: in full synchronisation it publishes the message on the common topic
+  (``to`` names a robot, or is "" for everybody; one message to several robots may be published
+  once). In partial synchronisation it publishes messages of kind ``hello`` on the topic; any other
+  message is the request of a call to the robot's service given by :data:`SERVICE_OF_MESSAGE`, whose
+  reply comes back as another :class:`Received`. A call that fails or times out counts as a lost
+  message;
+- serves such calls: the request becomes a :class:`Received` with a ``request_id`` chosen by the
+  host; the step that takes it returns exactly one :class:`Reply` with that id. An empty reply,
+  ``{}``, is not passed back to the caller's replica;
+- starts and cancels actions for :class:`StartAction` and :class:`CancelAction`, which always
+  concern this robot, and reports each attempt's end once, with :class:`ActionDone` or
   :class:`AttemptFailed`. A cancelled action need not be reported.
 """
 
@@ -56,10 +56,10 @@ SERVICE_OF_MESSAGE = {
     "accept": "set_place",
     "learn": "set_place",
 }
-"""Partial synchronisation: which of a robot's services a message is the request of."""
+"""Kind of message -> the robot's service that takes it in partial synchronisation."""
 
 EVERYBODY = ""
-"""``Send.to`` of a broadcast: also to those who are not in the team (yet)."""
+"""``Send.to`` of a broadcast, which also reaches robots that are not in the team (yet)."""
 
 # -- inputs ----------------------------------------------------------------------------------------
 
@@ -69,15 +69,15 @@ class Tick(NamedTuple):
 
 
 class Received(NamedTuple):
-    """A protocol message came in, ``request_id`` "" for one that expects no reply of its own."""
+    """A protocol message arrived; ``request_id`` is "" if the sender expects no reply."""
 
     message: Message
     request_id: str = ""
 
 
 class ActionDone(NamedTuple):
-    """The action of (incarnation, visit, attempt) ended well; ``result`` names a transition, or is
-    "" (or "None") for "the policy decides". ``data`` is what it wrote."""
+    """The action of (incarnation, visit, attempt) succeeded. ``result`` names a transition, or is
+    "" (or "None") to let the policy decide; ``data`` is what the action wrote."""
 
     incarnation: int
     visit: int
@@ -87,7 +87,7 @@ class ActionDone(NamedTuple):
 
 
 class AttemptFailed(NamedTuple):
-    """An attempt did not succeed; ``reason`` is one of
+    """An attempt failed; ``reason`` is one of
     :data:`~gspn_framework_package.execution.log_entries.FAILURES`."""
 
     incarnation: int
@@ -98,9 +98,9 @@ class AttemptFailed(NamedTuple):
 
 
 class EventObserved(NamedTuple):
-    """A source of an event shows something new: its condition ``holds`` or no longer does, or
-    (None) an event came that lasts no time. ``cause`` is what was read of it. Only changes need to
-    be given, and events that last no time only while :meth:`Replica.watches` says so."""
+    """The source of an event reports a change: its condition ``holds`` or no longer does, or (None)
+    an instantaneous event occurred. ``cause`` is the data read from it. Only changes need to be
+    passed, and instantaneous events only while :meth:`Replica.watches` is true."""
 
     transition: str
     holds: Optional[bool]
@@ -108,34 +108,35 @@ class EventObserved(NamedTuple):
 
 
 class TaskCame(NamedTuple):
-    """A task reached this robot, and perhaps others as well. It is kept until it is in the log."""
+    """A task reached this robot, and perhaps others as well. The robot keeps it until it is in the
+    log."""
 
     task: Submit
 
 
 class Order(NamedTuple):
     """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Submit, Leave, Evict,
-    SetPlace, Pause, Resume, Stop, StagePlan, Adopt or Unstage. Answered by an
-    :class:`OrderResult` of the same ``order_id`` once it is in the log (which may never happen
-    without a quorum: the caller sets its own deadline). For an Evict the incarnation may be -1: the
-    present one; for an Adopt or Unstage the stage may be -1: the present one."""
+    SetPlace, Pause, Resume, Stop, StagePlan, Adopt or Unstage. Answered by an :class:`OrderResult`
+    of the same ``order_id`` once it is in the log; without a quorum this may never happen, so the
+    caller sets its own deadline. For an Evict, incarnation -1 means the present one; for an Adopt
+    or Unstage, stage -1 means the present one."""
 
     order_id: str
     entry: Entry
 
 
 class OrderGiven(NamedTuple):
-    """An operator gave this robot an order, of whatever kind: to be kept in its log. The
-    :class:`Order` itself, if there is one, comes as the next input."""
+    """An operator gave this robot an order of any kind, which is to be recorded in its log. The
+    :class:`Order` itself, if there is one, is the next input."""
 
     command: str
     robot: str
-    """The robot that it concerns; "": the team, or this robot."""
+    """The robot that the order concerns; "" for the team or this robot."""
     argument: str
     operator: str
-    """Who gave it; "": nobody knows."""
+    """The operator; "" if unknown."""
     proof: str
-    """What shows that it was that operator; "": he says so."""
+    """How the operator was authenticated; "" if not at all."""
 
 
 class Examined(NamedTuple):
@@ -147,12 +148,12 @@ class Examined(NamedTuple):
 
 
 class ForceEvict(NamedTuple):
-    """The operator asserts that ``robot`` is switched off, and stays off until it has been evicted;
-    "": that every robot that is not heard is.
+    """The operator asserts that ``robot`` ("" for every robot that is not heard) is switched off,
+    and stays off until it has been evicted.
 
-    If the others are a quorum, they evict it as they do a silent one. If not, *all* robots that no
-    assertion was made about have to agree, and whatever only the evicted robots knew is given up.
-    Refused if the robot was heard recently; withdrawn if it is heard before it was evicted.
+    If the others are a quorum, they evict it like a silent robot. If not, *all* robots that are not
+    asserted to be off have to agree, and everything that only the evicted robots knew is given up.
+    Refused if the robot was heard recently; withdrawn if the robot is heard before it is evicted.
     Answered by an :class:`OrderResult`."""
 
     order_id: str
@@ -180,10 +181,10 @@ class Persist(NamedTuple):
     """Append this record to the robot's log before anything after it in the list is carried out
     (see :mod:`~gspn_framework_package.execution.event_log`).
 
-    ``durable``: if the plan's ``fsync`` is on, the log has to be on the disk up to this record
-    before any other effect after it is carried out. For several records in a row, one wait is
-    enough. A record without a durable record after it may be lost with the power supply; the
-    replica copes with that. ``synced``: the same, whatever the plan says.
+    ``durable``: if the plan's ``fsync`` is on, the log must be synced to the disk up to this record
+    before any later effect is carried out. One sync is enough for several consecutive records. A
+    record without a durable record after it may be lost in a power loss; the replica tolerates
+    that. ``synced``: sync even if the plan's ``fsync`` is off.
     """
 
     record: Dict[str, Any]
@@ -208,13 +209,12 @@ class Reply(NamedTuple):
 class Fired(NamedTuple):
     """A transition fired, as every replica learns.
 
-    ``publish``: this robot decided it, and publishes it on ``fired_transitions``.
-    ``private``: a move that this robot made on its own (partial synchronisation): its position is
-    (robot, visit), slot and index say nothing, and ``firing.marking`` is the marking that this
-    robot knows. Such a move appears a second time with its position in the agreed log
-    (``private`` and ``publish`` false) once it is in there.
-    ``hash`` is the value of the hash chain after the slot of the firing, ``plan`` the plan
-    under which it happened.
+    ``publish``: this robot decided it, and publishes it on ``fired_transitions``. ``private``: a
+    local transition of this robot (partial synchronisation). Its position is (robot, visit), slot
+    and index have no meaning, and ``firing.marking`` is the marking that this robot knows. It is
+    reported again with its position in the agreed log (``private`` and ``publish`` false) once it
+    is there. ``hash`` is the value of the hash chain after the slot of the firing, ``plan`` the
+    plan in force at the time.
     """
 
     firing: Firing
@@ -231,12 +231,13 @@ class Examine(NamedTuple):
     stage: int
     plan: Plan
     folder: str
-    """Where its functions are; "": where they were at the start."""
+    """The folder of its functions; "" for the folder at the start."""
 
 
 class PlanChanged(NamedTuple):
-    """From here on the team follows ``plan``: later goals are bound as it says. What runs goes on
-    as it was started. ``mapping`` says how the names of the plan before read in it."""
+    """From here on the team follows ``plan``, which applies to all later goals. A running action
+    continues as it was started. ``mapping`` maps names in the previous plan to names in this
+    one."""
 
     plan: Plan
     folder: str
@@ -252,23 +253,23 @@ class OrderResult(NamedTuple):
 
 
 class StatusChanged(NamedTuple):
-    """The answer of :meth:`Replica.status` has changed in a way that people should hear of;
-    ``text`` is one line for the robot's own log on the screen."""
+    """The answer of :meth:`Replica.status` has changed in a way that people should know; ``text``
+    is a line for the robot's screen output."""
 
     text: str
 
 
 class Halted(NamedTuple):
-    """This replica must not go on (another plan, a diverging log, another process of the same name,
-    a successor): it takes no part any more; its actions have been cancelled. The host ends with
-    exit code 1 and prints ``reason``."""
+    """This replica must stop (another plan, a diverging log, another process of the same name, or a
+    successor). It no longer takes part, and its actions have been cancelled. The host exits with
+    code 1 and prints ``reason``."""
 
     reason: str
 
 
 class WakeAt(NamedTuple):
-    """Give a :class:`Tick` at that time (of ``now``'s clock) at the latest; replaces the previous
-    one."""
+    """Give a :class:`Tick` at that time at the latest (on the clock of ``now``); replaces the
+    previous request."""
 
     time: float
 

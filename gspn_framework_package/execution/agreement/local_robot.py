@@ -1,9 +1,8 @@
-"""What happens at this robot: where it is, its actions, its local transitions, the simulated
-environment.
+"""Tracks this robot: its place, its actions, its local transitions, and the simulated environment.
 
 The robot follows the log, ahead of it by the local transitions that are not in it yet. Owns
 ``position``, ``started``, ``running`` and ``reported``. Proposes the outcomes of its actions, asks
-the electorate whether it may make a transition without asking, puts goals into the outbox.
+the electorate whether it may make a local transition, and puts goals into the outbox.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _ActionCommand = Union[StartAction, CancelAction]
 
 
 class LocalRobot:
-    """Turns what happens here into proposals or local transitions, and the log into goals."""
+    """Turns this robot's results into proposals or local transitions, and the log into goals."""
 
     def __init__(
         self,
@@ -54,17 +53,17 @@ class LocalRobot:
         self.proposals = proposals
         self.breaks = breaks
         self._from: Optional[Position] = None
-        """Where the log had our robot when we took it over."""
+        """Our robot's position in the log when we last took it over."""
         self._led_to: OrderedDict[Origin, Position] = OrderedDict()
-        """Where our local transitions that are not in the log led it from there."""
+        """The places to which local transitions that are not in the log have led since."""
         self._entered: Counter[int] = Counter()
-        """How often these led it to each place."""
+        """How often they led to each place."""
         self._began: Optional[Tuple[Goal, Plan, str]] = None
-        """The goal that was started last, and the plan and place that it was started by."""
+        """The last started goal, with its plan and place."""
         self._take_rules(config.game)
 
     def _take_rules(self, game: TokenGame) -> None:
-        """From now on these rules apply."""
+        """Apply these rules from now on."""
         config, self._game, self._from = self.config, game, None
         alone = config.partial and not config.witness
         self._transitions = LocalTransitions(game, config.name) if alone else None
@@ -77,14 +76,14 @@ class LocalRobot:
     # -- the log and the position ------------------------------------------------------------------
 
     def follow(self) -> None:
-        """Take over our robot's place from the log, and make our local transitions again on top of
-        it; those that the log rules out are void."""
+        """Take over our robot's place from the log, and reapply our local transitions to it; those
+        that the log rules out are void."""
         self.follow_plan()
         for own in self._follow():
             self.proposals.void(own, "the log rules it out")
 
     def follow_plan(self) -> None:
-        """Go by the plan that the team follows according to the log."""
+        """Follow the team's plan according to the log."""
         ledger = self.state.ledger
         if ledger.game is not self._game:
             self._take_rules(ledger.game)
@@ -110,14 +109,14 @@ class LocalRobot:
             _, self._from = self._led_to.popitem(last=False)
             self._entered[self._from.place] -= 1
         if at == self._from and len(self._led_to) == own_proposals.local:
-            return []  # the log has them as we made them
+            return []  # the log agrees with our local transitions
         self._from = state.position = at
         self._led_to.clear()
         self._entered.clear()
         return [own for own in own_proposals if own.item.private and not self._makes(own.item)]
 
     def _makes(self, item: Item) -> bool:
-        """Make a local transition that waits; False if it is not possible."""
+        """Make a waiting local transition; False if it is not possible."""
         assert isinstance(item.entry, log_entries.Done)
         made = self._go(item.entry) is not None
         if made:
@@ -125,14 +124,14 @@ class LocalRobot:
         return made
 
     def _note_made(self, origin: Origin) -> None:
-        """Our robot is where this local transition led it."""
+        """Record that this local transition moved our robot."""
         at = self.state.position
         assert at is not None
         self._led_to[origin] = at
         self._entered[at.place] += 1
 
     def _go(self, entry: log_entries.Done) -> Optional[Tuple[int, int, int]]:
-        """Make a local transition: (transition, place left, place entered), None if it is not
+        """Make a local transition: (transition, place left, place entered), None if that is not
         possible."""
         at = self.state.position
         if self._transitions is None or at is None or not at.doing:
@@ -160,7 +159,7 @@ class LocalRobot:
     # -- finished actions --------------------------------------------------------------------------
 
     def action_ended(self, given: Union[interface.ActionDone, interface.AttemptFailed]) -> None:
-        """An attempt at an action is over."""
+        """Handle the end of an attempt at an action."""
         goal = Goal(given.incarnation, given.visit, given.attempt)
         if self.state.fenced or not self._report(goal):
             return
@@ -169,7 +168,7 @@ class LocalRobot:
             entry = log_entries.Failed(self.config.name, *goal, given.reason, given.detail)
         else:
             result = given.result if given.result not in (None, "None") else ""
-            assert self.state.position is not None  # _report has looked
+            assert self.state.position is not None  # _report has checked this
             plan = self._game.plan
             place = plan.net.places[self.state.position.place].name
             if self._began is not None and self._began[0] == goal:
@@ -194,7 +193,8 @@ class LocalRobot:
         self.proposals.propose(entry)
 
     def _readable(self, done: log_entries.Done, goal: Goal) -> log_entries.Entry:
-        """A ``Done`` with data as it is written; a failure if nobody could read it."""
+        """A ``Done`` with its data in written form; a failure if the data could not be read
+        back."""
         try:
             return log_entries.checked(done)
         except LogError as error:
@@ -276,12 +276,12 @@ class LocalRobot:
         self.outbox.put(command)
 
     def _commands(self, delays: Mapping[Tuple[int, int], float]) -> List[_ActionCommand]:
-        """What to start and to cancel, so that the robot does what its position says."""
+        """What to start and cancel so that the robot does what its position requires."""
         state, name = self.state, self.config.name
         out: List[_ActionCommand] = []
         at = state.position
         if at is not None and at.incarnation != state.incarnation:
-            at = None  # what the log says of another life is not for us to act on
+            at = None  # entries about another incarnation do not concern us
         if state.running is not None and (at is None or not at.doing or at.goal != state.running):
             out.append(CancelAction(name, state.running.visit))
             state.running = None
@@ -290,7 +290,7 @@ class LocalRobot:
         plan = self._game.plan
         place = plan.net.places[at.place].name
         if plan.action(name, place) is None:
-            # another plan has taken the action away, before it could begin again
+            # another plan has removed the action before it could restart
             state.started = state.reported = at.goal
             self.proposals.propose(log_entries.Done(name, at.incarnation, at.visit))
         elif self._may_start(at, place):
@@ -310,7 +310,8 @@ class LocalRobot:
         return answer == "yes"
 
     def _given(self, at: Position) -> Tuple[Mapping[str, Any], int]:
-        """What an action may read: the data in the log, and the visit that this one continues."""
+        """The values that an action may read: the data in the log, and the visit that this one
+        continues."""
         robot = self.electorate.own_robot()
         if robot is None:
             return log_entries.NOTHING, 0
@@ -318,7 +319,7 @@ class LocalRobot:
         if robot.visit == at.visit:
             return data, robot.resumed_from
         if self._entered[at.place] > 1:
-            return data, 0  # an earlier local transition has led there
+            return data, 0  # an earlier local transition has already led there
         return data, robot.interrupted.get(at.place, 0)
 
     # -- the simulated environment -----------------------------------------------------------------
@@ -340,7 +341,7 @@ class LocalRobot:
             self.proposals.propose(drawn)
 
     def wake_times(self) -> List[float]:
-        """When to look again (s)."""
+        """When to check again (s)."""
         if self._game.plan.simulate_environment and self.electorate.may_vote():
             due = self._environment.next_time(self.state.ledger.state, self.state.now)
             return [due] if due is not None else []

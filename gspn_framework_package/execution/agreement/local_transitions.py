@@ -2,12 +2,12 @@
 
 Leaving a *private* place takes that robot and nothing else: its output transitions have it as their
 only input, with weight 1, and one action place as output, and touch no resource, inhibitor or
-capacity. Such a firing has one writer and commutes with every firing of the others (Best and
-Darondeau: a net is distributable where transitions at different locations share no input place),
-so it needs no agreement about its order.
+capacity. Such a firing has a single writer and commutes with every firing of the other robots (Best
+and Darondeau: a net is distributable where transitions at different locations share no input
+place), so it needs no agreement about its order.
 
-Knows the plan alone: owns nothing that changes, calls nobody. In logs and messages such a
-transition is marked ``private``.
+Depends only on the plan: owns no mutable state and calls no other part. Logs and messages mark such
+a transition as ``private``.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from gspn_framework_package.model.condition import parse_condition
 class LocalTransitions:
     """The private places of a plan, for one robot of it.
 
-    A transition is not local where the run would notice it: if ``until`` looks at one of its
-    places, if an inhibitor arc or a capacity does, if a task may be done there, if the robot would
-    be done at once where it arrives (it would then ask for more within the same step), or if the
-    policy could withhold an immediate transition.
+    A transition is not local if the rest of the run could notice it: if ``until``, an inhibitor arc
+    or a capacity refers to one of its places, if a task may be completed there, if the robot would
+    be done as soon as it arrives (and ask for more within the same step), or if the policy could
+    withhold an immediate transition.
     """
 
     def __init__(self, game: TokenGame, robot: str) -> None:
@@ -68,8 +68,8 @@ class LocalTransitions:
         return frozenset(self._net.places[p].name for p, _ in self._target)
 
     def find(self, place: int, result: str) -> Optional[Tuple[int, int]]:
-        """The (transition, target) of a robot that is done in ``place`` with this result; None
-        where the transition is not local, or the result is a fault."""
+        """The (transition, target) of a robot that is done in ``place`` with this result; None if
+        the transition is not local or the result is invalid."""
         if result in ("", "None"):
             t = self._only.get(place)
         else:

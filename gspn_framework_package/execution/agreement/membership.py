@@ -1,12 +1,12 @@
-"""Who takes part: how replicas get to know each other, join, leave, are evicted, and lose and
-regain the right to vote.
+"""Membership: how replicas discover each other, join, leave, are evicted, and lose and regain the
+right to vote.
 
 Owns who we are (log id, incarnation, whether we are active, amnesic, fenced, leaving, halted) and
-what is known of the others (peers, who is off, astray or a stranger, and for how long a fresh robot
-listens): the fields of membership in
+what is known of the others (peers, which of them are off, diverged or strangers, and for how long a
+fresh robot listens): the fields of membership in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and
-evictions, makes the proposer give up its attempts and the local robot stop or act, and lets the log
-begin anew.
+evictions, has the proposer give up its attempts, the local robot stop or act, and the log start
+over.
 """
 
 from __future__ import annotations
@@ -33,37 +33,39 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import home_of
 
 RIVAL = 4
-"""Heartbeats for which a robot whose place another log has taken listens for a second process of
-its name, before it wants its place back."""
+"""Number of heartbeats for which a robot replaced by another log listens for a second process of
+its name before it tries to rejoin."""
 
 MOST_COMPLAINTS = 100
-"""Kinds of messages that were not understood, which are counted apart."""
+"""Maximum number of kinds of malformed messages that are counted separately."""
 
 OTHERS = ("others", "not understood")
-"""As what further kinds are counted."""
+"""The kind under which all further ones are counted."""
 
 GUESTS = 16
-"""Robots that are not in the team, as far as we know, to which we listen at once."""
+"""Maximum number of robots outside the team, as far as we know, from which we accept messages at
+once."""
 
 GUEST_STAY = 4
-"""Heartbeats of silence after which such a robot is forgotten."""
+"""Number of heartbeats of silence after which such a robot is forgotten."""
 
 LINGER = 20
-"""Heartbeats for which a leaving robot waits for a quorum of the others to hear of it."""
+"""Number of heartbeats for which a leaving robot waits until a quorum of the others knows that it
+has left."""
 
 
 class MembershipLog(Protocol):
-    """What membership needs of the replicated log."""
+    """The interface of the replicated log for the membership."""
 
     def begin_anew(self) -> None:
         """Forget all slots."""
 
     def keep_slots(self) -> None:
-        """Begin a new memory with all slots."""
+        """Keep all slots under a new log id, without the votes."""
 
 
 class Membership:
-    """Sends hellos, receives them, and acts on them."""
+    """Sends and receives hellos, and acts on them."""
 
     def __init__(
         self,
@@ -85,19 +87,20 @@ class Membership:
         self.log: MembershipLog
 
     def connect(self, log: MembershipLog) -> None:
-        """Set the log that begins anew where what we know does not count."""
+        """Set the replicated log."""
         self.log = log
 
     # -- incarnations and memory -------------------------------------------------------------------
 
     def begin_first_life(self) -> None:
-        """Our log is new: listen before taking part, since another robot may know our name."""
+        """Begin with a new log: listen before taking part, since another robot may know our
+        name."""
         state, pace = self.state, self.config.pace
         self._note_life()
         state.listen_until = state.now + min(pace.greeting, pace.heartbeat)
 
     def new_life(self) -> None:
-        """We restart or come back: a new incarnation, which the log must hear of."""
+        """Begin a new incarnation after a restart or return; the log must learn of it."""
         self.state.incarnation = (
             max(self.state.incarnation, self.electorate.known_incarnation()) + 1
         )
@@ -108,7 +111,7 @@ class Membership:
         state = self.state
         state.begin_records = state.records
         record = {"kind": "life", "incarnation": state.incarnation, "joining": state.joining}
-        self.outbox.persist(record, durable=True, synced=True)  # no two actions have one name
+        self.outbox.persist(record, durable=True, synced=True)  # action names must stay unique
 
     def become_active(self) -> None:
         """Take part from here on, with a vote if we are a member."""
@@ -119,12 +122,12 @@ class Membership:
         self.outbox.persist({"kind": "active"}, durable=True)
 
     def forget(self, why: str, keep: bool = False) -> None:
-        """Discard what we know: learn the log from the others, then join; until then we have no
-        vote. Our log gets a new id, because its earlier votes are forgotten.
+        """Discard what we know: fetch the log from the others, then join; we have no vote before
+        that. Our log gets a new id, because its earlier votes are forgotten.
 
         :param why: the reason, for people.
-        :param keep: whether to keep the slots and discard only our votes, because perhaps no other
-            robot knows yet a slot that we decided.
+        :param keep: whether to keep the slots and discard only our votes, because we may be the
+            only robot that knows a slot that we decided.
         """
         state = self.state
         self._renew_log_id()
@@ -136,7 +139,7 @@ class Membership:
             record["damaged"] = True
         self.outbox.persist(record, durable=True, synced=True)
         if state.active or state.damage:
-            self.outbox.fault("discards its log and fetches it again: %s" % why)
+            self.outbox.fault("discarded its log and is fetching it again: %s" % why)
         self.robot.stop_acting()
         state.active = False
         state.amnesic = True
@@ -148,29 +151,29 @@ class Membership:
             self.log.keep_slots()
         else:
             self.log.begin_anew()
-        self.proposals.drop_all("%s forgot its log: %s" % (self.config.name, why))
+        self.proposals.drop_all("%s discarded its log: %s" % (self.config.name, why))
         self.proposer.begin_anew()
         self.robot.follow()
 
     def _outlive_outage(self) -> None:
-        """The machine lost power, and the end of our log with it: what it holds counts, but we may
-        have promised and voted more. Until we are let in, our vote counts only beside those of all
-        others."""
+        """Handle a power loss that took the end of our log: its content counts, but we may have
+        made more promises and votes. Until we are readmitted, our vote counts only together with
+        those of all others."""
         state = self.state
         if state.amnesic and not state.torn:
-            self.forget("the machine was restarted before the team let it in")
+            self.forget("the machine was restarted before the team admitted this robot")
             return
         self._lose_end(
             "the machine was restarted, and the end of the log may not have reached the disk"
         )
 
     def trust_own_log(self) -> None:
-        """We are the whole team, and our log was damaged: the operator has us go on with what is
-        whole."""
-        self._lose_end("its log was damaged, and the operator trusts what is left")
+        """Continue with the intact part of our damaged log, as ordered by the operator, since we
+        are the whole team."""
+        self._lose_end("the log was damaged, and the operator trusts what is left")
 
     def _lose_end(self, why: str) -> None:
-        """What our log holds counts, but it may lack its end."""
+        """Keep the content of our log, which may lack its end."""
         state = self.state
         state.damage = ""
         state.torn = (state.log_id, *state.torn)
@@ -178,12 +181,12 @@ class Membership:
         self._renew_log_id()
         record = {"kind": "outage", "log": state.log_id, "why": why}
         self.outbox.persist(record, durable=True, synced=True)
-        self.outbox.fault("waits to be let in again: %s" % why)
+        self.outbox.fault("waits to be readmitted: %s" % why)
 
     def note_torn(self, robot: str, ids: Sequence[str]) -> None:
-        """A robot's machine lost power: what it sent before does not count any more.
+        """Note that a robot's machine lost power: messages that it sent before no longer count.
 
-        :param ids: the ids of its log, and of those that it goes on from.
+        :param ids: the ids of its log and of the logs that it continues.
         """
         peers = self.state.peers
         if robot == self.config.name or not ids or ids[0] in peers.dead:
@@ -196,8 +199,7 @@ class Membership:
         self.outbox.persist(record, durable=True, synced=True)
 
     def _renew_log_id(self) -> None:
-        """From here on our log is another memory: its votes must not be confused with those of the
-        one before."""
+        """Give our log a new id, so that its votes are not confused with earlier ones."""
         state = self.state
         text = "%s|%s|%r|%d" % (state.log_id, self.config.name, state.now, state.records)
         state.log_id = hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -249,26 +251,26 @@ class Membership:
                 state.off = {str(robot): int(incarnation) for robot, incarnation in robots.items()}
 
     def recall_is_over(self) -> None:
-        """All records were read: begin the next life, without memory if necessary."""
+        """Begin the next life after all records were read, without memory if necessary."""
         if self.config.damage:
             self.forget(self.config.damage, keep=self.state.ledger.length > 0)
         elif not self.config.trusted:
             self._outlive_outage()
         elif self.state.active and not self.electorate.is_our_name():
-            self.forget("another log was let in as %s" % self.config.name, keep=True)
+            self.forget("the team admitted another log as %s" % self.config.name, keep=True)
         self.new_life()
 
     # -- hello -------------------------------------------------------------------------------------
 
     def greet(self) -> None:
-        """Send a hello, and set when the next one is due."""
+        """Send a hello, and schedule the next one."""
         state, pace = self.state, self.config.pace
         state.next_hello = state.now + (
             pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting)
         )
         self._forget_guests()
         self.outbox.broadcast(self._hello())
-        if not self.config.is_small:  # a busy namesake must not keep us from saying it
+        if not self.config.is_small:  # a busy process of the same name must not delay this
             for peer in state.peers.all.values():
                 peer.surprise = None
 
@@ -288,8 +290,9 @@ class Membership:
         )
 
     def _greetings(self) -> Dict[str, Seen]:
-        """What we know of the robots that need it: those that do not take part yet, or that would
-        be surprised. A team at work has none, so a hello does not grow with the team."""
+        """What we know of the robots that need to hear it: those that do not take part yet, or
+        whose log we know differently. A working team has none, so the size of a hello does not grow
+        with the team."""
         greets = {}
         for robot, peer in self.state.peers.all.items():
             if peer.surprise is not None:
@@ -299,11 +302,11 @@ class Membership:
         return greets
 
     def listen_anew(self) -> None:
-        """We were not listening: no silence counts so far."""
+        """Restart all measurements of silence, because we were not listening."""
         self.state.peers.listen_anew(self.state.now)
 
     def listened(self) -> bool:
-        """Whether the time in which a fresh robot only listens ends just now."""
+        """Whether the time in which a fresh robot only listens has just ended."""
         state = self.state
         if not state.listen_until or state.now < state.listen_until:
             return False
@@ -311,14 +314,14 @@ class Membership:
         return True
 
     def wake_times(self) -> List[float]:
-        """When to look again (s)."""
+        """When to check again (s)."""
         state = self.state
         return [state.next_hello, state.listen_until] if state.listen_until else [state.next_hello]
 
     def admits(self, message: Envelope) -> bool:
-        """Whether to listen to the sender of a message of the team: to a robot of the team; and to
-        a few others, which begin with a hello, and are forgotten when they fall silent. Anybody
-        can say any name."""
+        """Whether to accept messages from the sender of a team message: from robots of the team,
+        and from a few others, which must begin with a hello and are forgotten when they fall
+        silent. The limit exists because anybody can claim any name."""
         state, sender = self.state, message.sender
         if sender in state.peers.all or self.electorate.is_of_team(sender):
             return True
@@ -326,7 +329,7 @@ class Membership:
         if not isinstance(hello, Hello):
             return False
         if hello.first and state.first_hash and hello.first != state.first_hash:
-            self._refuse_stranger(sender, "%s has another first team" % sender)
+            self._refuse_stranger(sender, "%s has a different first team" % sender)
             return False
         return len(self._guests()) < max(GUESTS, len(self.electorate.members()))
 
@@ -334,7 +337,7 @@ class Membership:
         return [r for r in self.state.peers.all if not self.electorate.is_of_team(r)]
 
     def _forget_guests(self) -> None:
-        """Forget those who are not in the team and have fallen silent."""
+        """Forget robots outside the team that have fallen silent."""
         state = self.state
         for robot in self._guests():
             heard = state.peers.all[robot].heard
@@ -345,8 +348,8 @@ class Membership:
                 self.proposer.forget(robot)
 
     def hear(self, message: Envelope) -> bool:
-        """Note that a message of the team came in; returns whether its sender's votes count, also
-        in a slot that does not need the votes of all."""
+        """Note a message of the team; returns whether its sender's votes count even in a slot that
+        does not need the votes of all."""
         state, sender = self.state, message.sender
         peer = state.peers.hear(sender, state.now)
         if state.own_proposals.asking:
@@ -361,9 +364,9 @@ class Membership:
         return counts
 
     def _note_log_of(self, message: Envelope) -> None:
-        """Note the log of a robot whose votes count: the first one that we hear of. Whoever lost
-        its log lost what it had noted, and may first hear another process of that name. The one
-        that takes part is the one that counts: all had to know it."""
+        """Note whose log counts for a robot: the first one that we hear of. A replica that lost its
+        log also lost these notes, and may hear another process of that name first. Then the process
+        that takes part counts, because all robots had to know it."""
         sender, peers = message.sender, self.state.peers
         known = self.electorate.known_log(sender)
         if not known:
@@ -373,7 +376,7 @@ class Membership:
             self._note_log(sender, message.log, sure=True)
 
     def _knows(self, message: Envelope) -> bool:
-        """Whether the log that a message speaks for is the one whose votes count."""
+        """Whether a message comes from the log whose votes count for its sender."""
         sender, peers = message.sender, self.state.peers
         peer = peers.get(sender)
         known = self.electorate.known_log(sender)
@@ -401,11 +404,11 @@ class Membership:
         else:
             peers.unsure.add(robot)
             record["unsure"] = True
-        # whoever begins without a log relies on it that we would know another one
+        # a robot that begins without a log relies on us to know its earlier log
         self.outbox.persist(record, durable=True, synced=True)
 
     def on_hello(self, message: Envelope, hello: Hello) -> None:
-        """Another announces itself."""
+        """Handle a hello of another robot."""
         state, pace, sender = self.state, self.config.pace, message.sender
         peer = state.peers.get(sender)
         met = peer.met
@@ -414,7 +417,7 @@ class Membership:
         peer.silent = frozenset(hello.silent)
         peer.cast_out = hello.cast_out
         if hello.first and state.first_hash and hello.first != state.first_hash:
-            self._refuse_stranger(sender, "%s started with a different team" % sender)
+            self._refuse_stranger(sender, "%s was started with a different team" % sender)
             return
         if not state.active:
             for robot, incarnation in hello.off.items():
@@ -425,7 +428,7 @@ class Membership:
         if self._ours_is_given_up(sender):
             self._forget_given_up(sender)
         self.consider_active()
-        # in a large team, answers to everybody's greetings would flood it: the next hello is
+        # in a large team, an answer to every hello would cause a flood: the next regular hello is
         # enough
         waits = not hello.active or peer.surprise is not None
         rested = state.now >= peer.answered + min(pace.greeting, pace.heartbeat)
@@ -435,37 +438,37 @@ class Membership:
         self._compare(message)
 
     def _ours_is_given_up(self, other: str) -> bool:
-        """Whether another's log, as it last said hello, says that ours was given up."""
+        """Whether another robot's log, according to its last hello, says that ours was given up."""
         ledger, theirs = self.state.ledger, self.state.peers.get(other).cast_out
         return self._is_given_up(self.config.name, ledger.cast_out, ledger.length, theirs)
 
     def _theirs_is_given_up(self, other: str) -> bool:
-        """Whether our log says that another's was given up."""
+        """Whether our log says that another robot's log was given up."""
         peer = self.state.peers.get(other)
         return self._is_given_up(other, peer.cast_out, peer.length, self.state.ledger.cast_out)
 
     def _is_given_up(
         self, owner: str, one: Dict[str, int], length: int, other: Dict[str, int]
     ) -> bool:
-        """Whether one log was given up in an eviction by force that is in another one.
+        """Whether a log was given up by a forced eviction recorded in another log.
 
-        All that the eviction did not give up is in both logs. So a log that goes on past its slot
-        without it was given up, whoever was evicted: the robots that are off could decide alone
-        before they heard of it, and let others in.
+        Everything that the eviction did not give up is in both logs. So a log that continues past
+        the slot of the eviction without containing it was given up, whoever was evicted: the
+        evicted robots could decide alone, and admit others, before they learned of it.
 
-        If two logs each say so of the other (operators contradicted each other), the one that
-        evicts fewer is kept, else the one that does not evict the first robot. A log that a quorum
-        went on with is always kept, because the other evicts all of that quorum.
+        If two logs each say so of the other (operators contradicted each other), the log that
+        evicts fewer robots is kept, or, if they evict equally many, the one that does not evict the
+        first robot. A log with which a quorum continued is always kept, because the other evicts
+        all of that quorum.
 
         :param owner: the robot whose log may be given up.
-        :param one: the evictions by force of that log: robot -> slot of the last.
-        :param length: the slots of that log.
-        :param other: the evictions by force of the other log.
+        :param one: the forced evictions in that log: robot -> slot of the last one. :param length:
+        the number of slots of that log. :param other: the forced evictions in the other log.
         """
         by_one = {robot for robot, slot in one.items() if slot > other.get(robot, -1)}
         by_other = {robot for robot, slot in other.items() if slot > one.get(robot, -1)}
         if not by_one:
-            # a robot that both evicted, earlier in the one: it is the other that went on with it
+            # both evicted the robot, this log earlier: so the other log continued with it
             new = (robot for robot in by_other if robot == owner or robot not in one)
             return any(other[robot] < length for robot in new)
         if len(by_one) != len(by_other):
@@ -480,9 +483,9 @@ class Membership:
         self.forget("%s knows that it was discarded by a forced eviction" % sender)
 
     def _hear_of_ourselves(self, message: Envelope, seen: Seen) -> None:
-        """What another remembers of us. One that lost its log may have forgotten whom it knew, and
-        is no witness of our start, unless nothing was decided since the team began: whoever removes
-        logs while a team starts would have to help all that start later."""
+        """Handle what another robot remembers about us. A robot that lost its log may have
+        forgotten whom it knew, and is no witness of our start, unless nothing was decided since the
+        team began: otherwise, removing a log while a team starts would block every later start."""
         state, sender = self.state, message.sender
         begun = state.ledger.length > 1
         known = self.electorate.known_log(sender)
@@ -493,18 +496,18 @@ class Membership:
             return
         if seen.log != state.log_id:
             if witness and state.ledger.logs.get(self.config.name) != state.log_id:
-                self.forget("%s knows an older one" % sender)
+                self.forget("%s knows an older log" % sender)
             return
         ours = Life(state.incarnation, state.records)
         theirs = Life(seen.incarnation, seen.records)
         if theirs > ours or (
             theirs.incarnation < state.incarnation and theirs.records > state.begin_records
         ):
-            self.forget("it is shorter than %s remembers" % sender)
+            self.forget("the log is shorter than %s remembers" % sender)
 
     def consider_active(self) -> None:
-        """Become active once every other member of the first team knows our log as the first one
-        that we have, and nobody knows more than we do."""
+        """Become active once every other member of the first team confirms that our log is our
+        first one, and no robot knows more than we do."""
         state = self.state
         if (
             state.active
@@ -521,7 +524,7 @@ class Membership:
             peer.length > state.ledger.length and peer.heard is not None
             for peer in state.peers.all.values()
         ):
-            return  # do not act before we know where the team is
+            return  # do not act before we know the team's state
         if self.electorate.acted_before():
             self.forget("the team's log holds entries of ours that it does not")
             return
@@ -532,10 +535,10 @@ class Membership:
             self.proposer.lead_from_the_start(set(team) - set(state.off))
         self.robot.act({})
 
-    # -- logs that differ --------------------------------------------------------------------------
+    # -- diverging logs --------------------------------------------------------------------------
 
     def _compare(self, message: Envelope) -> None:
-        """Check whether the sender's log begins as ours does, or ours as its."""
+        """Check whether one of the two logs, the sender's and ours, is a prefix of the other."""
         if message.length > self.state.ledger.length:
             return
         known = self.state.hash_at(message.length)
@@ -547,33 +550,35 @@ class Membership:
             self.state.astray.pop(message.sender, None)
 
     def conflict(self, other: str, slot: int) -> None:
-        """Our log differs from another's before ``slot``."""
+        """Handle a difference between our log and another robot's before ``slot``."""
         state = self.state
         if state.ledger.is_cast_out(other) or other in self.electorate.asserted_off():
-            return  # the operator gave up what that robot knows
+            return  # the operator gave up that robot's log
         if not state.active and not (state.torn and self.electorate.is_member()):
-            self.forget("it differs from that of %s" % other)
+            self.forget("the log differs from that of %s" % other)
             return
         if self._ours_is_given_up(other):
             self._forget_given_up(other)
             return
         if self._theirs_is_given_up(other):
-            return  # it forgets, once it hears our hello
+            return  # that robot discards its log once it receives our hello
         if other not in state.astray:
             state.astray[other] = slot
             self.outbox.fault(
-                "the log of %s differs from ours before slot %d: one of them is damaged; its "
-                "messages are ignored" % (other, slot)
+                "the log of %s differs from ours before slot %d: one of the two is damaged; "
+                "ignoring its messages" % (other, slot)
             )
         members = self.electorate.members()
         if is_quorum([m for m in members if m in state.astray], members):
-            self.forget("it differs from that of a quorum (%s)" % ", ".join(sorted(state.astray)))
+            self.forget(
+                "the log differs from that of a quorum (%s)" % ", ".join(sorted(state.astray))
+            )
 
     # -- what the log says about us ----------------------------------------------------------------
 
     def note_members(self, items: Sequence[Item]) -> None:
-        """These entries are in the log now: somebody may have been let in, perhaps as us, or cast
-        out."""
+        """Handle entries that are now in the log: a robot may have been admitted, perhaps under our
+        name, or evicted."""
         state, me = self.state, self.config.name
         for item in items:
             entry = item.entry
@@ -584,16 +589,16 @@ class Membership:
                 if mine and not state.active and (taken or self.config.witness):
                     self.become_active()
                 elif state.active and entry.robot == me and not self.electorate.is_our_name():
-                    # somebody was let in under our name: from here on its votes count, and ours do
-                    # not
+                    # another process was admitted under our name: from now on its votes count, and
+                    # ours do not
                     state.superseded_at, state.rival_since = state.now, None
-                    self.forget("another log was let in as %s" % me, keep=True)
+                    self.forget("the team admitted another log as %s" % me, keep=True)
                     return
             elif isinstance(entry, log_entries.Evict) and state.ledger.is_cast_out(entry.robot):
                 self.proposals.drop_others(entry.robot)
 
     def note_snapshot(self) -> None:
-        """We adopted a snapshot, which may hold forced evictions and our own ``Join``."""
+        """Handle an adopted snapshot, which may hold forced evictions and our own ``Join``."""
         state = self.state
         for name in state.ledger.cast_out:
             if state.ledger.is_cast_out(name):
@@ -607,7 +612,7 @@ class Membership:
             self.become_active()
 
     def note_own_fate(self) -> None:
-        """The log has grown: check whether it says that our robot left, or was evicted."""
+        """Check whether the new part of the log says that our robot left or was evicted."""
         state, robot = self.state, self.electorate.own_robot()
         if robot is None or not robot.phase.gone or state.ledger.state.ended is not None:
             return
@@ -620,7 +625,7 @@ class Membership:
     # -- joining, leaving --------------------------------------------------------------------------
 
     def want_to_join(self) -> None:
-        """Make the log learn this incarnation of ours."""
+        """Get this incarnation of ours into the log."""
         state, config = self.state, self.config
         if (
             state.fenced
@@ -636,9 +641,9 @@ class Membership:
             return
         if state.superseded_at is not None:
             if state.now < state.superseded_at + RIVAL * config.pace.heartbeat:
-                return  # is it somebody who runs, or a former life of ours?
+                return  # is this a running process, or a former life of ours?
             state.superseded_at = None
-        # visits that were made in a log that was given up are made again, and not under their names
+        # visits in a log that was given up are repeated under new numbers
         acted = state.started is not None and state.started.incarnation == state.incarnation
         if acted or self.electorate.known_incarnation() >= state.incarnation:
             self.new_life()
@@ -654,12 +659,12 @@ class Membership:
         )
 
     def _home(self) -> str:
-        """Where we start when we join; "" where nothing says it."""
+        """The place where we start when we join; "" if nothing specifies it."""
         name, ledger = self.config.name, self.state.ledger
         plan, place = ledger.game.plan, self.config.place
         if ledger.state.present_name(place) in plan.action_places:
             return place
-        if ledger.state.adopted is not None:  # the names of the first plan may mean nothing now
+        if ledger.state.adopted is not None:  # names of the first plan may not exist any more
             return home_of(plan, name)
         return (
             place
@@ -668,8 +673,8 @@ class Membership:
         )
 
     def part(self) -> None:
-        """We have left: end once a quorum of those who stay knows and the tasks that reached us are
-        in the log, or after a while. What another process of a robot knows does not count."""
+        """End after leaving, once a quorum of the remaining members knows and the tasks that
+        reached us are in the log, or after a timeout. Only members' own processes count."""
         state = self.state
         members = self.electorate.members()
         themselves = [m for m in members if state.peers.get(m).log == self.electorate.known_log(m)]
@@ -686,7 +691,7 @@ class Membership:
     # -- silence -----------------------------------------------------------------------------------
 
     def watch(self) -> None:
-        """Look for robots that seem lost, and check whether we are out of contact ourselves."""
+        """Look for robots that seem lost, and check whether we have lost contact ourselves."""
         state, timing = self.state, self.config.plan.timing
         members = self.electorate.members()
         if not self.electorate.may_vote() or state.ledger.state.ended is not None:
@@ -716,14 +721,14 @@ class Membership:
         if fenced:
             self.robot.stop_acting()
             limit = self.config.plan.timing.fence_after
-            self.outbox.fault("had no contact with a quorum for %g s: stops" % limit)
+            self.outbox.fault("stopped: no contact with a quorum for %g s" % limit)
         elif self.electorate.is_settled():
-            self.new_life()  # its action is restarted
+            self.new_life()  # the action restarts
 
     # -- robots that are off -----------------------------------------------------------------------
 
     def evict_by_force(self, order: log_entries.Evict, order_id: str) -> None:
-        """An operator asserts that a robot is off: propose its eviction."""
+        """Propose the eviction of a robot that an operator asserts to be off."""
         self._assert_off(order.robot, order.incarnation)
         self.consider_active()
         self.proposer.abandon()
@@ -733,15 +738,15 @@ class Membership:
             self.outbox.fault(warning)
 
     def _what_is_given_up(self) -> str:
-        """What follows from the assertions that some robots are off for what they know."""
+        """Describe what knowledge is lost if these robots are evicted as switched off."""
         members, off = self.electorate.members(), self.electorate.asserted_off()
         left = [m for m in members if m not in off]
         if not left or is_quorum(left, members):
             return ""
         return (
-            "%s could have decided without the others: what only they know is lost. Keep them "
-            "switched off until they are evicted, which needs the consent of all others (%s)"
-            % (", ".join(m for m in members if m in off), ", ".join(left))
+            "%s could have made decisions without the others; what only they know will be lost. "
+            "Keep them switched off until they are evicted, which requires the consent of all "
+            "others (%s)" % (", ".join(m for m in members if m in off), ", ".join(left))
         )
 
     def _note_off(self, robot: str, incarnation: int) -> None:
@@ -768,9 +773,10 @@ class Membership:
         self.outbox.persist(record, durable=True, synced=True)
 
     def _heard_though_off(self, robot: str) -> None:
-        """A robot that was asserted to be off is heard: the assertion was wrong, or has ended."""
+        """Handle a message from a robot that was asserted to be off: the assertion was wrong, or no
+        longer holds."""
         was = robot in self.electorate.asserted_off()
-        if was:  # withdraw first: if we crash in between, we hear the robot again
+        if was:  # withdraw first: if we crash in between, the robot's next message leads here again
             self.proposals.withdraw_forced_evictions(
                 robot, "%s is not off: a message from it has just arrived" % robot
             )
@@ -779,14 +785,13 @@ class Membership:
         if not was:
             return
         self.proposer.abandon()
-        self.outbox.fault(
-            "%s was declared off, but still sends messages: it is not evicted" % robot
-        )
+        self.outbox.fault("%s was declared off but still sends messages; not evicting it" % robot)
 
-    # -- who does not belong here ------------------------------------------------------------------
+    # -- processes that do not belong here
+    # ------------------------------------------------------------------
 
     def hear_own_name(self, message: Envelope) -> None:
-        """Another process runs under our name, or our own message came back."""
+        """Handle a message in our name: from another process, or our own one coming back."""
         state, body = self.state, message.body
         if message.team != self.config.tag or not isinstance(body, Hello):
             return
@@ -795,22 +800,22 @@ class Membership:
             self._meet_namesake(body)
         both = not same and body.active and state.active
         if message.incarnation > state.incarnation and (same or both):
-            self._halt("another process runs as %s and started later" % self.config.name)
+            self._halt("another process runs as %s and was started later" % self.config.name)
         elif state.superseded_at is not None and not same:
             if self._rival_stays():
                 self._halt(
-                    "another process runs as %s and was let in after this one" % self.config.name
+                    "another process runs as %s and was admitted after this one" % self.config.name
                 )
         elif both and message.incarnation == state.incarnation:
-            # the only robot of a team, twice: both may decide alone, so one has to go; its log only
-            # grows, so that never both do
+            # a one-robot team running twice: both may decide alone, so one has to halt; since logs
+            # only grow, not both of them do
             ours = (state.ledger.length, state.log_id)
             if (message.length, message.log) > ours and self._rival_stays():
                 self._halt("another process runs as %s and has a longer log" % self.config.name)
 
     def _meet_namesake(self, hello: Hello) -> None:
-        """Another process of our name is there: if one of us is in the team, the other waits, and
-        has to hear of it before it takes part."""
+        """Handle a hello from another process of our name: if one of us is in the team, the other
+        waits, and must learn of it before it takes part."""
         state, pace = self.state, self.config.pace
         rested = state.now >= state.namesake_answered + min(pace.greeting, pace.heartbeat)
         if hello.active and not state.active:
@@ -820,17 +825,18 @@ class Membership:
             self.outbox.broadcast(self._hello())
 
     def _rival_stays(self) -> bool:
-        """Whether a process of our name was heard for a while: a late message comes only once."""
+        """Whether a process of our name was heard repeatedly, since a delayed message arrives only
+        once."""
         state = self.state
         if state.rival_since is None:
             state.rival_since = state.now
         return state.now - state.rival_since > 1.5 * self.config.pace.heartbeat
 
     def hear_stranger(self, message: Envelope) -> None:
-        """A message of another run, or of another plan."""
+        """Handle a message of another run or plan."""
         run, _, plan = message.team.rpartition("|")
         if run == self.config.run and plan != self.config.plan.hash()[:12]:
-            self._refuse_stranger(message.sender, "%s has another plan" % message.sender)
+            self._refuse_stranger(message.sender, "%s has a different plan" % message.sender)
 
     def _refuse_stranger(self, sender: str, what: str) -> None:
         if sender in self.state.strangers or len(self.state.strangers) >= MOST_COMPLAINTS:
@@ -840,10 +846,10 @@ class Membership:
         if not self.state.active and plan.robots and sender in [r.name for r in plan.robots]:
             self._halt("%s (run '%s'); give all robots the same plan" % (what, self.config.run))
         else:
-            self.outbox.fault("%s (run '%s'); it is not let in" % (what, self.config.run))
+            self.outbox.fault("%s (run '%s'); it is not admitted" % (what, self.config.run))
 
     def refuse_message(self, data: object, why: str) -> None:
-        """Count a message that we do not understand, and report the first of each sender."""
+        """Count a malformed message, and report the first one of each sender."""
         complaints = self.state.complaints
         sender = data.get("from") if isinstance(data, dict) else None
         sender = sender[:100] if isinstance(sender, str) else "somebody"
@@ -853,5 +859,5 @@ class Membership:
             if len(complaints) >= MOST_COMPLAINTS:
                 sender, why = OTHERS
             else:
-                self.outbox.fault("a message from %s cannot be read: %s" % (sender, why))
+                self.outbox.fault("malformed message from %s: %s" % (sender, why))
         complaints[sender, why] = complaints.get((sender, why), 0) + 1

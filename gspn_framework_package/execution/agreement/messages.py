@@ -1,9 +1,9 @@
-"""The messages of the protocol: one value each, with its meaning, its sender, and what may follow.
+"""The messages of the protocol: a class for each, with its meaning, its sender, and its answers.
 
-A peer's message is input. :func:`parse_envelope` accepts nothing that has a wrong type, is out of
-bounds or comes from another version of the protocol, and names what was wrong; a replica drops such
-a message and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``,
-and the fields of its body.
+Messages of peers are untrusted input. :func:`parse_envelope` rejects wrong types, values out of
+bounds and other versions of the protocol, with the reason; a replica drops such a message and
+continues. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``, and the fields
+of its body.
 """
 
 from __future__ import annotations
@@ -16,54 +16,55 @@ from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.model.errors import LogError
 
 PROTOCOL_VERSION = 4
-"""Version of the protocol; replicas of different versions do not understand each other."""
+"""Version of the protocol; replicas of different versions cannot communicate."""
 
 MOST_ITEMS = 10_000
-"""Items in a message. More than in a batch, because a robot sends everything that waits there."""
+"""Maximum number of items in a message; more than in a batch, because a robot sends everything that
+waits there."""
 
 MOST_SLOTS = 1_000
-"""Slots in a message."""
+"""Maximum number of slots in a message."""
 
 MOST_ROBOTS = 10_000
-"""Robots named in a message."""
+"""Maximum number of robots named in a message."""
 
 LONGEST_NAME = 1_000
-"""Characters of a name, an id or a hash."""
+"""Maximum length of a name, an id or a hash."""
 
 LARGEST_NUMBER = 2**53
 """The largest number; every JSON reader reads it exactly."""
 
 
 Torn = Dict[str, Tuple[str, ...]]
-"""Robots whose logs lost their ends with the power supply, and that were not let in since -> the id
-of their log, and of those that it goes on from."""
+"""Robots whose logs lost their ends in a power loss and that were not readmitted since -> the ids
+of their log and of the logs that it continues."""
 
 
 class Batch(NamedTuple):
-    """A proposed value. It is read once, when it comes in, and passed on as it came."""
+    """A proposed value. It is parsed once, on arrival, and passed on unchanged."""
 
     items: List[Item]
     data: List[Any]
     """The items as JSON values."""
 
     def changes_members(self) -> bool:
-        """Whether it may change who is a member, or whose votes count."""
+        """Whether the batch may change the members, or whose votes count."""
         kinds = (log_entries.Join, log_entries.Leave, log_entries.Evict)
         return any(isinstance(item.entry, kinds) for item in self.items)
 
     @classmethod
     def of(cls, items: List[Item]) -> Batch:
-        """The batch of some items."""
+        """Make a batch of items."""
         return cls(items, [item.to_json() for item in items])
 
     @classmethod
     def from_json(cls, data: List[Any]) -> Batch:
-        """The batch of a JSON value. :raises LogError: an item is none."""
+        """Parse a batch. :raises LogError: an item is invalid."""
         return cls([Item.from_json(item) for item in data], data)
 
 
 class MessageError(Exception):
-    """A message that is not one of this protocol; the text says why."""
+    """A message does not belong to this protocol; the text says why."""
 
 
 # -- fields ----------------------------------------------------------------------------------------
@@ -73,7 +74,7 @@ def _field(data: Dict[str, Any], name: str) -> Any:
     try:
         return data[name]
     except KeyError:
-        raise MessageError("it has no '%s'" % name) from None
+        raise MessageError("'%s' is missing" % name) from None
 
 
 def _text(data: Dict[str, Any], name: str) -> str:
@@ -82,12 +83,12 @@ def _text(data: Dict[str, Any], name: str) -> str:
 
 def _name_of(value: Any, name: str) -> str:
     if not isinstance(value, str) or len(value) > LONGEST_NAME:
-        raise MessageError("'%s' is not a text of at most %d characters" % (name, LONGEST_NAME))
+        raise MessageError("'%s' is not a string of at most %d characters" % (name, LONGEST_NAME))
     return value
 
 
 def _texts(data: Dict[str, Any], names: Sequence[str]) -> List[str]:
-    """Several texts; every message has these, so they are read without a call for each."""
+    """Read several strings in one call, for speed: every message has them."""
     found = []
     for name in names:
         value = data.get(name)
@@ -98,7 +99,7 @@ def _texts(data: Dict[str, Any], names: Sequence[str]) -> List[str]:
 
 
 def _numbers(data: Dict[str, Any], names: Sequence[str]) -> List[int]:
-    """Several numbers, as :func:`_texts`."""
+    """Read several numbers in one call; see :func:`_texts`."""
     found = []
     for name in names:
         value = data.get(name)
@@ -155,7 +156,7 @@ def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
     try:
         items = [Item.from_json(i) for i in _list(value, name, MOST_ITEMS)]
     except LogError as error:
-        raise MessageError("'%s' holds what is %s" % (name, error)) from None
+        raise MessageError("'%s' holds something that is %s" % (name, error)) from None
     for entry, origin, _ in items:
         if (
             not 0 <= origin.incarnation <= LARGEST_NUMBER
@@ -163,9 +164,11 @@ def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
         ):
             raise MessageError("'%s' holds an entry whose origin is out of bounds" % name)
         if isinstance(entry, log_entries.Start) and not start:
-            raise MessageError("'%s' holds another start of the run" % name)
+            raise MessageError("'%s' holds a second start of the run" % name)
         if isinstance(entry, log_entries.Join) and entry.robot != origin.robot:
-            raise MessageError("in '%s' %s joins for %s" % (name, origin.robot, entry.robot))
+            raise MessageError(
+                "in '%s', %s joins on behalf of %s" % (name, origin.robot, entry.robot)
+            )
     return items
 
 
@@ -177,8 +180,8 @@ def _batch(value: Any, *, start: bool = False) -> Batch:
 
 
 class Seen(NamedTuple):
-    """What the sender of a hello remembers of the robot that it greets: the log under which it
-    knows that robot, and how many records the log had in incarnation ``incarnation``."""
+    """What the sender of a hello remembers about a robot that it greets: the robot's log, and how
+    many records it had in incarnation ``incarnation``."""
 
     log: str
     incarnation: int
@@ -186,15 +189,15 @@ class Seen(NamedTuple):
 
 
 class Hello(NamedTuple):
-    """I am here. To everybody, every heartbeat; more often, and in answer to greetings, before I
-    take part.
+    """Announces the sender. Sent to everybody at every heartbeat; more often, and in answer to
+    hellos, before the sender takes part.
 
-    ``begin``: how many records my log had when this incarnation began, which reveals a truncated
-    log. ``active``: whether I take part. ``joining``: whether I first have to be let into the team.
-    ``first``: hash of the first slot. ``silent``: the robots I do not hear. ``off``: robot ->
-    incarnation of those that an operator asserted to be off. ``cast_out``: robot -> slot of its
-    last eviction by force. ``greets``: what I know of the robots that wait for it, or would be
-    surprised.
+    ``begin``: how many records the sender's log had when this incarnation began, which reveals a
+    truncated log. ``active``: whether the sender takes part. ``joining``: whether the team must
+    first admit it. ``first``: hash of the first slot. ``silent``: the robots that the sender does
+    not hear. ``off``: robot -> incarnation, for robots that an operator asserted to be off.
+    ``cast_out``: robot -> slot of its last forced eviction. ``greets``: what the sender knows of
+    robots that wait for it, or that may not know it themselves.
     """
 
     begin: int
@@ -213,7 +216,7 @@ class Hello(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Hello:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         greets = {}
         for robot, seen in _object(data, "greets").items():
             if len(_list(seen, "greets", 3)) != 3:
@@ -245,8 +248,8 @@ def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
 
 
 class Proposals(NamedTuple):
-    """Proposals: what the sender wants in the log. Sent to the leader (or, by a robot without a
-    ``vote``, to any member) again and again until they are in the log."""
+    """Entries that the sender wants in the log. Sent repeatedly to the leader (by a robot without a
+    ``vote``, to any member) until they are in the log."""
 
     items: List[Item]
     vote: bool
@@ -257,15 +260,15 @@ class Proposals(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Proposals:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         return cls(_items(_field(data, "items"), "items"), _flag(data, "vote"))
 
 
 class Prepare(NamedTuple):
     """First phase, from a proposer to the members: promise to accept nothing below ``ballot`` from
     ``slot`` on. ``frozen``: no robot makes a local transition until the slot is decided. ``torn``:
-    the slot needs the word of everybody, and these count. Answered by :class:`Promise`,
-    :class:`Nack`, or whatever the one that is behind needs."""
+    the slot needs the votes of all members, and those of these robots count. Answered by
+    :class:`Promise`, :class:`Nack`, or by helping whichever robot is behind."""
 
     slot: int
     ballot: Ballot
@@ -279,7 +282,7 @@ class Prepare(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Prepare:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         return cls(
             _number(data, "slot"),
             _ballot(_field(data, "ballot")),
@@ -289,8 +292,9 @@ class Prepare(NamedTuple):
 
 
 class Promise(NamedTuple):
-    """The answer to :class:`Prepare`: ``accepted`` (ballot and batch) in that slot so far, and the
-    proposals that wait here. Without a ``vote`` it only reports what is known."""
+    """The answer to :class:`Prepare`: what the sender has ``accepted`` (ballot and batch) in that
+    slot so far, and the proposals that wait at the sender. Without a ``vote`` it only reports what
+    the sender knows."""
 
     slot: int
     ballot: Ballot
@@ -310,7 +314,7 @@ class Promise(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Promise:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         accepted = _field(data, "accepted")
         if accepted is not None:
             if len(_list(accepted, "accepted", 2)) != 2:
@@ -327,7 +331,7 @@ class Promise(NamedTuple):
 
 class Accept(NamedTuple):
     """Second phase, from a proposer to the members: accept ``batch`` in ``slot``. From a leader it
-    also says that what it proposed before under the same ballot was chosen. ``torn`` as in
+    also means that its previous batch under the same ballot was chosen. ``torn`` as in
     :class:`Prepare`. Answered by :class:`Accepted` or :class:`Nack`."""
 
     slot: int
@@ -342,7 +346,7 @@ class Accept(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Accept:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         return cls(
             _number(data, "slot"),
             _ballot(_field(data, "ballot")),
@@ -352,8 +356,8 @@ class Accept(NamedTuple):
 
 
 class Accepted(NamedTuple):
-    """A vote, to the proposer, and in a small team to those whose proposals are voted on.
-    ``items``: what waits here that the batch does not hold."""
+    """A vote, sent to the proposer and, in a small team, to the robots whose proposals are in the
+    batch. ``items``: proposals waiting at the sender that the batch does not hold."""
 
     slot: int
     ballot: Ballot
@@ -369,7 +373,7 @@ class Accepted(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Accepted:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         return cls(
             _number(data, "slot"),
             _ballot(_field(data, "ballot")),
@@ -378,7 +382,7 @@ class Accepted(NamedTuple):
 
 
 class Nack(NamedTuple):
-    """No: I promised ``ballot``, which is higher. The proposer gives way."""
+    """A refusal: the sender has promised ``ballot``, which is higher. The proposer gives way."""
 
     slot: int
     ballot: Ballot
@@ -389,34 +393,34 @@ class Nack(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Nack:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         return cls(_number(data, "slot"), _ballot(_field(data, "ballot")))
 
 
 class Pull(NamedTuple):
-    """My log is shorter than yours. Answered by :class:`Learn`."""
+    """Reports that the sender's log is shorter. Answered by :class:`Learn`."""
 
     def to_json(self) -> Dict[str, Any]:
-        """No fields."""
+        """Return no fields."""
         return {}
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Pull:
-        """The message of a JSON object."""
+        """Parse a JSON object."""
         return cls()
 
 
 class Chosen(NamedTuple):
-    """What was accepted under ``ballot`` is chosen in ``slot``."""
+    """Reports that the batch accepted under ``ballot`` is chosen in ``slot``."""
 
     slot: int
     ballot: Ballot
 
 
 class Learn(NamedTuple):
-    """What is decided: that a slot is ``chosen``, to the others once a proposer knows; or, to one
-    that is behind, ``slots`` from ``at`` on as (ballot, batch, hash before it); or, where these are
-    not kept any more, a ``snapshot``."""
+    """Reports decisions. A proposer reports to the others that a slot is ``chosen``. A robot that
+    is behind gets ``slots`` from ``at`` on as (ballot, batch, previous hash), or a ``snapshot`` if
+    those slots are no longer kept."""
 
     chosen: Optional[Chosen] = None
     at: int = 0
@@ -436,7 +440,7 @@ class Learn(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Learn:
-        """The message of a JSON object. :raises MessageError: not one."""
+        """Parse a JSON object. :raises MessageError: it is malformed."""
         if "snapshot" in data:
             snapshot = data["snapshot"]
             if not isinstance(snapshot, dict):
@@ -472,12 +476,12 @@ _KIND_OF = {body: kind for kind, body in _KINDS.items()}
 
 
 class Envelope(NamedTuple):
-    """What every message says about its sender, and its body.
+    """The sender's data that every message carries, and the body.
 
-    ``team``: run and plan. ``log``: id of the sender's log, and ``records`` how many it holds;
-    ``length`` and ``hash``: of the agreed log as far as the sender knows it. ``torn``: the sender's
-    log lost its end with the power supply, and the sender was not let in since: the ids of the logs
-    that this one goes on from.
+    ``team``: run and plan. ``log``: id of the sender's log, and ``records`` its number of records;
+    ``length`` and ``hash``: of the agreed log as far as the sender knows it. ``torn``: if the
+    sender's log lost its end in a power loss and the sender was not readmitted since, the ids of
+    the logs that this one continues.
     """
 
     sender: str
@@ -509,21 +513,22 @@ class Envelope(NamedTuple):
 
 
 def parse_envelope(data: Any) -> Envelope:
-    """The message of a JSON object.
+    """Parse a message.
 
-    :raises MessageError: it does not belong to this version of the protocol.
+    :raises MessageError: the message does not belong to this version of the protocol.
     """
     if not isinstance(data, dict):
-        raise MessageError("it is not a JSON object")
+        raise MessageError("the message is not a JSON object")
     version = data.get("version", 1)
     if version != PROTOCOL_VERSION:
         raise MessageError(
-            "it is of version %.20r of the protocol, this is %d" % (version, PROTOCOL_VERSION)
+            "the message has version %.20r of the protocol instead of %d"
+            % (version, PROTOCOL_VERSION)
         )
     kind = data.get("kind")
     body = _KINDS.get(kind) if isinstance(kind, str) else None
     if body is None:
-        raise MessageError("there is no message '%.50s'" % (kind,))
+        raise MessageError("unknown kind of message '%.50s'" % (kind,))
     sender, team, log, chain = _texts(data, ("from", "team", "log", "hash"))
     incarnation, records, length = _numbers(data, ("incarnation", "records", "length"))
     torn = _names(data, "goes_on_from") if "goes_on_from" in data else ()

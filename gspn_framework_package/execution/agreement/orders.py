@@ -1,7 +1,8 @@
-"""Operators' orders at this robot: checked, held while we only listen, then proposed.
+"""Handles operators' orders to this robot: checks them, holds them while the robot only listens,
+then proposes them.
 
-Owns ``held_orders``. Asks the electorate and the log whether an order makes sense, hands it to the
-proposals (or, an eviction by force, to the membership), and answers at once if it is refused.
+Owns ``held_orders``. Asks the electorate and the log whether an order makes sense, passes it to the
+proposals (a forced eviction to the membership), and answers refused orders at once.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from gspn_framework_package.model.errors import GspnError
 
 
 class Orders:
-    """Takes orders."""
+    """Checks and proposes orders."""
 
     def __init__(
         self,
@@ -45,9 +46,9 @@ class Orders:
         self.reactions = reactions
 
     def order(self, order: interface.Order) -> None:
-        """Propose an operator's order, if it makes sense."""
+        """Propose an operator's order if it makes sense."""
         if self.state.now < self.state.listen_until:
-            # we are not in the team yet, but only while we listen
+            # no member knows us yet, but that changes when we have listened
             self.state.held_orders.append(order)
             return
         entry = order.entry
@@ -69,18 +70,18 @@ class Orders:
             self.proposals.propose(entry, order.order_id)
 
     def keep(self, given: interface.OrderGiven) -> None:
-        """Keep in our log who gave an order, whether it can be carried out or not."""
+        """Record who gave an order in our log, whether or not it can be carried out."""
         self.outbox.persist({"kind": ORDER_GIVEN, **given._asdict()})
 
     def take_up_held(self) -> None:
-        """We have listened: take the orders that came meanwhile."""
+        """Take up the orders that arrived while we only listened."""
         held, self.state.held_orders = self.state.held_orders, []
         for order in held:
             self.order(order)
 
     def force_evict(self, order: interface.ForceEvict) -> None:
-        """Accept an operator's assertion that a robot is off, or all that are not heard, unless
-        something contradicts it."""
+        """Accept an operator's assertion that a robot is off, or that all unheard robots are,
+        unless something contradicts it."""
         if not order.robot:
             self._trust(order)
             return
@@ -93,14 +94,14 @@ class Orders:
             self.membership.evict_by_force(entry, order.order_id)
 
     def _trust(self, order: interface.ForceEvict) -> None:
-        """Go on with what the members that are heard know."""
+        """Continue with what the members that are heard know."""
         if self.electorate.is_alone_with_damage():
             self.membership.trust_own_log()
-            self.outbox.order_result(order.order_id, True, "goes on with what is left of its log")
+            self.outbox.order_result(order.order_id, True, "continues with what is left of its log")
             return
         why, off = self._why_not_trust(), self._silent()
         if why or not off:
-            text = why or "all are here: the team goes on by itself"
+            text = why or "all members are present; the team continues by itself"
             self.outbox.order_result(order.order_id, not why, text)
             return
         for name in off:
@@ -113,23 +114,27 @@ class Orders:
         return [m for m in self.electorate.members() if m not in late]
 
     def _why_not_trust(self) -> str:
-        """Why the members that are heard cannot go on with what they know; "" if they can."""
+        """Why the members that are heard cannot continue with what they know; "" if they can."""
         state, here = self.state, self.electorate
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if here.has_quorum() and not here.torn():
-            return "the robots that are heard are a quorum: evict or force_evict whoever is lost"
+            return "the robots that are heard are a quorum: use evict or force_evict on lost robots"
         off = self._silent()
         if not here.is_member() or (here.has_to_join() and not state.torn):
-            return "%s knows nothing of the team that counts; ask another robot" % self.config.name
+            return (
+                "%s does not know the team's state; give this order to another robot"
+                % self.config.name
+            )
         empty = [m for m in here.missing_after_outage() if m not in off]
         if empty:
-            return "%s run without a log: switch off, give this order, and start again" % (
-                ", ".join(empty)
+            return (
+                "%s run without a log; switch them off, repeat this order, then start them again"
+                % (", ".join(empty))
             )
         witnesses = [m for m in off if self._robot(m) is None]
         if witnesses:
-            return "witness %s is missing: start it" % ", ".join(witnesses)
+            return "witness %s is missing; start it" % ", ".join(witnesses)
         return ""
 
     def _incarnation(self, name: str) -> int:
@@ -140,14 +145,14 @@ class Orders:
         return self.state.ledger.state.robots.get(name)
 
     def _why_not(self, entry: log_entries.Entry) -> str:
-        """Why an order makes no sense at present; "" if it does."""
+        """Why an order is not possible at present; "" if it is."""
         state, me, plan = self.state, self.config.name, self.state.ledger.game.plan
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if not state.active or not (self.electorate.is_member() or self.config.witness):
             return "%s is not in the team (yet): %s" % (me, self.electorate.waits_to_join())
         if isinstance(entry, log_entries.Leave) and self.electorate.members() == [entry.robot]:
-            return "%s is the last one of the team; stop the run instead" % entry.robot
+            return "%s is the last robot of the team; stop the run instead" % entry.robot
         name = getattr(entry, "robot", "")
         robot = self._robot(name)
         if name and (robot is None or robot.phase.gone):
@@ -168,7 +173,7 @@ class Orders:
         return self._why_not_deployed(entry)
 
     def _why_not_deployed(self, entry: log_entries.Entry) -> str:
-        """Why an order that is about another plan makes no sense at present; "" if it does."""
+        """Why an order about another plan is not possible at present; "" if it is."""
         team, present = self.state.ledger.state, self.state.ledger.game.plan
         if isinstance(entry, log_entries.StagePlan):
             try:
@@ -190,15 +195,15 @@ class Orders:
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if name == me:
-            return "%s cannot assert that it is off itself" % me
+            return "%s cannot be asked to assert that it is switched off itself" % me
         if robot is None or robot.phase.gone:
             return "there is no robot '%s' in the team" % name
         if self.electorate.has_to_join() and not state.torn:
-            return "%s has no vote; ask a robot that is in the team" % me
+            return "%s has no vote; give the order to a member of the team" % me
         if state.peers.get(name).heard is not None:
             silence = state.peers.silence(name, state.now)
             if silence < 2 * self.config.pace.heartbeat:
-                return "%s was heard %.1f s ago: it is not off; use evict, or switch it off" % (
+                return "%s was heard %.1f s ago, so it is not off; use evict, or switch it off" % (
                     name,
                     silence,
                 )

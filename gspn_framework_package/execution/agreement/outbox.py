@@ -1,8 +1,8 @@
-"""The effects of a step, in order: records, messages, answers, announcements for people.
+"""Collects the effects of a step in order: records, messages, answers, announcements for people.
 
-Owns ``records`` and ``durable``, the length of our own log. Calls nobody; every part puts its
-effects in here, and :class:`~gspn_framework_package.execution.agreement.replica.Replica` takes them
-out.
+Owns ``records`` and ``durable``, the length of our own log. Calls no other part; all parts add
+their effects here, and :class:`~gspn_framework_package.execution.agreement.replica.Replica` takes
+them out.
 """
 
 from __future__ import annotations
@@ -26,37 +26,38 @@ class Outbox:
         self._effects: List[interface.Effect] = []
         self._request = ""
 
-    # -- a step begins and ends --------------------------------------------------------------------
+    # -- begin and end of a step
+    # --------------------------------------------------------------------
 
     def begin(self, request_id: str) -> None:
-        """The step takes a message; ``request_id`` as in
+        """Begin a step that takes a message; ``request_id`` as in
         :class:`~gspn_framework_package.execution.agreement.interface.Received`."""
         self._request = request_id
 
     def end(self) -> None:
-        """A call that nobody answered gets an empty reply."""
+        """End the step: a call that was not answered gets an empty reply."""
         if self._request:
             self.put(interface.Reply(self._request, {}))
             self._request = ""
 
     def flush(self) -> List[interface.Effect]:
-        """The effects so far."""
+        """Take out the effects so far."""
         effects, self._effects = self._effects, []
         return effects
 
     @property
     def owes_reply(self) -> bool:
-        """Whether the message that is being taken is a call that was not answered yet."""
+        """Whether the message being handled is a call that was not answered yet."""
         return bool(self._request)
 
     # -- effects -----------------------------------------------------------------------------------
 
     def put(self, *effects: interface.Effect) -> None:
-        """Have these carried out after all earlier effects."""
+        """Add effects, to be carried out after all earlier ones."""
         self._effects += effects
 
     def persist(self, record: Record, *, durable: bool = False, synced: bool = False) -> None:
-        """Write a record before anything else leaves the process; see
+        """Add a record, to be written before any later effect leaves the process; see
         :class:`~gspn_framework_package.execution.agreement.interface.Persist`."""
         self.state.records += 1
         if durable:
@@ -64,7 +65,7 @@ class Outbox:
         self.put(interface.Persist(record, durable, synced))
 
     def send_all(self, to: Sequence[str], body: Any) -> None:
-        """Send a message to each of these."""
+        """Send a message to each of these robots."""
         if to:
             signed = self.signed(body)
             self.put(*(interface.Send(robot, signed) for robot in to))
@@ -74,7 +75,7 @@ class Outbox:
         self.put(interface.Send(interface.EVERYBODY, self.signed(body)))
 
     def answer(self, to: Envelope, body: Any) -> None:
-        """Answer a message; if it was a call, with its reply."""
+        """Answer a message, by a reply if it was a call."""
         if self._request:
             self.put(interface.Reply(self._request, self.signed(body)))
             self._request = ""
@@ -90,7 +91,7 @@ class Outbox:
         self.put(interface.OrderResult(order_id, ok, text))
 
     def signed(self, body: Any) -> interface.Message:
-        """A message as it leaves, with what every message says about its sender."""
+        """A message with the envelope that describes its sender."""
         state = self.state
         return Envelope(
             self.config.name,

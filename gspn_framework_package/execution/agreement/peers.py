@@ -9,18 +9,18 @@ from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, T
 from gspn_framework_package.execution.agreement.messages import Envelope
 
 FORGETTING_TIME = 60.0
-"""Seconds after which half of a silence that a robot came back from is forgotten."""
+"""Half-life, in seconds, of the memory of a silence from which a robot came back."""
 
 MARGIN = 1.5
-"""A silence has to be this many times longer than the longest that the robot came back from."""
+"""A silence counts only if it is this many times the longest silence from which the robot came
+back."""
 
 LARGEST_FACTOR = 4.0
-"""At most this many times the plan's limit is granted to a robot that is often silent."""
+"""A robot that is often silent is granted at most this many times the plan's limit."""
 
 
 class Life(NamedTuple):
-    """How many durable records the log of a robot had in one of its incarnations, as far as it
-    said."""
+    """How many durable records a robot's log had in one of its incarnations, by its own report."""
 
     incarnation: int
     records: int
@@ -31,40 +31,40 @@ class Peer:
     """What is known of another robot."""
 
     heard: Optional[float] = None
-    """When a message of it came in (s); None: never in this life of ours."""
+    """When its last message arrived (s); None: not in this incarnation of ours."""
     gap: float = 0.0
-    """The longest silence that it came back from (s); older ones count less."""
+    """The longest silence from which it came back (s); older ones count less."""
     length: int = 0
-    """How long its log was."""
+    """The length of its log."""
     log: str = ""
-    """The id of the log that it speaks for."""
+    """The id of its log."""
     at_work: Optional[float] = None
-    """When it last said, with the log whose votes count, that it takes part (s)."""
+    """When it last reported, with the log whose votes count, that it takes part (s)."""
     welcomes: str = ""
     """The id of the log of *ours* that it knows."""
     silent: FrozenSet[str] = frozenset()
-    """Whom it does not hear."""
+    """The robots that it does not hear."""
     active: bool = True
-    """Whether it says that it takes part: a robot that lost its log does not until it is let
-    in."""
+    """Whether it reports that it takes part: a robot that lost its log does not before it is
+    admitted."""
     joining: bool = False
-    """Whether it says that it has to be let in first."""
+    """Whether it reports that it must be admitted first."""
     answered: float = -math.inf
-    """When we answered a hello of it last (s); two that wait must not answer each other's
+    """When we last answered a hello of it (s); two waiting robots must not answer each other's
     answers."""
     met: bool = False
-    """It said hello before."""
+    """Whether it has sent a hello before."""
     cast_out: Dict[str, int] = field(default_factory=dict)
-    """Robot -> slot of its last eviction by force, as its log had it when it last said hello."""
+    """Robot -> slot of its last forced eviction, according to the peer's last hello."""
     life: Life = Life(-1, 0)
     before: Life = Life(-1, 0)
-    """Its newest incarnation, and the one before, in that log."""
+    """Its newest incarnation in that log, and the one before."""
     surprise: Optional[Life] = None
-    """What our next hello should say: that we know its log as longer than it said, or (an empty
+    """What our next hello should report: that we know its log as longer than it said, or (an empty
     life) that we know it under another log."""
 
     def note_life(self, message: Envelope) -> None:
-        """Note the log that it speaks for, and its length."""
+        """Note the peer's log and its length."""
         now = Life(message.incarnation, message.records)
         if message.log != self.log:
             self.log, self.life, self.before = message.log, now, Life(-1, 0)
@@ -76,15 +76,15 @@ class Peer:
 
 @dataclass
 class Peers:
-    """All others that were heard of.
+    """All other robots that are known.
 
-    :ivar known: robot -> id of the first log of it that we heard of; survives a restart.
-    :ivar torn: robot -> the ids of its log, and of those that this one goes on from, after a loss
-        of power; survives a restart.
-    :ivar dead: the ids of logs that lost their ends: what was sent under them does not count.
-    :ivar unsure: the robots of which another process may have been heard first, because we lost
-        what we knew.
-    :ivar since: when we began to listen.
+    :ivar known: robot -> id of its first log that we heard of; survives a restart.
+    :ivar torn: robot -> after a power loss, the ids of its log and of the logs that this one
+        continues; survives a restart.
+    :ivar dead: the ids of logs that lost their ends; messages sent under them do not count.
+    :ivar unsure: the robots for which we may have heard another process first, because we lost our
+        log.
+    :ivar since: when we began to listen (s).
     """
 
     known: Dict[str, str] = field(default_factory=dict)
@@ -95,11 +95,11 @@ class Peers:
     all: Dict[str, Peer] = field(default_factory=dict)
 
     def get(self, robot: str) -> Peer:
-        """What is known of a robot; nothing of one that was not heard."""
+        """What is known of a robot; an empty :class:`Peer` if it was never heard."""
         return self.all.get(robot) or Peer()
 
     def hear(self, robot: str, now: float) -> Peer:
-        """Note that a message of the robot came in."""
+        """Note that a message of the robot arrived."""
         peer = self.all.setdefault(robot, Peer())
         if peer.heard is not None:
             silence = now - max(peer.heard, self.since)
@@ -108,16 +108,17 @@ class Peers:
         return peer
 
     def listen_anew(self, now: float) -> None:
-        """We were not listening (suspended, restarted): no silence counts so far."""
+        """Restart all measurements of silence, because we were not listening (suspended or
+        restarted)."""
         self.since = now
 
     def silence(self, robot: str, now: float) -> float:
-        """Seconds for which the robot has not been heard while we listened."""
+        """Seconds since the robot was last heard, counting only time in which we listened."""
         heard = self.get(robot).heard
         return now - (self.since if heard is None else max(heard, self.since))
 
     def near(self, members: Sequence[str], me: str, within: float, now: float) -> List[str]:
-        """The members that were heard within that time, ourselves included."""
+        """The members heard within a time (s), including us."""
         return [
             m
             for m in members
@@ -137,5 +138,5 @@ class Peers:
         return min(LARGEST_FACTOR * limit, max(limit, MARGIN * peer.gap))
 
     def accusers(self, robot: str) -> Set[str]:
-        """The robots that say that the robot is silent."""
+        """The robots that report a robot as silent."""
         return {name for name, peer in self.all.items() if robot in peer.silent}

@@ -1,7 +1,7 @@
-"""What waits to get into the log: this robot's proposals, and those that others announced to it.
+"""The entries waiting to get into the log: this robot's proposals, and those announced by others.
 
 Owns ``own_proposals``, ``others_proposals`` and ``number``. Reads the electorate (what may go into
-the log), puts records and the answers to orders into the outbox.
+the log), puts records and answers to orders into the outbox.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from gspn_framework_package.execution.token_game import Step
 
 
 class ProposalQueue:
-    """The proposals on their way. Those of one origin stay in the order of their numbers."""
+    """The waiting proposals. Those of one robot stay in the order of their numbers."""
 
     def __init__(
         self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate
@@ -35,14 +35,15 @@ class ProposalQueue:
         self.state = state
         self.outbox = outbox
         self.electorate = electorate
-        self._open: Dict[Origin, Item] = {}  # while our log is read back
+        self._open: Dict[Origin, Item] = {}  # while our log is being read
 
-    # -- in ----------------------------------------------------------------------------------------
+    # -- adding
+    # ----------------------------------------------------------------------------------------
 
     def propose(self, entry: log_entries.Entry, order_id: str = "", suspect: str = "") -> None:
         """Propose an entry for the log."""
         item = Item(entry, self._next_origin())
-        if not suspect:  # a suspicion may be withdrawn, and is never taken up again
+        if not suspect:  # a suspicion may be withdrawn, and is not restored after a restart
             origin = list(item.origin)
             self.outbox.persist(
                 {"kind": "invoked", "entry": log_entries.to_json(entry), "origin": origin}
@@ -50,7 +51,7 @@ class ProposalQueue:
         self.state.own_proposals.append(Proposal(item, order_id, suspect))
 
     def add_local_transition(self, entry: log_entries.Done, firing: Firing) -> Origin:
-        """A local transition was made, and has to get into the log at some time."""
+        """Add a local transition that was made and has to get into the log eventually."""
         origin = self._next_origin()
         self.outbox.persist(
             {
@@ -64,13 +65,13 @@ class ProposalQueue:
         return origin
 
     def add_others(self, items: Sequence[Item]) -> None:
-        """Keep the proposals of others."""
+        """Add the proposals of other robots."""
         if not items:
             return
         is_news, others = self.state.ledger.is_news, self.state.others_proposals
         peers, is_of_team = self.state.peers, self.electorate.is_of_team
         for item in self.electorate.without_spares(items):
-            robot = item.origin.robot  # a name that nobody has is not kept
+            robot = item.origin.robot  # ignore unknown names
             if is_news(item.origin) and (robot in peers.all or is_of_team(robot)):
                 others.setdefault(robot, Waiting()).append(Proposal(item))
 
@@ -84,16 +85,17 @@ class ProposalQueue:
         return Origin(self.config.name, state.incarnation, state.number, state.log_id[:8])
 
     def begin_life(self) -> None:
-        """A new incarnation counts from 1."""
+        """Restart the numbering at 1 for a new incarnation."""
         self.state.number = 0
 
-    # -- out ---------------------------------------------------------------------------------------
+    # -- removing
+    # ---------------------------------------------------------------------------------------
 
     def take_out_decided(self, fresh: Set[Origin], step: Optional[Step]) -> None:
-        """Drop what is in the log, and answer the operators who ordered it.
+        """Drop proposals that are now in the log, and answer the operators who ordered them.
 
         :param fresh: origins of the slot that was just decided.
-        :param step: what it brought about.
+        :param step: the effects of the slot.
         """
         state = self.state
         is_news = state.ledger.is_news
@@ -105,7 +107,7 @@ class ProposalQueue:
                 waiting.remove(origin)
             if not waiting:
                 del others[robot]
-        # ours are of one log in each incarnation, so those that are no news come first
+        # each of our incarnations has one log, so proposals that are already known come first
         for own in state.own_proposals.pop_while(lambda origin: not is_news(origin)):
             if own.order_id:
                 self._answer(own, own.item.origin in fresh, step)
@@ -113,13 +115,13 @@ class ProposalQueue:
     def _answer(self, own: Proposal, in_log: bool, step: Optional[Step]) -> None:
         slot = self.state.ledger.length - 1
         if not in_log:
-            self.outbox.order_result(own.order_id, False, "was overtaken by a newer one")
+            self.outbox.order_result(own.order_id, False, "was superseded by a newer one")
             return
         why = self._without_effect(own.item.entry, step)
         self.outbox.order_result(own.order_id, not why, why or "done, in slot %d of the log" % slot)
 
     def _without_effect(self, entry: log_entries.Entry, step: Optional[Step]) -> str:
-        """Why an order in the log changed nothing; "" if it did change something."""
+        """Why an order in the log had no effect; "" if it had one."""
         if isinstance(entry, (log_entries.SetPlace, log_entries.Fire, log_entries.Adopt)):
             return "; ".join(
                 c.message
@@ -129,17 +131,17 @@ class ProposalQueue:
         if isinstance(
             entry, (log_entries.Leave, log_entries.Evict)
         ) and self.electorate.members() == [entry.robot]:
-            return "%s is the last one of the team, and stays; stop the run instead" % entry.robot
+            return "%s is the last robot of the team and stays; stop the run instead" % entry.robot
         return ""
 
     def withdraw_suspicion(self, robots: Iterable[str]) -> None:
-        """Withdraw the Evicts for silence of robots that were heard again."""
+        """Withdraw proposals to evict robots for silence that were heard again."""
         heard, waiting = set(robots), self.state.own_proposals
         for own in [own for own in waiting.asking if own.suspect and own.suspect in heard]:
             waiting.remove(own.item.origin)
 
     def withdraw_forced_evictions(self, robot: str, why: str) -> None:
-        """Withdraw the evictions by force of a robot that is not off."""
+        """Withdraw forced evictions of a robot that is not off."""
         for own in list(self.state.own_proposals.asking):
             entry = own.item.entry
             if isinstance(entry, log_entries.Evict) and entry.forced and entry.robot == robot:
@@ -148,34 +150,34 @@ class ProposalQueue:
                     self.outbox.order_result(own.order_id, False, why)
 
     def void(self, own: Proposal, why: str) -> None:
-        """A proposal does not hold."""
+        """Drop a proposal that is void."""
         self.state.own_proposals.remove(own.item.origin)
         self.outbox.persist({"kind": "void", "origin": list(own.item.origin), "why": why})
 
     def keep_orders_only(self) -> None:
-        """Our robot is gone: drop its own proposals, but not the operators'."""
+        """Drop our robot's own proposals, because it is gone, but keep the operators'."""
         orders = [own for own in self.state.own_proposals.asking if own.order_id]
         self.state.own_proposals = Waiting()
         for own in orders:
             self.state.own_proposals.append(own)
 
     def drop_all(self, why: str) -> None:
-        """We forget our log, and everything that was to get into it."""
+        """Drop everything, because we discard our log."""
         for own in self.state.own_proposals.asking:
             if own.order_id:
                 self.outbox.order_result(own.order_id, False, why)
         self.state.own_proposals = Waiting()
         self.state.others_proposals = {}
 
-    # -- questions ---------------------------------------------------------------------------------
+    # -- queries ---------------------------------------------------------------------------------
 
     def own_items(
         self, local: int = MOST_ITEMS, without: Collection[Origin] = frozenset()
     ) -> List[Item]:
-        """The first of our own proposals, up to that many local transitions, as many as a message
-        holds: none is passed over.
+        """The first of our own proposals, without gaps, up to a number of local transitions and to
+        what a message holds.
 
-        :param without: these are left out.
+        :param without: proposals to leave out.
         """
         items: List[Item] = []
         for own in self.state.own_proposals:
@@ -187,24 +189,24 @@ class ProposalQueue:
         return items
 
     def origins(self) -> List[str]:
-        """The robots whose proposals others announced."""
+        """The robots whose announced proposals we hold."""
         return list(self.state.others_proposals)
 
     def reported_by(self, robots: Iterable[str]) -> List[Item]:
-        """The announced proposals of these robots."""
+        """The announced proposals of some robots."""
         return [own.item for robot in robots for own in self.state.others_proposals[robot]]
 
     def has_control(self) -> bool:
-        """Whether an order waits that needs every robot to freeze its local transitions."""
+        """Whether an order is waiting that needs every robot to freeze its local transitions."""
         return any(isinstance(entry, CONTROLS) for entry in self._asking())
 
     def end_lives(self, robots: Mapping[str, bool]) -> bool:
-        """Whether something waits that ends the life of one of these members, as in
+        """Whether a waiting proposal ends the life of one of these members, as in
         :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`."""
         return any(self.electorate.ends_life(entry, robots) for entry in self._asking())
 
     def _asking(self) -> Iterator[log_entries.Entry]:
-        """What waits, ours and that of others, without local transitions."""
+        """All waiting proposals except local transitions."""
         waiting = (self.state.own_proposals, *self.state.others_proposals.values())
         return (own.item.entry for one in waiting for own in one.asking)
 
@@ -216,12 +218,12 @@ class ProposalQueue:
     ) -> Batch:
         """The batch for the open slot.
 
-        :param frozen: nobody makes a local transition until the slot is decided, and all that were
-            made are known.
+        :param frozen: no robot makes a local transition until the slot is decided, and all earlier
+            ones are known.
         :param unasked: members, as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`: the
-            slot cannot be decided without the entries that end the lives of these.
-        :param accepted: what comes first, since somebody voted for it.
+                slot must contain the entries that end their lives.
+        :param accepted: items that come first, since they have been voted for.
         """
         held = {i.origin for i in accepted}
         most = self.config.limits.batch
@@ -232,7 +234,7 @@ class ProposalQueue:
         items = [*accepted, *(i for i in waiting if i.origin not in held)]
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
         items = self._without_lost_lives(items, unasked or {})
-        if frozen and self.config.partial:  # in one slot, with the order for which they wait
+        if frozen and self.config.partial:  # in the same slot as the order for which they wait
             most = min(MOST_ITEMS, most + sum(i.private for i in items))
         if len(items) > most and unasked:
             needed = self._up_to_those_who_end(items, unasked)
@@ -246,14 +248,14 @@ class ProposalQueue:
     def batch_without_quorum(
         self, frozen: bool, accepted: Sequence[Item], voters: Collection[str], by_all: bool
     ) -> Optional[Batch]:
-        """The batch for a slot that is decided by all but the members that are asserted to be off:
-        it evicts these by force; None if it cannot, because of an order before that needs a frozen
-        attempt. An eviction may have to be proposed anew: the proposal is lost if the robot stopped
-        right after it noted the assertion.
+        """The batch for a slot that is decided without the members asserted to be off: it evicts
+        these by force. None if it cannot, because an earlier order needs a frozen attempt. An
+        eviction may have to be proposed again: the proposal is lost if the robot stopped right
+        after it noted the assertion.
 
         :param frozen: see :meth:`batch`.
-        :param accepted: what somebody accepted, or nothing.
-        :param voters: who promised.
+        :param accepted: a batch that was accepted before, if any. :param voters: the robots that
+        promised.
         :param by_all: as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.may_decide`.
         """
@@ -263,16 +265,17 @@ class ProposalQueue:
             eviction = log_entries.Evict(robot, state.off[robot], True)
             entries = (own.item.entry for own in state.own_proposals.asking)
             evictions = (e for e in entries if isinstance(e, log_entries.Evict))
-            # whoever ordered it
+            # by whichever robot
             if all(e._replace(by=log_entries.NOBODY) != eviction for e in evictions):
                 self.propose(eviction)
         batch = self.batch(frozen, dict.fromkeys(off, False), accepted)
         return None if self.electorate.not_cast_out(voters, batch.items, by_all) else batch
 
     def _without_lost_lives(self, items: List[Item], unasked: Mapping[str, bool]) -> List[Item]:
-        """A process that lacks the memory of its robot may return with the incarnation that this
-        memory had, too. What the latter announced is left out, or the return would never be news:
-        if it still exists, it begins another life, and announces it again."""
+        """Leave out announcements from lost memories: a process that lacks its robot's memory may
+        return with the same incarnation that the memory had, and those announcements would hide its
+        return. If the memory still exists, it begins another life and announces its proposals
+        again."""
         returns: Dict[str, Origin] = {}
         for item in items:
             entry = item.entry
@@ -290,9 +293,8 @@ class ProposalQueue:
         return [item for item in items if not is_lost(item.origin)] if returns else items
 
     def _up_to_those_who_end(self, items: List[Item], unasked: Mapping[str, bool]) -> Set[int]:
-        """The numbers of the proposals that end the lives of unasked members, of those of their
-        robots before them, and, if orders that local transitions must not pass are among these, of
-        the local transitions before them."""
+        """How many proposals to take of each robot so that the lives of unasked members end;
+        includes local transitions that precede an order which they must not pass."""
         last: Dict[str, int] = {}
         for number, item in enumerate(items):
             if self.electorate.ends_life(item.entry, unasked):
@@ -302,12 +304,11 @@ class ProposalQueue:
         return needed | {n for n, i in enumerate(items) if i.private and n < control}
 
     def in_order(self, frozen: bool, local: Optional[int] = None) -> List[Item]:
-        """What waits: for each robot, in the order of the members (others after them), first its
-        leading local transitions, then the rest. If not ``frozen``: without the orders that need
-        it, and without whatever follows them.
+        """All waiting proposals: for each robot, in the order of the members (then others), first
+        its leading local transitions, then the rest. If not ``frozen``, without the orders that
+        need a frozen slot and everything after them.
 
-        :param local: no more than so many local transitions of members, and nothing that comes
-            after them, are wanted.
+        :param local: take at most this many local transitions of members, and nothing after them.
         """
         order, others = self.electorate.members(), self.state.others_proposals
         first: List[Item] = []
@@ -325,7 +326,8 @@ class ProposalQueue:
         return first + rest
 
     def _waiting_of(self, robot: str) -> Iterable[Proposal]:
-        """What waits of one robot; of ours, what is known of another process of it, too."""
+        """The waiting proposals of a robot; for ours, including those of another process of its
+        name."""
         told = self.state.others_proposals.get(robot, ())
         if robot != self.config.name:
             return told
@@ -335,7 +337,7 @@ class ProposalQueue:
         more = [p for p in told if p.item.origin not in own]
         return sorted([*own, *more], key=lambda p: p.item.origin)
 
-    # -- our own log, read back --------------------------------------------------------------------
+    # -- reading our own log --------------------------------------------------------------------
 
     def recall(self, record: Record) -> None:
         """Take over a record of our own log."""
@@ -349,7 +351,7 @@ class ProposalQueue:
             self._open[item.origin] = item
 
     def recall_is_over(self) -> None:
-        """All records were read: what is not in the log still waits."""
+        """Finish reading: proposals that are not in the agreed log are still waiting."""
         for item in self._open.values():
             if self.state.ledger.is_news(item.origin):
                 self.state.own_proposals.append(Proposal(item))

@@ -1,10 +1,11 @@
-"""When to propose (as leader, after waiting for the leader, through a member if we have no vote),
-when to ask again, and when to give way to another's attempt. Nothing in here matters for safety.
+"""Decides when to propose (as leader, after waiting for the leader, or through a member if we have
+no vote), when to retry, and when to give way to another robot's attempt. Safety does not depend on
+it.
 
 Owns the timers of the open slot (the fields of proposer in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`) and drives the
-:class:`~gspn_framework_package.execution.agreement.consensus.Consensus`. Reads proposals and
-electorate, sends events through the outbox.
+:class:`~gspn_framework_package.execution.agreement.consensus.Consensus`. Reads the proposals and
+    the electorate, and sends messages through the outbox.
 """
 
 from __future__ import annotations
@@ -32,17 +33,18 @@ from gspn_framework_package.execution.chance import uniform
 from gspn_framework_package.model.plan_timing import POLICY
 
 BUSY = 4.0
-"""A leader whose slots are at most this many round trips apart gathers proposals."""
+"""A leader gathers proposals if its slots are at most this many round trips apart."""
 
 LONGEST_GATHER = 0.01
-"""Seconds that it waits for them at most. Where messages take longer, they cost little beside."""
+"""Maximum number of seconds to gather. If messages take longer than this, gathering gains
+little."""
 
 FLUSH_AT = 100
-"""This many waiting local transitions are put into the log for their number alone."""
+"""Number of waiting local transitions at which a slot is proposed just for them."""
 
 
 class Proposer:
-    """Acts on the clock and on what waits."""
+    """Acts on the clock and on waiting proposals."""
 
     def __init__(
         self,
@@ -63,23 +65,23 @@ class Proposer:
     # -- inputs ------------------------------------------------------------------------------------
 
     def on_proposals(self, message: Envelope, body: Proposals) -> None:
-        """Another wants something in the log."""
+        """Take another robot's proposals."""
         self.proposals.add_others(self.electorate.not_given_up(message, body.items))
         voteless = self.state.voteless
         (voteless.discard if body.vote else voteless.add)(message.sender)
 
     def forget(self, robot: str) -> None:
-        """A robot that is not in the team has fallen silent."""
+        """Forget a robot outside the team that has fallen silent."""
         self.state.voteless.discard(robot)
 
     def on_vote(self, message: Envelope) -> None:
-        """A consensus message of a robot whose memory counts."""
+        """Handle a consensus message of a robot whose votes count."""
         body, consensus, now = message.body, self.consensus, self.state.now
         if isinstance(body, Prepare):
             before = self.state.promised
             consensus.on_prepare(message, body)
             if before != self.state.promised == body.ballot:
-                self._give_way()  # once: who asks again and again may never get what it needs
+                self._give_way()  # only once: a robot that keeps asking may never get what it needs
         elif isinstance(body, Accept):
             consensus.on_accept(message, body)
         elif isinstance(body, Promise):
@@ -91,18 +93,18 @@ class Proposer:
             self._give_way()
 
     def on_chosen(self, ballot: Ballot) -> bool:
-        """We hear that what was accepted under ``ballot`` is chosen in the open slot; False if we
-        do not hold it."""
+        """Handle the news that the batch accepted under ``ballot`` was chosen in the open slot;
+        False if we do not have that batch."""
         return self.consensus.on_chosen(ballot)
 
     def ask_again(self, robot: str) -> None:
-        """A robot that was behind is sent what it lacks: repeat what it could not answer."""
+        """Repeat our question to a robot that was behind and could not answer it."""
         self.consensus.ask_again(robot)
 
     # -- the outcome of the open slot --------------------------------------------------------------
 
     def next_slot(self, mine: bool, returned: Set[str]) -> None:
-        """The open slot was decided; see
+        """Go on to the next slot; see
         :meth:`~gspn_framework_package.execution.agreement.consensus.Consensus.next_slot`."""
         state = self.state
         self.consensus.next_slot(mine, returned)
@@ -113,26 +115,27 @@ class Proposer:
         if state.asked_at is not None and not state.own_proposals:
             self.consensus.took(state.now - state.asked_at)
             state.asked_at = None
-        if self.config.partial and not mine:  # several may want the next slot: not all at once
+        # several robots may want the next slot; they should not all start at once
+        if self.config.partial and not mine:
             state.wait_until = (
                 state.now + max(self.config.pace.backoff, state.delay) * self._spread()
             )
 
     def begin_anew(self) -> None:
-        """Our log was replaced: our proposals for its open slot do not count."""
+        """Start over with a new log: attempts at the open slot of the old one do not count."""
         self.consensus.next_slot(False, set())
 
     def abandon(self) -> None:
-        """Give the running attempt and the lead up."""
+        """Give up the running attempt and the lead."""
         self.consensus.abandon()
 
     def lead_from_the_start(self, followers: Set[str]) -> None:
-        """We are the first of a team in which everybody is fresh."""
+        """Lead as the first robot of a team whose robots are all fresh."""
         self.consensus.lead_from_the_start(followers)
 
     def lead_on(self, ballot: Ballot, origins: Set[str]) -> bool:
-        """Our attempt was chosen: if another batch waits, propose it under the same ballot at
-        once, which also informs the others; returns whether it did.
+        """After our attempt was chosen, propose a waiting batch at once under the same ballot,
+        which also informs the others. Returns whether there was one.
 
         :param origins: the robots whose proposals were in the batch.
         """
@@ -146,9 +149,9 @@ class Proposer:
         return attempt is not None and attempt.ballot == ballot
 
     def _gather(self, origins: Set[str]) -> None:
-        """As leader, wait a moment for the robots whose actions end together, since each slot costs
-        messages to and from everybody. While we decide one slot after the other, those of the last
-        two slots act at the same time: what they do next comes within a round trip."""
+        """As leader, wait a moment for robots whose actions end together, since each slot costs
+        messages to and from every robot. While we decide slot after slot, the robots of the last
+        two slots act at the same time, and their next proposals arrive within a round trip."""
         state, wait = self.state, 0.0
         if state.now - state.decided_at <= BUSY * state.round_trip:
             state.gathers = state.busy | origins
@@ -159,7 +162,7 @@ class Proposer:
         state.gathers_until = state.now + max(wait, self.config.pace.gather)
 
     def _gathered(self) -> bool:
-        """Whether all that we gather waits, so that the time need not pass."""
+        """Whether everything we gather has arrived, so that we need not wait longer."""
         state = self.state
         if self.config.pace.gather > 0:
             return False
@@ -168,7 +171,7 @@ class Proposer:
             *state.others_proposals,
         }
 
-    # -- as time passes ----------------------------------------------------------------------------
+    # -- time ----------------------------------------------------------------------------
 
     def wants(self) -> bool:
         """Whether something should get into the log now."""
@@ -187,7 +190,7 @@ class Proposer:
         return False
 
     def _others_want(self) -> bool:
-        """Whether it is for us to propose what others announced: we lead, or they have no vote."""
+        """Whether we should propose what others announced: we lead, or they have no vote."""
         if self.consensus.leads():
             return True
         members, voteless = self.electorate.members(), self.state.voteless
@@ -203,7 +206,7 @@ class Proposer:
         return any(robot.request == POLICY and immediate[robot.place] for robot in asking)
 
     def drive(self) -> None:
-        """Get on with the proposals."""
+        """Advance the waiting proposals."""
         state, consensus, torn = self.state, self.consensus, self.electorate.needs_all()
         if state.attempt is not None and state.attempt.torn != torn:
             consensus.abandon()  # a robot's machine lost power, or has come back
@@ -215,7 +218,7 @@ class Proposer:
         if state.frozen_by is not None and state.frozen_since is None:
             state.frozen_since = state.now
         if not self.wants():
-            # else another's attempt is under way, which our next proposal must not defeat
+            # otherwise another robot's attempt is running, which our next proposal must not defeat
             if not state.gave_way:
                 state.wait_until = None
             return
@@ -234,7 +237,8 @@ class Proposer:
             self._follow_leader()
 
     def _propose_to_all(self) -> None:
-        """The slot needs the votes of all: the first of them proposes, later perhaps another."""
+        """Propose for a slot that needs the votes of all: the first robot proposes, later perhaps
+        another."""
         state = self.state
         if state.wait_until is None:
             patience = 0.0 if self.electorate.is_first_running() else self._patience()
@@ -299,11 +303,11 @@ class Proposer:
         return takeover * (1 + 0.25 * rank + 0.5 * self._draw())
 
     def _give_way(self) -> None:
-        """Another's attempt takes precedence: wait for its outcome."""
+        """Wait for the outcome of another robot's attempt, which takes precedence."""
         state = self.state
         if self.config.partial:
             state.gave_way = True
-            needs = 2 * state.delay  # its two phases
+            needs = 2 * state.delay  # the time of its two phases
             wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (
                 1 + self._spread()
             )
@@ -312,8 +316,8 @@ class Proposer:
         state.wait_until = state.now + wait
 
     def _spread(self) -> float:
-        """A part of the time over which robots that want a slot spread their starts: in a large
-        team, more want one at a time."""
+        """A random part of the time over which robots spread their starts when they want a slot; it
+        is longer in a large team, where more robots want one at a time."""
         return self.config.pace.spread * self._draw()
 
     def _draw(self) -> float:
@@ -324,7 +328,7 @@ class Proposer:
         )
 
     def wake_times(self) -> List[float]:
-        """When to look again (s)."""
+        """When to check again (s)."""
         state = self.state
         again = self.consensus.resend_at(self.config.pace.retry)
         if again is not None:

@@ -1,5 +1,4 @@
-"""Ballots, and who may decide: dynamic-linear voting (Jajodia and Mutchler, ACM TODS 15(2),
-1990)."""
+"""Ballots and quorums: dynamic-linear voting (Jajodia and Mutchler, ACM TODS 15(2), 1990)."""
 
 from __future__ import annotations
 
@@ -7,9 +6,9 @@ from typing import Any, Collection, NamedTuple, Sequence
 
 
 class Ballot(NamedTuple):
-    """The number of an attempt to decide a slot; of two the larger one wins. No two attempts have
-    the same: ``robot`` increments its own counter, and ``log`` is the id of the log in which it
-    does, because a robot that lost its log starts counting anew."""
+    """The number of an attempt to decide a slot; the larger of two wins. It is unique: ``robot``
+    increments its own counter, and ``log`` is the id of its log, because a robot that lost its log
+    restarts its counter."""
 
     counter: int
     robot: str
@@ -17,9 +16,8 @@ class Ballot(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Any) -> Ballot:
-        """The ballot of a JSON value ``[counter, robot, log]`` (older logs: without the log).
-
-        :raises ValueError: not one.
+        """Parse a JSON value ``[counter, robot, log]`` (in older logs, without ``log``). :raises
+        ValueError: it is malformed.
         """
         counter, robot, *log_id = data
         if type(counter) is not int or not isinstance(robot, str) or len(log_id) > 1:
@@ -28,8 +26,8 @@ class Ballot(NamedTuple):
 
 
 def is_quorum(voters: Collection[str], members: Sequence[str]) -> bool:
-    """Whether ``voters`` may decide for ``members``: more than half of them, or exactly half with
-    the first one among these. Any two quorums share a member.
+    """Whether ``voters`` are a quorum of ``members``: more than half of them, or exactly half
+    including the first. Any two quorums share a member.
 
     >>> is_quorum(["a"], ["a", "b"]), is_quorum(["b"], ["a", "b"]), is_quorum(["b", "c"], "abc")
     (True, False, True)

@@ -1,9 +1,9 @@
-"""What reaches this robot from outside the team: events that interrupt it, tasks that come in.
+"""Handles what reaches this robot from outside the team: events that interrupt it, and new tasks.
 
-Owns ``offered``. Turns events of the robot's present visit into proposals. Keeps tasks, in the log
+Owns ``offered``. Turns events of the robot's present visit into proposals. Keeps tasks, in its log
 as well, until the team has them: every robot that a task reached keeps it, the first running member
-proposes it, and the others do so only if that takes too long. So a task survives the robot that
-received it, and usually is proposed once.
+proposes it, and the others do so only if that takes too long. A task thus survives the loss of a
+robot, and is usually proposed once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT
 from gspn_framework_package.model.errors import LogError
 
 OFFERED_LIMIT = 10_000
-"""Most tasks that a robot keeps for a team that does not take them."""
+"""Maximum number of tasks that a robot keeps for a team that does not take them."""
 
 
 class Reactions:
@@ -52,7 +52,7 @@ class Reactions:
         self._watch: Optional[EventWatch] = None
         self._begin_to_watch()
         self._orders: Dict[Tuple[str, str], List[str]] = {}
-        """Task -> the orders of operators that wait until the team has it."""
+        """Task -> operators' orders that wait until the team has it."""
 
     # -- events ------------------------------------------------------------------------------------
 
@@ -73,12 +73,12 @@ class Reactions:
         self._watch = EventWatch(plan, self.config.name, anew) if plan.events else None
 
     def observe(self, given: interface.EventObserved) -> None:
-        """Take in what a source shows."""
+        """Take a report of a source."""
         if self._watch is not None:
             self._watch.observe(given.transition, given.holds, given.cause)
 
     def want_events(self) -> None:
-        """Propose the events that interrupt the robot now."""
+        """Propose the events that should interrupt the robot now."""
         if self._watch is None:
             return
         for event in self._watch.due(self._visit(), self.state.now):
@@ -89,8 +89,8 @@ class Reactions:
 
     def _is_idle(self, event: log_entries.Interrupt) -> bool:
         """Whether an event would change nothing, as far as we know: the same event of this visit is
-        on its way or held already, or its transition is not enabled and would not be held. Sources
-        that show something new all the time must not fill the log."""
+        already proposed or held, or its transition is not enabled and would not be held. Sources
+        that change all the time must not fill the log."""
         for own in self.state.own_proposals.asking:
             entry = own.item.entry
             if isinstance(entry, log_entries.Interrupt) and entry[:4] == event[:4]:
@@ -106,11 +106,11 @@ class Reactions:
         return not paused and not net.is_enabled(self.robot.marking(), t)
 
     def _readable(self, event: log_entries.Interrupt) -> log_entries.Entry:
-        """The event as it is written, without a cause that nobody could read."""
+        """The event in written form, without its cause if that could not be read back."""
         try:
             return log_entries.checked(event)
         except LogError as error:
-            self.outbox.fault("the cause of '%s' is left out: %s" % (event.transition, error))
+            self.outbox.fault("omitting the cause of '%s': %s" % (event.transition, error))
             return event._replace(cause=log_entries.NOTHING)
 
     def watches(self, transition: str) -> bool:
@@ -127,27 +127,27 @@ class Reactions:
     # -- tasks -------------------------------------------------------------------------------------
 
     def take_task(self, task: log_entries.Submit, order_id: str = "") -> str:
-        """Keep a task until the team has it; returns why it is not kept, "" if it is.
+        """Keep a task until the team has it; returns why the task is refused, "" if it is not.
 
         :param order_id: the operator's order that gave it, answered once the team has the task.
         """
         state = self.state
         task = task._replace(transition=state.ledger.state.present_name(task.transition))
         if state.ledger.entrance(task.transition) is None:
-            return "no tasks come in by '%s'" % task.transition
+            return "'%s' does not take tasks" % task.transition
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if order_id and self._is_full(task.transition):
-            return "%d tasks wait for '%s' already" % (OUTSIDE_LIMIT, task.transition)
+            return "%d tasks are already waiting for '%s'" % (OUTSIDE_LIMIT, task.transition)
         try:
             kept = log_entries.checked(task)
         except LogError as error:
             return str(error)
-        assert isinstance(kept, log_entries.Submit)  # a copy of the task
+        assert isinstance(kept, log_entries.Submit)  # a duplicate of a task that we keep
         key = (task.transition, task.id)
         if key not in state.offered and not self._has(key):
             if len(state.offered) >= OFFERED_LIMIT:
-                return "%d tasks wait for the team already" % OFFERED_LIMIT
+                return "%d tasks are already waiting for the team" % OFFERED_LIMIT
             self.outbox.persist({"kind": "offered", "entry": log_entries.to_json(kept)})
             state.offered[key] = (kept, state.now)
         if order_id and key in state.offered:
@@ -156,12 +156,12 @@ class Reactions:
             team, net = state.ledger.state, state.ledger.game.net
             here = [text for text in team.tasks_left(net) if text.startswith(task.id + " ")]
             where = "it is " + here[0][len(task.id) + 1 :] if here else "it is no more"
-            text = "it came before, and is not taken again: %s" % where
+            text = "the task was submitted before and is not taken again: %s" % where
             self.outbox.order_result(order_id, True, text)
         return ""
 
     def want_tasks(self) -> None:
-        """Propose the tasks that the team does not have yet, if it is our turn."""
+        """Propose the tasks that the team does not have yet, if that is up to us."""
         state = self.state
         if not state.offered:
             return
@@ -170,10 +170,10 @@ class Reactions:
             self._answer(key, self._orders.pop(key, []))
         for key in [key for key in state.offered if state.ledger.entrance(key[0]) is None]:
             if not state.active:
-                break  # who forgot its log does not know yet by which plan the task came
+                break  # a robot that discarded its log does not yet know the plan of the task
             del state.offered[key]
-            why = "no tasks come in by '%s' any more" % key[0]
-            self.outbox.fault("task %s is not taken: %s" % (key[1], why))
+            why = "'%s' does not take tasks any more" % key[0]
+            self.outbox.fault("task %s is refused: %s" % (key[1], why))
             for order in self._orders.pop(key, []):
                 self.outbox.order_result(order, False, why)
         if state.ledger.state.ended is not None:
@@ -197,16 +197,16 @@ class Reactions:
         return t is not None and ledger.state.is_known(t, task)
 
     def _is_full(self, transition: str) -> bool:
-        """Whether no more tasks can wait outside: until there is room, we keep ours."""
+        """Whether no more tasks can wait outside the net; we keep ours until there is room."""
         ledger = self.state.ledger
         t = ledger.entrance(transition)
         return t is not None and ledger.state.is_full(t)
 
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
-        """Answer operators that the team has their task."""
+        """Answer the operators once the team has their task."""
         team = self.state.ledger.state
         waits = any(task.id == key[1] for _, task in team.submitted)
-        text = "the team has it; it waits until '%s' is enabled" % key[0] if waits else "done"
+        text = "the team has the task; it waits until '%s' is enabled" % key[0] if waits else "done"
         for order in orders:
             self.outbox.order_result(order, True, text)
 
@@ -220,13 +220,13 @@ class Reactions:
         return {(e.transition, e.id) for e in entries if isinstance(e, log_entries.Submit)}
 
     def _patience(self) -> float:
-        """How long we leave a task to the first member (s)."""
+        """How long we leave a task to the first running member (s)."""
         return 2 * max(self.config.pace.takeover, 3 * self.state.delay)
 
     # -- time, and our own log ---------------------------------------------------------------------
 
     def wake_times(self) -> List[float]:
-        """When to look again (s)."""
+        """When to check again (s)."""
         times = []
         if self._watch is not None:
             time = self._watch.wake_time(self._visit())
@@ -243,7 +243,7 @@ class Reactions:
         return times
 
     def recall(self, record: Record) -> None:
-        """Take over a record of our own log: a task that came, or a slot or snapshot that says that
+        """Take over a record of our own log: a received task, or a slot or snapshot showing that
         the team has it."""
         offered = self.state.offered
         if record["kind"] == "slot":

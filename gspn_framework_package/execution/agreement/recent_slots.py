@@ -1,7 +1,7 @@
-"""The newest slots of the log, for robots that are behind: they get slots, not a snapshot.
+"""The newest slots of the log, for robots that are only a little behind and need no snapshot.
 
-A collection that :mod:`~gspn_framework_package.execution.agreement.replication` keeps; calls
-nobody.
+A collection owned by :mod:`~gspn_framework_package.execution.agreement.replication`; calls no other
+part.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ Slot = Tuple[Ballot, Batch, str]
 class RecentSlots:
     """The newest slots, in order.
 
-    :param kept: how many are kept; a robot that is further behind gets a snapshot.
-    :param chunk: how many are sent at a time.
+    :param kept: how many slots are kept; a robot that is further behind gets a snapshot.
+    :param chunk: how many slots are sent at a time.
     """
 
     def __init__(self, kept: int, chunk: int) -> None:
@@ -30,12 +30,12 @@ class RecentSlots:
         self._slots: Deque[Slot] = deque()
 
     def clear(self, first: int) -> None:
-        """Begin anew at slot ``first``."""
+        """Start over at slot ``first``."""
         self._first = first
         self._slots.clear()
 
     def add(self, slot: int, ballot: Ballot, batch: Batch, before: str) -> None:
-        """Keep a slot; ``before`` is the end of the hash chain before it."""
+        """Add a slot; ``before`` is the end of the hash chain before it."""
         if slot != self._first + len(self._slots):
             self.clear(slot)
         self._slots.append((ballot, batch, before))
@@ -44,13 +44,13 @@ class RecentSlots:
             self._first += 1
 
     def since(self, slot: int) -> Optional[Tuple[Slot, ...]]:
-        """Some slots from ``slot`` on; None where they are not kept any more."""
+        """Some slots from ``slot`` on; None if they are no longer kept."""
         if slot < self._first:
             return None
         at = slot - self._first
         return tuple(self._slots[i] for i in range(at, min(at + self._chunk, len(self._slots))))
 
     def hash_before(self, slot: int) -> Optional[str]:
-        """The end of the hash chain before ``slot``, None where it is not kept."""
+        """The end of the hash chain before ``slot``; None if it is not kept."""
         at = slot - self._first
         return self._slots[at][2] if 0 <= at < len(self._slots) else None

@@ -1,4 +1,4 @@
-"""A replica's own log, read back when it starts again.
+"""Reads a replica's own log when it restarts.
 
 Owns nothing: routes each record to the part that handles it (membership, replication, proposals,
 consensus), in the order of the log, and lets the membership begin the next life.
@@ -26,7 +26,7 @@ OF_CONSENSUS = ("promised", "accepted")
 
 
 class Recovery:
-    """Hands records out."""
+    """Passes records to the parts."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class Recovery:
             except (KeyError, TypeError, ValueError, AttributeError) as error:
                 raise _damaged(record, number, error) from None
         if any(r["kind"] == "reset" for r in records[begin + 1 :]):
-            self.replication.keep_slots()  # we stopped after that reset, before we could
+            self.replication.keep_slots()  # we stopped right after that reset
         self._recall_votes(records)
         self.proposals.recall_is_over()
         self.replication.recall_is_over(records)
@@ -68,7 +68,7 @@ class Recovery:
             self.replication.begin()
 
     def _recall(self, record: Record, counts: bool) -> None:
-        """Take over one record. ``counts``: no snapshot or reset follows it."""
+        """Take over a record. ``counts``: whether no snapshot or reset follows it."""
         kind = record["kind"]
         if kind in OF_MEMBERSHIP:
             self.membership.recall(record)
@@ -82,7 +82,7 @@ class Recovery:
             self.replication.recall(record)
 
     def _recall_votes(self, records: Sequence[Record]) -> None:
-        """Take promises and votes up again; those before a reset are of another memory."""
+        """Restore promises and votes; those before a reset belong to another memory."""
         last = max((i for i, r in enumerate(records) if r["kind"] == "reset"), default=-1)
         for number, record in enumerate(records):
             if record["kind"] in OF_CONSENSUS:
@@ -95,17 +95,17 @@ class Recovery:
 
 
 def _replaces_slots(record: Record) -> bool:
-    """Whether the slots before a record do not count for what follows it."""
+    """Whether a record replaces all slots before it."""
     return record["kind"] == "snapshot" or _forgets_slots(record)
 
 
 def _forgets_slots(record: Record) -> bool:
-    """Whether we forgot our slots with our votes."""
+    """Whether a reset discarded our slots as well as our votes."""
     return record["kind"] == "reset" and not record.get("keep")
 
 
 def _damaged(record: Record, number: int, error: Exception) -> LogError:
     return LogError(
         "record %d of our own log, '%s', is damaged (%r)" % (number + 1, record.get("kind"), error),
-        hint="move the file away: the robot then learns the log from the others, and joins again",
+        hint="move the file away; the robot then gets the log from the others and rejoins",
     )

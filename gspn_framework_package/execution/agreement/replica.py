@@ -2,7 +2,7 @@
 
 :class:`Replica` takes inputs and returns effects
 (:mod:`~gspn_framework_package.execution.agreement.interface`). It only assembles the parts and
-routes each input to the part that handles it; what a replica remembers is in one
+routes each input to the part that handles it; its state is in one
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`, of which it owns ``now``.
 
 Protocol, assumptions and a sketch of the proof are in ``docs/agreement.md``.
@@ -45,21 +45,20 @@ class Replica:
     :param robot: our name.
     :param run: name of the run; messages of other runs are ignored.
     :param log_id: id of our log, from its header.
-    :param records: the records of our log, in order; empty where it is new.
-    :param joining: we are not in the first team (or it has started long ago): learn the log from
-        the others, then join.
-    :param place: where we start when we join for the first time; default: our place in the plan,
-        else the first of ``spawn``.
+    :param records: the records of our log, in order; empty for a new log.
+    :param joining: whether we are not in the first team, or it started long ago, so that we get the
+        log from the others and then join.
+    :param place: where we start when we first join; by default our place in the plan, otherwise the
+        first of ``spawn``.
     :param pace: times of the protocol, for a small team.
     :param limits: sizes of the protocol.
-    :param trusted: the end of our log is intact. If it may be lost (the machine was restarted, and
-        the log was not synced to the disk), the rest is not trusted, and the robot joins like one
-        that lost its log.
-    :param damage: what was damaged in our log, of which ``records`` is what is whole before it: our
-        votes do not count, and we join like a robot that lost its log; "" for nothing.
+    :param trusted: whether the end of our log is intact. If it may be lost (the machine was
+        restarted, and the log was not synced to the disk), the rest is not trusted, and the robot
+        joins like a robot that lost its log.
+    :param damage: what was damaged in our log, "" for nothing; ``records`` is then the intact part
+        before it, our votes do not count, and we join like a robot that lost its log.
 
-    :ivar config: its configuration.
-    :ivar state: what it remembers.
+    :ivar config: its configuration. :ivar state: its state.
     """
 
     def __init__(
@@ -98,7 +97,7 @@ class Replica:
             begin_records=len(records),
         )
         self._records = list(records)
-        # each part knows those before it; two need the log, which comes after them
+        # each part knows the earlier ones; two need the log, which comes later
         self.outbox = outbox = Outbox(config, state)
         self.electorate = electorate = Electorate(config, state)
         self.proposals = proposals = ProposalQueue(config, state, outbox, electorate)
@@ -124,7 +123,7 @@ class Replica:
         )
         self.people = Status(config, state, outbox, electorate, consensus, proposer, local)
 
-    # -- one input after the other -----------------------------------------------------------------
+    # -- inputs -----------------------------------------------------------------
 
     def start(self, now: float) -> List[interface.Effect]:
         """Begin (once, before any :meth:`step`).
@@ -135,7 +134,7 @@ class Replica:
         self.membership.listen_anew()
         if (
             self._records or self.config.damage or not self.config.trusted
-        ):  # nothing is left of a log that was not empty
+        ):  # the log was not empty, but nothing is left of it
             self.recovery.resume(self._records)
             self.robot.follow_plan()
         else:
@@ -148,22 +147,23 @@ class Replica:
         return self.outbox.flush()
 
     def step(self, given: interface.Input, now: float) -> List[interface.Effect]:
-        """Take one input; carry out the effects in order.
+        """Take one input and return the effects, to be carried out in order.
 
         :param now: monotonic clock, s.
         """
         return self.step_all((given,), now)
 
     def step_all(self, given: Sequence[interface.Input], now: float) -> List[interface.Effect]:
-        """Take inputs that wait, one after the other; carry out the effects in order. What is due
-        is done once, after the last of them: proposals that came together go into one slot.
+        """Take several inputs and return the effects, to be carried out in order. Due work is done
+        once, after the last input, so that proposals that arrive together go into one slot.
 
         :param now: monotonic clock, s.
         """
         state, before = self.state, self.state.now
         state.now = now
         if now - before > 4 * self.config.pace.heartbeat:
-            self.membership.listen_anew()  # suspended, or starved: nobody's silence counts
+            # we were suspended or starved, so the silence of others does not count
+            self.membership.listen_anew()
             self.consensus.woke(now)
         halted = False
         for number, one in enumerate(given, 1):
@@ -196,7 +196,7 @@ class Replica:
         elif isinstance(given, interface.TaskCame):
             why = self.reactions.take_task(given.task)
             if why:
-                self.outbox.fault("task %s is not taken: %s" % (given.task.id, why))
+                self.outbox.fault("task %s is refused: %s" % (given.task.id, why))
         elif isinstance(given, interface.Order):
             self.orders.order(given)
         elif isinstance(given, interface.OrderGiven):
@@ -244,12 +244,12 @@ class Replica:
             if self.electorate.can_teach(message.sender):
                 self.replication.on_learn(message, body)
         elif self.state.ledger.is_cast_out(message.sender):
-            return  # what it knows was given up, until it joins again
+            return  # its log was given up, until it rejoins
         elif counts or message.torn or (isinstance(body, messages.Promise) and not body.vote):
             self.proposer.on_vote(message)
 
     def _settle(self) -> None:
-        """Do what is due, and say when to look again."""
+        """Do what is due, and request the next tick."""
         state = self.state
         if state.halted is None:
             if self.membership.listened():
@@ -278,26 +278,26 @@ class Replica:
         ]
         self.outbox.put(interface.WakeAt(max(state.now + 0.001, min(times))))
 
-    # -- questions of the host ---------------------------------------------------------------------
+    # -- queries by the host ---------------------------------------------------------------------
 
     @property
     def ledger(self) -> Ledger:
-        """The agreed log so far."""
+        """The state after the agreed log so far."""
         return self.state.ledger
 
     @property
     def incarnation(self) -> int:
-        """Which life of our robot this is."""
+        """Our present incarnation."""
         return self.state.incarnation
 
     @property
     def log_id(self) -> str:
-        """Id of our log; another one after we forgot it."""
+        """Id of our log; changes when we discard the log."""
         return self.state.log_id
 
     @property
     def records(self) -> int:
-        """How many records our log has."""
+        """Number of records in our log."""
         return self.state.records
 
     @property
@@ -312,7 +312,7 @@ class Replica:
 
     @property
     def halted(self) -> Optional[str]:
-        """Why we take no part any more; None while we do."""
+        """Why we no longer take part; None while we do."""
         return self.state.halted
 
     @property
@@ -327,7 +327,7 @@ class Replica:
 
     @property
     def complaints(self) -> Mapping[Tuple[str, str], int]:
-        """Messages that were not understood: (sender, why) -> how many came."""
+        """Malformed messages: (sender, reason) -> count."""
         return self.state.complaints
 
     def members(self) -> List[str]:
@@ -351,8 +351,7 @@ class Replica:
         return self.electorate.asserted_off()
 
     def knows(self, robot: str) -> bool:
-        """Whether we listen to a robot, and may have something to say to it; called on any
-        thread."""
+        """Whether we exchange messages with a robot; called on any thread."""
         return robot in self.state.peers.all or self.electorate.is_of_team(robot)
 
     def known_log(self, robot: str) -> str:
@@ -361,8 +360,8 @@ class Replica:
 
     @property
     def visit(self) -> Tuple[int, int]:
-        """Incarnation and number of the visit that our robot is in; zeros if it is in none. When it
-        changes, the host asks the functions of events anew."""
+        """Incarnation and number of our robot's present visit; zeros if there is none. When it
+        changes, the host restarts the functions of events."""
         at = self.state.position
         return (at.incarnation, at.visit) if at is not None else (0, 0)
 
@@ -371,11 +370,12 @@ class Replica:
         return self.reactions.watches(transition)
 
     def break_at(self, breakpoints: Breakpoints) -> None:
-        """From now on, our robot stops at these places and transitions."""
+        """Have our robot stop at these places and transitions from now on."""
         self.breaks.breakpoints = breakpoints
 
     def marking(self) -> Marking:
-        """The marking as this robot knows it: the log's, with its own local transitions."""
+        """The marking known to this robot: that of the log, with the robot's own local
+        transitions."""
         return self.robot.marking()
 
     def waits_for(self) -> str:
@@ -383,9 +383,10 @@ class Replica:
         return self.people.waits_for()
 
     def is_stuck(self) -> bool:
-        """Whether the team can never go on by itself, because too many members lost their logs."""
+        """Whether the team can never continue by itself, because too many members lost their
+        logs."""
         return self.people.is_stuck()
 
     def status(self) -> Dict[str, Any]:
-        """Everything a person may want to know, as a JSON object (ages in s)."""
+        """The complete status for people, as a JSON object (ages in s)."""
         return self.people.as_json()

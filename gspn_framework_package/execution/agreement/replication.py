@@ -2,9 +2,9 @@
 are behind.
 
 Owns ``ledger``, ``recent``, ``first_hash`` and ``asked_until``. When a slot is in the log it
-notifies, in this order, the proposer (another slot is open), the membership (who was let in or cast
-out), the proposals (what no longer waits) and the local robot (where it is). It is the log that
-consensus and membership need.
+notifies, in this order, the proposer (the next slot is open), the membership (robots were admitted
+or evicted), the proposals (some no longer wait) and the local robot (it may have moved). Implements
+the log that consensus and membership need.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gspn_framework_package.model.errors import LogError
 
 
 class Replication:
-    """Takes slots into the log, with all consequences."""
+    """Appends slots to the log, and notifies the other parts."""
 
     def __init__(
         self,
@@ -53,15 +53,15 @@ class Replication:
         self.membership = membership
         self.robot = robot
 
-    # -- slots that are decided --------------------------------------------------------------------
+    # -- decided slots --------------------------------------------------------------------
 
     def begin(self) -> None:
-        """The first slot is the same for everybody who has the plan, and needs no agreement."""
+        """Append the first slot, which follows from the plan and needs no agreement."""
         start = self.config.game.start_entry()
         self._commit(Batch.of([Item(start, Origin("", 0, 0))]), Ballot(0, ""), mine=False)
 
     def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
-        """The batch is chosen in the open slot; ``mine``: by our own attempt."""
+        """Append a batch that was chosen in the open slot; ``mine``: by our own attempt."""
         slot, by_all = self.state.ledger.length, ballot in self.state.by_all
         alone = mine and self.electorate.may_choose([self.config.name], batch.items, by_all)
         self._commit(batch, ballot, mine=mine, alone=alone)
@@ -71,11 +71,11 @@ class Replication:
                 self._report_chosen(slot, ballot, set() if by_all else origins, alone)
 
     def _report_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
-        """Inform the others, except, in a small team, those whose proposals were in the batch:
-        they saw each other's votes."""
+        """Inform the others; in a small team, except those whose proposals were in the batch,
+        because they saw each other's votes."""
         voted = self.config.is_small and not self.config.partial and not alone
         told = [m for m in self.electorate.others() if not (voted and m in origins)]
-        if alone:  # nobody else has seen the batch
+        if alone:  # no other robot has seen the batch
             self.outbox.send_all(told, Learn(at=slot, slots=self.state.recent.since(slot) or ()))
         else:
             self.outbox.send_all(told, Learn(Chosen(slot, ballot)))
@@ -90,7 +90,7 @@ class Replication:
         kept = [i for i in batch.items if i.origin in fresh]
         all_kept = len(kept) == len(batch.items)
         state.recent.add(slot, ballot, batch if all_kept else Batch.of(kept), before)
-        # if alone, it is our vote as well
+        # in a team of one, this record is our vote as well
         self.outbox.persist(record, durable=alone, synced=alone and batch.changes_members())
         if slot == 0:
             state.first_hash = state.ledger.hash
@@ -124,7 +124,8 @@ class Replication:
     ) -> None:
         self.proposals.take_out_decided(fresh, step)
         if self.state.active and self.electorate.spoken_for():
-            self.membership.new_life()  # a late former life of ours, or somebody else in our name
+            # a delayed message of a former life of ours, or another process of our name
+            self.membership.new_life()
         self.robot.follow()
         self.membership.note_own_fate()
         self.robot.act(delays)
@@ -135,14 +136,14 @@ class Replication:
         self.state.recent.clear(0)
 
     def keep_slots(self) -> None:
-        """Begin a new memory with all slots."""
+        """Keep all slots under a new log id, without the votes."""
         self.outbox.persist(self.state.ledger.snapshot(), durable=True)
 
-    # -- catching up, and helping others to catch up -----------------------------------------------
+    # -- catching up, and helping others catch up -----------------------------------------------
 
     def is_open(self, message: Envelope) -> bool:
-        """Whether a message is about the open slot, on top of the same log; if not, the robot that
-        is behind is helped."""
+        """Whether a message is about the open slot of the same log; if not, help whichever robot is
+        behind."""
         ledger, slot = self.state.ledger, message.body.slot
         if slot < ledger.length:
             self.help(message)
@@ -156,7 +157,7 @@ class Replication:
         return True
 
     def pull(self, robot: str) -> None:
-        """Ask a robot that is ahead for what we lack, but not too often."""
+        """Ask a robot that is ahead for the slots that we lack, but not too often."""
         state = self.state
         length, until = state.asked_until
         if length == state.ledger.length and state.now < until:
@@ -165,7 +166,7 @@ class Replication:
         self.outbox.send_all([robot], Pull())
 
     def help(self, message: Envelope) -> None:
-        """Send a robot that is behind what it lacks."""
+        """Send a robot that is behind the slots that it lacks."""
         slots = self.state.recent.since(message.length)
         if slots is None:
             self.outbox.answer(message, Learn(snapshot=self.state.ledger.snapshot()))
@@ -173,23 +174,23 @@ class Replication:
             self.outbox.answer(message, Learn(at=message.length, slots=slots))
 
     def on_pull(self, message: Envelope) -> None:
-        """Another asks for what it lacks."""
+        """Answer another robot's request for the slots that it lacks."""
         if message.length < self.state.ledger.length:
             self.help(message)
             self.proposer.ask_again(message.sender)
 
     def help_if_behind(self, message: Envelope) -> None:
-        """Send the sender what it lacks, if its log is shorter."""
+        """Send the sender the slots that it lacks, if its log is shorter."""
         if message.length < self.state.ledger.length:
             self.help(message)
 
     def pull_if_behind(self, message: Envelope) -> None:
-        """Ask the sender for what we lack, if its log is longer."""
+        """Ask the sender for the slots that we lack, if its log is longer."""
         if message.length > self.state.ledger.length:
             self.pull(message.sender)
 
     def on_learn(self, message: Envelope, body: Learn) -> None:
-        """Another reports what is decided."""
+        """Take another robot's report of decisions."""
         state = self.state
         if body.snapshot is not None:
             if body.snapshot["slot"] >= state.ledger.length:
@@ -213,7 +214,7 @@ class Replication:
         try:
             state.ledger.restore(record)
         except LogError as error:
-            self.outbox.fault("a snapshot of %s is not taken over: %s" % (sender, error))
+            self.outbox.fault("cannot use a snapshot from %s: %s" % (sender, error))
             return
         self.outbox.persist(state.ledger.snapshot())
         state.recent.clear(state.ledger.length)
@@ -221,7 +222,7 @@ class Replication:
         self.membership.note_snapshot()
         self._after_slot(set(), {}, None)
 
-    # -- our own log, read back --------------------------------------------------------------------
+    # -- reading our own log --------------------------------------------------------------------
 
     def recall(self, record: Record) -> None:
         """Take over a slot or a snapshot of our own log."""
@@ -241,14 +242,15 @@ class Replication:
         again, _ = state.ledger.append(items)
         if (again["slot"], again["hash"]) != (record["slot"], record["hash"]):
             raise LogError(
-                "slot %s of our own log does not follow from what is before it" % record["slot"],
+                "slot %s of our own log does not follow from the records before it"
+                % record["slot"],
                 hint="the file was changed, or belongs to another version of the plan",
             )
         ballot = record.get("ballot", [0, ""])
         state.recent.add(record["slot"], Ballot.from_json(ballot), Batch.of(items), before)
 
     def recall_is_over(self, records: Sequence[Record]) -> None:
-        """All records were read."""
+        """Finish reading."""
         first = (r["hash"] for r in records if r["kind"] == "slot" and r["slot"] == 0)
         self.state.first_hash = next(first, "")
 

@@ -1,8 +1,8 @@
-"""Everything that a replica remembers, in one place: :class:`ReplicaState`.
+"""The complete state of a replica: :class:`ReplicaState`.
 
-Each field has one owner, the part that alone writes it; every part may read all of them. A test
-reads the source of the parts and finds assignments by anybody else. Owns nothing itself, calls
-nothing.
+Each field has one owner, the only part that writes it; every part may read all fields. A test
+searches the source of the parts for assignments by any other part. This module owns nothing itself
+and calls nothing.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ CONTROLS = (
     log_entries.Stop,
     log_entries.Adopt,
 )
-"""Orders that local transitions must not pass: partial synchronisation decides them while every
-robot holds still."""
+"""Orders that local transitions must not pass: partial synchronisation decides them while all
+robots hold still."""
 
 
 class Proposal(NamedTuple):
-    """Something that this robot wants in the log. ``order_id``: whom to answer. ``suspect``: the
-    robot that an Evict for its silence is about."""
+    """An entry that this robot wants in the log. ``order_id``: the order to answer. ``suspect``:
+    the robot that the entry evicts for silence, if it does."""
 
     item: Item
     order_id: str = ""
@@ -53,8 +53,8 @@ class Proposal(NamedTuple):
 
 
 class Waiting:
-    """Proposals of one robot, in the order of their origins. Local transitions may be many, so what
-    concerns the others alone does not look at them."""
+    """Proposals of one robot, in the order of their origins. There may be many local transitions,
+    so operations on other proposals do not iterate over them."""
 
     def __init__(self) -> None:
         self._all: OrderedDict[Origin, Proposal] = OrderedDict()
@@ -71,21 +71,21 @@ class Waiting:
 
     @property
     def origins(self) -> AbstractSet[Origin]:
-        """Where they come from."""
+        """The origins of the proposals."""
         return self._all.keys()
 
     @property
     def asking(self) -> Collection[Proposal]:
-        """Those that are no local transitions."""
+        """The proposals that are not local transitions."""
         return self._asking.values()
 
     @property
     def local(self) -> int:
-        """How many are local transitions."""
+        """Number of local transitions."""
         return len(self._all) - len(self._asking)
 
     def append(self, proposal: Proposal) -> None:
-        """Add a proposal; one of the same origin is replaced."""
+        """Add a proposal, replacing any with the same origin."""
         origin, known = proposal.item.origin, self._all
         late = bool(known) and origin not in known and origin < next(reversed(known))
         known[origin] = proposal
@@ -97,12 +97,12 @@ class Waiting:
             self._asking = dict(sorted(self._asking.items()))
 
     def remove(self, origin: Origin) -> None:
-        """Take a proposal out."""
+        """Remove a proposal."""
         del self._all[origin]
         self._asking.pop(origin, None)
 
     def pop_while(self, gone: Callable[[Origin], bool]) -> List[Proposal]:
-        """Take out the first ones, as long as they are ``gone``; returns them."""
+        """Remove and return the first proposals, as long as they are ``gone``."""
         out = []
         while self._all and gone(next(iter(self._all))):
             origin, proposal = self._all.popitem(last=False)
@@ -118,27 +118,28 @@ class BallotAttempt:
     slot: int
     ballot: Ballot
     frozen: bool
-    """Nobody makes a local transition until the slot is decided."""
+    """Whether all robots hold their local transitions until the slot is decided."""
     sent: float
-    """When it was sent last (s)."""
+    """When the attempt was last sent (s)."""
     began: float
-    """When this phase of it did (s)."""
+    """When this phase began (s)."""
     patient: bool = False
-    """It waits longer before it is sent again, to see whether the network is slow."""
+    """Whether to wait longer before sending again, to see whether the network is slow."""
     tries: int = 0
-    """How often it was sent again."""
+    """Number of retransmissions."""
     promises: Dict[str, Optional[Tuple[Ballot, Batch]]] = field(default_factory=dict)
-    """Who promised, and what was accepted there."""
+    """The robots that promised, and what they had accepted."""
     answered: Set[str] = field(default_factory=set)
-    """Those who promised, and those without a vote who reported what they know."""
+    """The robots that promised, and those without a vote that reported what they know."""
     strangers: Set[str] = field(default_factory=set)
-    """Members under whose name a process answered that lacks their memory."""
+    """Members for which a process answered that lacks their memory."""
     all_told: bool = True
-    """Nobody had more local transitions than one answer holds."""
+    """Whether no robot had more local transitions than one answer holds."""
     torn: Torn = field(default_factory=dict)
-    """It needs the word of everybody, and that of these robots counts; empty: of a quorum."""
+    """If not empty, the attempt needs the votes of all members, and those of these robots count;
+    otherwise it needs a quorum."""
     batch: Optional[Batch] = None
-    """None in the first phase."""
+    """The batch; None in the first phase."""
 
 
 class Goal(NamedTuple):
@@ -150,7 +151,7 @@ class Goal(NamedTuple):
 
 
 class Position(NamedTuple):
-    """Where the robot is: ``place`` an index, ``doing`` whether its action should run."""
+    """The robot's position: ``place`` is an index, ``doing`` whether its action should run."""
 
     place: int
     incarnation: int
@@ -160,7 +161,7 @@ class Position(NamedTuple):
 
     @property
     def goal(self) -> Goal:
-        """The attempt that should run, or did."""
+        """The attempt that should run, or has run."""
         return Goal(self.incarnation, self.visit, self.attempt)
 
 
@@ -178,174 +179,178 @@ class ReplicaState:
     # -- the log so far ---------------------------------------------------------------------------
 
     ledger: Ledger = field(metadata={"owner": "replication"})
-    """The agreed log as far as we have it: the state of the team, the hash chain, whose logs
+    """The result of the agreed log so far: the state of the team, the hash chain, and whose logs
     count."""
     recent: RecentSlots = field(metadata={"owner": "replication"})
-    """The newest slots, for those who are behind."""
+    """The newest slots, for robots that are behind."""
     first_hash: str = _owned("replication", "")
-    """Hash of the first slot; "" before we have it. Replicas of different first teams differ in
-    it."""
+    """Hash of the first slot; "" before we have it. It differs between different first teams."""
     asked_until: Tuple[int, float] = _owned("replication", (-1, 0.0))
-    """We asked for slots from this one on, and do not ask again before that time (s)."""
+    """The slot from which on we asked for slots, and the time (s) before which we do not ask
+    again."""
 
-    # -- our own record of it, in the file ---------------------------------------------------------
+    # -- our own log file ---------------------------------------------------------
 
     records: int = _owned("outbox", 0)
     """How many records our log has."""
     durable: int = _owned("outbox", 0)
-    """Up to which of them it outlives the power supply."""
+    """How many of them are safe from a power loss."""
 
-    # -- who we are --------------------------------------------------------------------------------
+    # -- our identity
+    # --------------------------------------------------------------------------------
 
     log_id: str = _owned("membership", "")
-    """Id of our log. Votes of one id are one memory: whoever forgets takes a new one."""
+    """Id of our log, which stands for one memory of votes: a replica that forgets its votes takes a
+    new id."""
     incarnation: int = _owned("membership", 0)
-    """Which of our lives this is; goes up with every restart, eviction and loss of memory."""
+    """Our incarnation, which increases with every restart, eviction and loss of memory."""
     begin_records: int = _owned("membership", 0)
-    """How many records our log had when this incarnation began."""
+    """Number of records in our log when this incarnation began."""
     active: bool = _owned("membership", False)
-    """We take part: we are known as fresh by everybody, or were admitted by a Join."""
+    """Whether we take part: every robot knows us as fresh, or a Join admitted us."""
     joining: bool = _owned("membership", False)
-    """We are not in the first team (or it has started long ago): learn the log, then join."""
+    """Whether we are not in the first team, or it started long ago, so that we get the log and then
+    join."""
     amnesic: bool = _owned("membership", False)
-    """We may have voted in this run and do not remember it; no vote until the next Join."""
+    """Whether we may have forgotten votes in this run, so that we have no vote until the next
+    Join."""
     damage: str = _owned("membership", "")
-    """What was damaged in our log, until we were let in; "" for nothing."""
+    """What was damaged in our log, until we are readmitted; "" for nothing."""
     torn: Tuple[str, ...] = _owned("membership", ())
-    """The machine lost power: the ids of the logs, without their ends, that ours goes on from; ()
-    once we were let in."""
+    """After a power loss, the ids of the logs without their ends that ours continues; () once we
+    are readmitted."""
     halted: Optional[str] = _owned("membership")
-    """Why this replica takes no part any more; None while it does."""
+    """Why this replica no longer takes part; None while it does."""
     leaving: bool = _owned("membership", False)
-    """We have left, and stay until those who go on know."""
+    """Whether we have left and stay only until the remaining members know."""
     leaving_since: Optional[float] = _owned("membership")
     """When we began to wait for that (s)."""
     fenced: bool = _owned("membership", False)
-    """Out of contact to a quorum for so long that our action was stopped."""
+    """Whether our action was stopped because we lost contact with a quorum for too long."""
     superseded_at: Optional[float] = _owned("membership")
-    """When another log was let in under our name (s)."""
+    """When another log was admitted under our name (s)."""
     rival_since: Optional[float] = _owned("membership")
-    """Since when we have heard another process of our name after that (s)."""
+    """When we first heard another process of our name after that (s)."""
     namesake_heard: Optional[float] = _owned("membership")
-    """When we, not in the team, last heard a process of our name that is (s)."""
+    """When we, outside the team, last heard a process of our name that is in the team (s)."""
     namesake_answered: float = _owned("membership", -math.inf)
-    """When we, in the team, last let a process of our name know at once that we are (s)."""
+    """When we, in the team, last notified another process of our name immediately (s)."""
 
-    # -- who the others are ------------------------------------------------------------------------
+    # -- the other robots ------------------------------------------------------------------------
 
     peers: Peers = _owned("membership", make=Peers)
-    """Who was heard when, and what they said of themselves."""
+    """When each robot was heard, and what it reported about itself."""
     off: Dict[str, int] = _owned("membership", make=dict)
-    """Robots that an operator asserted to be off, with the incarnation that the assertion is
-    about."""
+    """Robots that an operator asserted to be off -> the incarnation that the assertion covers."""
     astray: Dict[str, int] = _owned("membership", make=dict)
-    """Robots whose log differs from ours, with a slot before which it does."""
+    """Robots whose log differs from ours -> a slot before which it differs."""
     strangers: Set[str] = _owned("membership", make=set)
-    """Robots of another plan or first team that were named already."""
+    """Robots of another plan or first team that were reported already."""
     complaints: Dict[Tuple[str, str], int] = _owned("membership", make=dict)
-    """Messages that were not understood, and named once: (sender, why) -> how many came."""
+    """Malformed messages, each kind reported once: (sender, reason) -> count."""
     listen_until: float = _owned("membership", 0.0)
-    """Before that a fresh robot does not take part, since somebody may know its name (s); 0:
-    over."""
+    """Time (s) before which a fresh robot does not take part, since another may know its name; 0
+    once it is over."""
     next_hello: float = _owned("membership", 0.0)
     """When the next hello is due (s)."""
 
-    # -- what waits to get into the log ------------------------------------------------------------
+    # -- proposals ------------------------------------------------------------
 
     own_proposals: Waiting = _owned("proposals", make=Waiting)
-    """What this robot wants in the log, in the order of their numbers."""
+    """This robot's proposals, in the order of their numbers."""
     others_proposals: Dict[str, Waiting] = _owned("proposals", make=dict)
-    """What others said that they want in the log, by robot."""
+    """Proposals announced by others, by robot."""
     number: int = _owned("proposals", 0)
     """The number of our newest proposal in this incarnation."""
 
     offered: Dict[Tuple[str, str], Tuple[log_entries.Submit, float]] = _owned(
         "reactions", make=dict
     )
-    """Tasks that reached this robot, until they are in the log: (transition, id) -> the task, and
-    since when it waits (s)."""
+    """Tasks that reached this robot and are not in the log yet: (transition, id) -> the task, and
+    when it arrived (s)."""
 
     # -- acceptor and proposer of the first open slot ----------------------------------------------
 
     promised: Ballot = _owned("consensus", Ballot(0, ""))
-    """No ballot below it will be accepted."""
+    """The promised ballot; lower ones are refused."""
     accepted: Optional[Tuple[Ballot, Batch]] = _owned("consensus")
-    """What was accepted in the open slot, and under which ballot."""
+    """The ballot and batch accepted in the open slot."""
     highest: Ballot = _owned("consensus", Ballot(0, ""))
-    """The highest ballot that was seen; who proposed under it leads."""
+    """The highest ballot seen; its proposer leads."""
     attempt: Optional[BallotAttempt] = _owned("consensus")
     """Our own running attempt."""
     frozen_by: Optional[Ballot] = _owned("consensus")
-    """The attempt for which local transitions wait until the open slot is decided."""
+    """The attempt that freezes local transitions until the open slot is decided."""
     round_trip: float = _owned("consensus", 0.0)
-    """For how long answers to our attempts take (s), smoothed; 0 before the first."""
+    """Smoothed response time of our attempts (s); 0 before the first answer."""
     slow: float = _owned("consensus", 0.0)
-    """The round trip (s) is at most this long, by an answer that may be one to a repetition; 0 once
+    """Upper bound of the round trip (s) from an answer that may belong to a retransmission; 0 once
     it was measured."""
     attempts: List[BallotAttempt] = _owned("consensus", make=list)
     """Our newest attempts."""
     backoff: int = _owned("consensus", 0)
-    """How often we repeated ourselves since an answer that we know the time of."""
+    """Number of retransmissions since the last answer with a known response time."""
     followers: Optional[Set[str]] = _owned("consensus")
-    """Whose promises of our ballot still hold; None where we do not lead."""
+    """The robots whose promises of our ballot still hold; None if we do not lead."""
     votes: Dict[Ballot, Set[str]] = _owned("consensus", make=dict)
-    """Who accepted what in the open slot, as far as we heard."""
+    """Known votes in the open slot."""
     by_all: Dict[Ballot, Torn] = _owned("consensus", make=dict)
-    """What we accepted in the open slot that needs the votes of all, and the robots whose votes
-    count there although their logs lost their ends."""
+    """The attempt we accepted in an open slot that needs the votes of all, and the robots whose
+    votes count there although their logs lost their ends."""
 
     # -- when to propose ---------------------------------------------------------------------------
 
     wait_until: Optional[float] = _owned("proposer")
-    """Before that we do not propose (s)."""
+    """Time before which we do not propose (s)."""
     gathers_until: float = _owned("proposer", 0.0)
-    """Before that we do not propose as leader (s)."""
+    """Time before which we do not propose as leader (s)."""
     decided_at: float = _owned("proposer", -math.inf)
-    """When our last attempt was chosen (s)."""
+    """When our last successful attempt was chosen (s)."""
     busy: Set[str] = _owned("proposer", make=set)
-    """The robots whose proposals it decided; while we decide slot after slot, with those of the
-    slot before."""
+    """The robots whose proposals it contained; while we decide slot after slot, also those of the
+    previous slot."""
     gathers: Set[str] = _owned("proposer", make=set)
-    """The robots whose next proposals we gather as leader, until that time."""
+    """The robots whose next proposals we gather as leader, and until when."""
     gave_way: bool = _owned("proposer", False)
-    """In the open slot of partial synchronisation, to another's attempt."""
+    """Whether we answered another robot's attempt at the open slot in partial synchronisation."""
     defeats: int = _owned("proposer", 0)
     """How often our attempts at the open slot were beaten."""
     frozen_since: Optional[float] = _owned("proposer")
-    """Since when local transitions wait for the open slot (s)."""
+    """When local transitions began to wait for the open slot (s)."""
     voteless: Set[str] = _owned("proposer", make=set)
-    """Robots without a vote that have their proposals made by members."""
+    """Robots without a vote that rely on members to propose for them."""
     asked_at: Optional[float] = _owned("proposer")
-    """Since when others were asked to propose what waits here (s)."""
+    """When others were first asked to propose for us (s)."""
     last_sent: Tuple[Any, ...] = _owned("proposer", ())
-    """Whom we sent our proposals last, which, and when we do it again."""
+    """The robot to which we last sent our proposals, which ones, and when to send them again."""
 
     # -- our robot ---------------------------------------------------------------------------------
 
     position: Optional[Position] = _owned("local_robot")
-    """Where our robot is, ahead of the log by its local transitions; None: not in the team."""
+    """Our robot's position, which may be ahead of the log by local transitions; None if it is not
+    in the team."""
     started: Optional[Goal] = _owned("local_robot")
-    """The last goal that went out."""
+    """The last goal that was started."""
     running: Optional[Goal] = _owned("local_robot")
-    """The goal whose end has not been reported."""
+    """The running goal, whose end has not been reported."""
     reported: Optional[Goal] = _owned("local_robot")
-    """The last goal whose end was."""
+    """The last goal whose end was reported."""
 
     # -- a staged plan -----------------------------------------------------------------------------
 
     examining: Tuple[int, int] = _owned("deployment", (0, 0))
-    """The stage that our host looks at, and the incarnation of ours that asked it."""
+    """The stage that our host is examining, and our incarnation that asked it to."""
     examined: Optional[str] = _owned("deployment")
     """Why we cannot follow it, "" if we can; None until the host has answered."""
 
     # -- people ------------------------------------------------------------------------------------
 
     held_orders: List[interface.Order] = _owned("orders", make=list)
-    """Orders that came while we only listened."""
+    """Orders that arrived while we only listened."""
     reported_status: str = _owned("status", "")
-    """What we last reported to people that we wait for."""
+    """The last announced reason for waiting."""
     now: float = _owned("replica", 0.0)
-    """The time of the input that is being taken (s)."""
+    """The time of the present input (s)."""
 
     def is_frozen(self) -> bool:
         """Whether local transitions must wait for the open slot."""
@@ -353,18 +358,18 @@ class ReplicaState:
 
     @property
     def delay(self) -> float:
-        """The round trip to reckon with (s)."""
+        """The round trip time to assume (s)."""
         return max(self.round_trip, self.slow)
 
     def hash_at(self, length: int) -> Optional[str]:
-        """The hash of the first ``length`` slots, None where we do not know (any more)."""
+        """The hash of the first ``length`` slots; None if we do not (or no longer) know it."""
         return self.ledger.hash if length == self.ledger.length else self.recent.hash_before(length)
 
     @property
     def leader(self) -> str:
-        """Who proposed under the highest ballot seen."""
+        """The proposer of the highest ballot seen."""
         return self.highest.robot
 
 
 OWNERS: Dict[str, str] = {f.name: f.metadata["owner"] for f in fields(ReplicaState)}
-"""Field of :class:`ReplicaState` -> the module that alone writes it."""
+"""Field of :class:`ReplicaState` -> the only module that writes it."""

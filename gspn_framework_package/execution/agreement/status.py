@@ -1,7 +1,7 @@
 """A replica's answers for people, and its announcements when they change.
 
-Owns ``reported_status``. Reads the state and the electorate, and the local robot's marking;
-announces through the outbox.
+Owns ``reported_status``. Reads the state, the electorate and the local robot's marking; announces
+through the outbox.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gspn_framework_package.execution.team_state import RobotState, reported_pha
 
 
 class Status:
-    """Answers in words and as JSON."""
+    """Reports in words and as JSON."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class Status:
         self.robot = robot
 
     def report(self) -> None:
-        """Announce what we wait for, if that has changed."""
+        """Announce what we wait for if that has changed."""
         text = self.waits_for()
         if text != self.state.reported_status:
             self.state.reported_status = text
@@ -70,7 +70,7 @@ class Status:
         if state.ledger.state.ended is not None:
             return ""
         if not self.config.witness and not electorate.is_settled():
-            return "waits to be let into the team" + self._nobody_left()
+            return "waits to be admitted to the team" + self._nobody_left()
         if state.fenced:
             return "stopped: no contact with a quorum"
         if state.astray:
@@ -91,18 +91,18 @@ class Status:
         unheard = electorate.unheard()
         if not electorate.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(unheard)
-        # the owner of the attempt changes all the time
+        # not named, because the proposer changes all the time
         if self.config.partial and unheard and self.proposer.wants():
             return "waits for an answer from %s" % ", ".join(unheard)
         return ""
 
     def _voteless(self) -> List[str]:
-        """The others that have no vote at present, as they say."""
+        """The other members that report that they have no vote at present."""
         return [m for m in self.electorate.others() if not self.state.peers.get(m).active]
 
     def is_stuck(self) -> bool:
-        """Whether the team can never go on by itself, because too many members lost their logs,
-        and with them their votes; or not before others come, because machines lost power."""
+        """Whether the team can never continue by itself, because too many members lost their logs
+        and thus their votes; or cannot before others start, because machines lost power."""
         state, me = self.state, self.config.name
         if (
             state.ledger.length == 0
@@ -119,7 +119,7 @@ class Status:
         silent = [m for m in members if m not in here]
         if state.ledger.length > 1 or any(peers.get(m).length > 1 for m in here):
             voters = [m for m in here if (state.active if m == me else peers.get(m).active)]
-        else:  # the team starts: who does not vote yet, is about to
+        else:  # the team is starting: members without a vote will soon have one
             voters = [m for m in here if not (state.amnesic if m == me else peers.get(m).joining)]
         return not is_quorum([*voters, *silent], members) and not self.electorate.may_decide(voters)
 
@@ -127,12 +127,12 @@ class Status:
         if not self.is_stuck():
             return ""
         return (
-            ": too many lost their logs, and the others are no quorum; "
-            "force_evict those that lost them"
+            ": too many robots lost their logs, and the others are no quorum; use force_evict on "
+            "those robots"
         )
 
     def as_json(self) -> Dict[str, Any]:
-        """Everything a person may want to know, as a JSON object (ages in s)."""
+        """The complete status for people, as a JSON object (ages in s)."""
         state, config = self.state, self.config
         team = state.ledger.state
         return {
@@ -162,8 +162,8 @@ class Status:
         }
 
     def _staged_as_json(self) -> Optional[Dict[str, Any]]:
-        """The staged plan, and what each member says of it: "" where it can follow it, None where
-        it has not said yet; None if no plan is staged."""
+        """The staged plan, and each member's vote on it: "" if it can follow the plan, None if it
+        has not voted yet. None if no plan is staged."""
         team = self.state.ledger.state
         if team.staged is None:
             return None
@@ -175,14 +175,14 @@ class Status:
         }
 
     def _missing(self) -> List[str]:
-        """The members without which a team whose machines lost power does not go on."""
+        """The members that a team needs to continue after its machines lost power."""
         electorate = self.electorate
         if not electorate.torn() or is_quorum(electorate.whole(), electorate.members()):
             return []
         return electorate.missing_after_outage()
 
     def _log_of(self, name: str) -> str:
-        """What the log of a robot is worth: whole, torn, lost; "" where it is not heard."""
+        """Condition of a robot's log: whole, torn or lost; "" if the robot is not heard."""
         if name in self.electorate.torn():
             return "torn"
         if name in self.electorate.whole():

@@ -206,7 +206,7 @@ def _believes_the_forgetful() -> ContextManager[Any]:
             state = self.state
             other = seen.log not in (state.log_id, state.ledger.logs.get(self.config.name))
             if state.active and other:
-                self.forget("%s knows an older one" % message.sender)
+                self.forget("%s knows an older log" % message.sender)
 
         return hear
 

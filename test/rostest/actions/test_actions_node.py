@@ -664,7 +664,7 @@ class ActionsTest(unittest.TestCase):
         ended = robot.ended.get(timeout=20)
         self.assertEqual(
             (ended.reason, ended.detail),
-            ("timeout", "it took longer than 0.5 s (timeout in the plan)"),
+            ("timeout", "the action took longer than 0.5 s (timeout in the plan)"),
         )
         wait_for(lambda: server.cancelled, what="the cancel request")
 

@@ -141,7 +141,7 @@ class AttacksTest(RobotTestCase):
         for _ in range(2):  # if robot_1 had not heard robot_2 yet, the first only comes late
             self.out.publish(recorded[0])
         # the second if robot_2 has sent many since
-        self.wait_until_refused("robot_2", "a message that was received before", "too late")
+        self.wait_until_refused("robot_2", "a repeated message", "too late")
         changed = recorded[-1]
         changed.service_uri = "rosrpc://localhost:1"
         self.out.publish(changed)

@@ -159,7 +159,7 @@ class Faults:
         wait_for(lambda: state_of_victim() == "Lost", 30, "the eviction")
         for name in ("robot_1", "robot_3"):
             wait_for(
-                lambda: "%s: robot_2 is lost: the team goes on" % name in team[name].said(),
+                lambda: "%s: robot_2 is lost; the team continues" % name in team[name].said(),
                 what="the loss on the screen of " + name,
             )
         title = "%s: gspn robot_1, run %s" % (team["robot_1"].namespace, team.run)
@@ -176,7 +176,7 @@ class Faults:
         self.assertGreater(victim.state().incarnation, 0)
         self.assertNotEqual(state_of_victim(), "Lost")
         wait_for(
-            lambda: "robot_1: robot_2 is in the team again" in team["robot_1"].said(),
+            lambda: "robot_1: robot_2 is back in the team" in team["robot_1"].said(),
             what="the return on the screen",
         )
         self.end_and_verify(team)

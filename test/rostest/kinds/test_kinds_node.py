@@ -176,7 +176,8 @@ class KindsTest(RobotTestCase):
         action = ServiceAction("hangs", TRIGGER)
         robot = self.robot({"P1": action, "P2": action}, timeouts={"P1": 0.3}, cancel_grace=0.2)
         self.assertEqual(
-            robot.do("P1")[1:3], ("timeout", "it took longer than 0.3 s (timeout in the plan)")
+            robot.do("P1")[1:3],
+            ("timeout", "the action took longer than 0.3 s (timeout in the plan)"),
         )
         robot.send("P2")
         wait_for(lambda: len(called) == 2, what="the second call")
@@ -241,7 +242,8 @@ class KindsTest(RobotTestCase):
             publisher.publish(level)
         self.assertEqual(robot.end(), ("", "", "", {"level": 0.25}))
         self.assertEqual(
-            robot.do("P2")[1:3], ("timeout", "it took longer than 0.3 s (timeout in the plan)")
+            robot.do("P2")[1:3],
+            ("timeout", "the action took longer than 0.3 s (timeout in the plan)"),
         )
         robot.send("P1")
         wait_for(lambda: robot.runner.doing() == words, what="the robot to wait")

@@ -186,7 +186,7 @@ class Reacting(RobotTestCase):
         self.assertIn("it came before", json.loads(output)["message"])
         code, output = gspn("submit", "finish")
         self.assertEqual(code, 1, output)
-        self.assertIn("no tasks come in by 'finish'", output)
+        self.assertIn("'finish' does not take tasks", output)
         refused = one.command("submit", argument="order")
         self.assertFalse(refused.success)
         self.assertIn("is not a JSON object with transition", refused.message)

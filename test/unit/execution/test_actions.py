@@ -166,13 +166,13 @@ def test_an_installed_module_that_was_allowed_serves_too(tmp_path):
 @pytest.mark.parametrize(
     "name, text, message",
     [
-        ("go", "", "'go' is not the name of a function .write module.function"),
+        ("go", "", "'go' is not a valid function name .write module.function"),
         ("actions.", "", "is not the name of a function"),
         ("no_such_module.go", "", "there is no module 'no_such_module' .searched for"),
         ("actions.go", "def stay(): pass", "actions.py: .*has no 'go' .it has: stay"),
-        ("actions.go", "go = 3", "this is not a function"),
+        ("actions.go", "go = 3", "the name does not refer to a function"),
         ("actions.go", "def go(speed): pass", "actions.py: .*'speed' is nothing .*there are"),
-        ("actions.go", "def go(place, /): pass", "cannot be given by name"),
+        ("actions.go", "def go(place, /): pass", "cannot be passed by name"),
         ("actions.go", "class go: pass", "has no method __call__"),
         ("actions.go", "x = 1\ndef go(:\n", "actions.py:2: .*SyntaxError"),
         ("actions.go", "import no_such_thing", "actions.py:1: .*ModuleNotFoundError"),

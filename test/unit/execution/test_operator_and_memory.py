@@ -346,7 +346,8 @@ def test_where_a_quorum_is_off_the_order_says_what_is_given_up_and_asks_all_the_
         world.force("r4", name)
     world.run(world.now + 1)
     assert any(
-        "r1, r2, r3 could have decided without the others" in f for f in world.nodes["r4"].faults
+        "r1, r2, r3 could have made decisions without the others" in f
+        for f in world.nodes["r4"].faults
     )
     assert world.answer("r4", "r1") is None  # r5 has to be asked
     world.blocked.clear()
@@ -474,7 +475,7 @@ def test_a_team_that_can_never_go_on_says_so(partial: bool) -> None:
     world.run(world.now + 3)
     for name in ("r1", "j0"):
         assert world.replica(name).status()["stuck"]
-        assert "too many lost their logs" in world.replica(name).waits_for()
+        assert "too many robots lost their logs" in world.replica(name).waits_for()
     assert not any(n.halted for n in world.nodes.values())
 
 

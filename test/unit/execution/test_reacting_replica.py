@@ -161,7 +161,7 @@ def test_an_operator_hears_when_the_team_has_the_task() -> None:
     assert results["again"].ok
     assert len(world.entries("submit")) == 6
     world.give("r2", interface.Order("bad", log_entries.Submit("full", "t1")))
-    assert results["bad"].text == "no tasks come in by 'full'"
+    assert results["bad"].text == "'full' does not take tasks"
 
 
 def test_an_event_that_comes_all_the_time_is_proposed_once() -> None:

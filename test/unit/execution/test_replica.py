@@ -233,10 +233,10 @@ def test_a_team_whose_quorum_lost_its_memory_says_so(partial: bool) -> None:
     world.run(4.0)
     length = world.length()
     assert world.status("r1")["waits_for"].startswith(
-        "waits to be let into the team: too many lost their logs"
+        "waits to be admitted to the team: too many robots lost their logs"
     )
     assert world.status("r2")["waits_for"].startswith(
-        "has no quorum; without a vote: r1: too many lost their logs"
+        "has no quorum; without a vote: r1: too many robots lost their logs"
     )
     assert world.status("r1")["stuck"]
     assert world.status("r2")["stuck"]
@@ -319,7 +319,7 @@ def test_another_plan_is_not_let_in() -> None:
     message = Envelope("r1", "sim|%s" % world.plan.hash()[:12], "a log", 0, 0, 1, "", hello)
     effects = stranger.step(interface.Received(message.to_json()), 0.1)
     (halted,) = [e for e in effects if isinstance(e, interface.Halted)]
-    assert "r1 has another plan" in halted.reason
+    assert "r1 has a different plan" in halted.reason
 
 
 def test_messages_of_other_runs_are_ignored() -> None:
@@ -526,7 +526,7 @@ def test_the_last_one_of_a_team_stays() -> None:
     (stays,) = [name for name, result in results.items() if not result.ok]
     assert (
         results[stays].text
-        == "%s is the last one of the team, and stays; stop the run instead" % stays
+        == "%s is the last robot of the team and stays; stop the run instead" % stays
     )
     assert world.status(stays)["members"] == [stays]
     world.check()

@@ -106,9 +106,7 @@ def test_a_message_that_is_played_again_is_refused(one):
     text = keyed("robot_2").sealed("robot_1", HELLO, ASKED)
     assert one.read(text, NODE, ASKED, "robot_2")
     assert one.read(text, {"callerid": "/thief"}, ASKED, "robot_2") is None
-    assert one.refusals() == [
-        NotTaken("robot_2 (node /thief)", "a message that was received before", 1)
-    ]
+    assert one.refusals() == [NotTaken("robot_2 (node /thief)", "a repeated message", 1)]
 
 
 def test_without_a_key_a_sealed_message_is_named_as_such(inbound):

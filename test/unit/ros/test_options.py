@@ -45,8 +45,8 @@ def test_numbers_and_names_of_yaml_are_taken_as_meant():
         ({"plan": "p", "robots": True}, "~robots: True is not of type int"),
         ({"plan": "p", "check": "no"}, "~check: 'no' is not of type bool"),
         ({"plan": True}, "~plan: True is not of type str"),
-        ({"plan": "p", "run": "a/b"}, "~run: 'a/b' cannot be the name of a run"),
-        ({"plan": "p", "run": ".."}, "cannot be the name of a run"),
+        ({"plan": "p", "run": "a/b"}, "~run: 'a/b' is not a valid name for a run"),
+        ({"plan": "p", "run": ".."}, "is not a valid name for a run"),
     ],
 )
 def test_what_is_wrong_is_said(given, message):

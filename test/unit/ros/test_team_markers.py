@@ -148,7 +148,7 @@ def test_a_team_is_drawn_in_the_plan_that_it_goes_on_under(monkeypatch, late):
     entry = stage_of(new, {})
     staged = StagedPlan(1, entry.digest, entry.plan)
     answers = {
-        "plan": CommandResponse(False, "the team follows the plan that it began with"),
+        "plan": CommandResponse(False, "the team still follows its first plan"),
         "status": {"began_with": old.hash()},
     }
     view, published = team_view(monkeypatch, old, answers)

@@ -221,7 +221,7 @@ def test_a_kind_of_action_with_a_key_of_its_own(toy_kind, tmp_path, capsys):
     [
         ({}, "its parameter 'transitions'.*under settings"),
         ({"transitions": [], "speed": 1}, "no parameter for the setting 'speed'"),
-        ({"transitions": [], "robot": "r"}, "'robot' has the name of what the run itself gives"),
+        ({"transitions": [], "robot": "r"}, "'robot' has a reserved name"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(settings, message):

@@ -205,7 +205,7 @@ def test_a_robot_answers_an_operator(write, team):
     team.wait_for_all()
     assert team.ask("robot_1", "pause").success
     team.wait_for(lambda: team.status("robot_2")["paused"], "the pause")
-    assert team.ask("robot_2", "dance").message.startswith("there is no command 'dance'")
+    assert team.ask("robot_2", "dance").message.startswith("unknown command 'dance'")
     assert not team.ask("robot_2", "resume", run="tuesday").success
     assert not team.ask("robot_2", "submit", argument="[]").success
     assert "Look" in team.ask("robot_2", "breakpoints", argument='["Look"]').message
@@ -324,7 +324,7 @@ def test_a_robot_ends_when_its_log_is_removed(write, team, capfd):
         (
             "work.forever",
             {"timeout": {"*": 0.1}},
-            "it took longer than 0.1 s (timeout in the plan)",
+            "the action took longer than 0.1 s (timeout in the plan)",
         ),
     ],
 )

@@ -134,8 +134,8 @@ def test_an_operator_with_keys_asks_orders_submits_and_deploys(secured, tmp_path
     code, said = gspn("deploy", str(other), "--json")
     assert code == 0, said
     for by, run, says in (
-        ("screen", "monday", "the keys of watcher 'screen' give no orders"),
-        ("robot_1", "monday", "the keys of robot 'robot_1' give no orders"),
+        ("screen", "monday", "the keys of watcher 'screen' cannot give orders"),
+        ("robot_1", "monday", "the keys of robot 'robot_1' cannot give orders"),
         ("ann", "tuesday", "no execution node answers of run 'tuesday'"),
     ):
         code, said = gspn("stop", by=by, run=run)
@@ -181,7 +181,7 @@ def test_a_name_that_runs_already_is_refused_and_its_log_is_let_go(secured, tmp_
     agent = ["agent", str(secured.folder), "--robot", "robot_1", "--run", "monday", "--log", log]
     assert main([*agent, *way]) == 1
     said = capsys.readouterr().err
-    assert said.count("another process is robot 'robot_1' in run 'monday'") == 1
+    assert said.count("another process already runs robot 'robot_1' in run 'monday'") == 1
     assert "Traceback" not in said
     log_file.lock_log(log).close()
 
@@ -262,12 +262,12 @@ def test_an_agent_whose_key_others_can_read_or_that_is_not_let_in_does_not_begin
         return main([*begin, "--log", log, "--connect", "%s:%d" % (endpoint, port)])
 
     assert code("tls/127.0.0.1") == 1
-    assert "no Zenoh session with tls/127.0.0.1:%d" % port in capsys.readouterr().err
+    assert "cannot open a Zenoh session with tls/127.0.0.1:%d" % port in capsys.readouterr().err
     assert code("tcp/127.0.0.1") == 2
-    assert "keys protect nothing" in capsys.readouterr().err
+    assert "keys cannot protect" in capsys.readouterr().err
     os.chmod(os.path.join(own, "key.pem"), 0o644)
     assert code("tls/127.0.0.1") == 2
-    assert "others can read this private key" in capsys.readouterr().err
+    assert "other users can read this private key" in capsys.readouterr().err
 
 
 def test_a_router_prints_a_configuration_that_zenoh_reads(tmp_path, capsys):
@@ -290,7 +290,7 @@ def test_a_router_prints_a_configuration_that_zenoh_reads(tmp_path, capsys):
     [
         (["--robot", "robot_9", "--connect", "tcp/x:1"], "the plan has no robot 'robot_9'"),
         (["--robot", "robot_1"], "how are the other robots reached?"),
-        (["--robot", "robot_1", "--connect", "tcp/x:1", "--run", ".."], "the name of a run"),
+        (["--robot", "robot_1", "--connect", "tcp/x:1", "--run", ".."], "a valid name for a run"),
         (["--robot", "robot_1", "--connect", "tcp/x:1", "--keys", "nowhere"], "nowhere"),
     ],
 )

@@ -65,10 +65,10 @@ def test_a_plan_is_left_staged_if_that_is_wanted():
 @pytest.mark.parametrize(
     "team, says",
     [
-        (Told({"a": None, "b": BROKEN}), "b cannot follow it: " + BROKEN),
-        (Told({"a": "", "b": None}), "no word within 0.3 s of: b"),
-        (Told(None), "no word within 0.3 s of: anybody"),
-        (Told({"a": None}, None), "another plan was staged, or this one was given up"),
+        (Told({"a": None, "b": BROKEN}), "b cannot follow the plan: " + BROKEN),
+        (Told({"a": "", "b": None}), "no vote within 0.3 s from: b"),
+        (Told(None), "no vote within 0.3 s from: anybody"),
+        (Told({"a": None}, None), "another plan was staged, or this one was unstaged"),
         (
             Told({"a": ""}, refuses={"adopt": "a is in 'P4', which the new plan does not have"}),
             "a is in 'P4', which the new plan does not have",
@@ -104,7 +104,7 @@ def test_gspn_deploy_answers_a_script(monkeypatch, capsys, why, code):
     assert json.loads(capsys.readouterr().out) == {
         "order": "deploy",
         "done": not why,
-        "message": "robot_1 cannot follow it: " + why if why else "adopt: taken",
+        "message": "robot_1 cannot follow the plan: " + why if why else "adopt: taken",
         "stage": 3,
         "votes": {"robot_1": why},
     }

@@ -149,7 +149,9 @@ def test_a_braked_connection_is_read_in_pieces_and_at_each_look(pair, monkeypatc
         flood(here, there, brake)
         assert least(there) == PIECE and least(here) == 1
         name = "%s:%d" % here.getsockname()
-        assert brake.news() == ["%s sends more than a robot does: it is read more slowly" % name]
+        assert brake.news() == [
+            "%s sends more than a robot should; reading from it more slowly" % name
+        ]
         assert brake.news() == []
         here.sendall(b"a little")
         assert select.select([there], [], [], 0) == ([], [], [])
@@ -161,7 +163,7 @@ def test_a_braked_connection_is_read_in_pieces_and_at_each_look(pair, monkeypatc
         brake._watch = FloodWatch()  # as if all were quiet for long
         brake.look()
         assert least(there) == 1
-        assert brake.news() == ["%s is read at full speed again, or has disconnected" % name]
+        assert brake.news() == ["%s has slowed down or disconnected; no longer limited" % name]
     finally:
         brake.close()
 

@@ -12,7 +12,7 @@ def test_a_log_is_held_by_one_node(tmp_path, monkeypatch):
     monkeypatch.setattr(log_file, "LOCK_TIME", 0.3)
     path = str(tmp_path / "monday" / "robot_1.jsonl")
     held = log_file.lock_log(path)
-    with pytest.raises(LogError, match="another node is writing this log"):
+    with pytest.raises(LogError, match="another node is writing to this log"):
         log_file.lock_log(path)
     held.close()
     log_file.lock_log(path).close()

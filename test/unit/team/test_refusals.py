@@ -45,13 +45,13 @@ def test_what_carrier_and_replica_refuse_is_counted_and_named(robot):
     for _ in range(3):
         robot.hear(NONSENSE)
     told = [
-        {"robot": "robot_2", "why": "there is no message 'dance'", "times": 3},
+        {"robot": "robot_2", "why": "unknown kind of message 'dance'", "times": 3},
         {"robot": "robot_3", "why": "too large", "times": 2},
     ]
     status = json.loads(json.dumps(report.status()))
     assert status["refused"] == report.activity("", 1, [])["refused"] == told
     assert refusal_lines([status]) == [
-        "robot_1 refused 3 of robot_2: there is no message 'dance'",
+        "robot_1 refused 3 of robot_2: unknown kind of message 'dance'",
         "robot_1 refused 2 of robot_3: too large",
     ]
 
@@ -62,7 +62,7 @@ def test_a_diagnosis_warns_while_more_is_refused(robot):
     level, message, values = report.diagnosis()
     assert level >= 1 and message.endswith("refuses messages of robot_2")
     assert values["refused messages"] == 1
-    assert values["refused from robot_2: there is no message 'dance'"] == 1
+    assert values["refused from robot_2: unknown kind of message 'dance'"] == 1
     assert "refuses" not in report.diagnosis()[1]
     robot.hear(NONSENSE)
     assert "refuses" in report.diagnosis()[1]

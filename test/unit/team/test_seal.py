@@ -75,7 +75,7 @@ def test_a_message_counts_once_in_whatever_order_it_comes():
     for n in (130, 120, 129, 131, 195):
         assert receiver.open(texts[n], "said").body == str(n)
     for n in (130, 120, 129, 131, 195, 99):
-        assert why_not(receiver, texts[n]) in ("a message that was received before", "too late")
+        assert why_not(receiver, texts[n]) in ("a repeated message", "too late")
     assert why_not(receiver, texts[195 - WINDOW]) == "too late"
     assert receiver.open(texts[195 - WINDOW + 1], "said").body == str(195 - WINDOW + 1)
 
@@ -112,11 +112,11 @@ def test_a_restarted_sender_is_heard_and_its_recorded_former_life_is_not():
     clock.now += 60.0
     assert receiver.open(seal("b", clock=clock).close("", "new", "said"), "said").body == "new"
     # before one that has come, or of a stream that it does not know and that is old
-    assert why_not(receiver, recorded[0]) == "a message that was received before"
+    assert why_not(receiver, recorded[0]) == "a repeated message"
     assert "60 s old" in why_not(receiver, recorded[3])
     restarted = seal("a", clock=clock)
     for text in recorded:
-        assert "a recording, or the clocks differ" in why_not(restarted, text)
+        assert "it was recorded earlier, or the clocks differ" in why_not(restarted, text)
 
 
 def test_two_processes_of_one_name_are_both_heard():
@@ -139,7 +139,7 @@ def test_an_order_counts_once_at_one_robot_and_not_for_long():
             robot.open_order(text, "order")
         return error.value.why
 
-    assert why(robots[0], order) == "an order that was received before"
+    assert why(robots[0], order) == "a repeated order"
     assert why(robots[1], order) == "a message for another robot"
     assert why(robots[1], ann.close("", "stop", "order")) == "an order for another robot"
     late, later = ann.close("b", "stop", "order"), ann.close("b", "stop", "order")
@@ -167,7 +167,7 @@ def test_a_key_is_for_its_owner_alone_and_nothing_is_overwritten(tmp_path, capsy
     assert main(["keys", "shared", path]) == 2
     assert "already exists" in capsys.readouterr().err
     os.chmod(path, 0o640)
-    with pytest.raises(KeysError, match="others can read this private key"):
+    with pytest.raises(KeysError, match="other users can read this private key"):
         read_team_key(path)
 
 
