@@ -11,9 +11,10 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from benchmarks import scaling
 from benchmarks.figures import draw_figures
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.team import LAUNCH_FILES
 from benchmarks.machine import machine_line, table
 from benchmarks.results import Results
-from benchmarks.team_run import LAUNCH_FILES, Master, need_ros
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.model.errors import GspnError, UsageError
 
@@ -160,21 +161,18 @@ def _run_experiment(
     points = [point for point in points if args.again or not results.has(point)]
     rows = []
     signal.signal(signal.SIGTERM, _terminated)  # to shut running robots down properly
-    with contextlib.ExitStack() as stack:
-        master = stack.enter_context(Master()) if points else None
+    with Master() if points else contextlib.nullcontext():
         for point in points:
-            assert master is not None
             _tell("%(experiment)s: %(robots)d robots, %(places)d places, %(mode)s" % point)
-            result = scaling.run_point(
+            row = scaling.run_point(
                 name,
                 int(point["robots"]),
                 int(point["places"]),
                 str(point["mode"]),
-                master,
                 args.window,
                 args.partial,
             )
-            rows.append({**point, **result.row(), **baseline, "window_s": args.window})
+            rows.append({**point, **row, **baseline, "window_s": args.window})
             results.add(rows[-1])
     return rows
 

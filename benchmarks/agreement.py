@@ -23,7 +23,7 @@ from agreement.schedule import (
     run_schedule,
 )
 from agreement.world import ViolationError
-from benchmarks.processes import end_cleanly_on_signal
+from benchmarks.harness.processes import end_cleanly_on_signal
 from gspn_framework_package.execution.agreement import config
 
 SIZES = {1: 4, 2: 30, 3: 48, 4: 8, 5: 6, 8: 3, 13: 1}

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from benchmarks import nets
+from benchmarks.harness.processes import peak_mb
 from benchmarks.machine import (
     LIBRARIES,
     describe_machine,
@@ -28,7 +29,6 @@ from benchmarks.machine import (
     table,
 )
 from benchmarks.nets import FAMILIES
-from benchmarks.processes import peak_mb
 from gspn_framework_package.model.net import Net
 
 SPACES = (

@@ -24,6 +24,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
+from benchmarks.harness.processes import peak_mb
 from benchmarks.inspection_grid import inspection_grid
 from benchmarks.machine import (
     LIBRARIES,
@@ -31,7 +32,6 @@ from benchmarks.machine import (
     machine_line,
     table,
 )
-from benchmarks.processes import peak_mb
 from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards

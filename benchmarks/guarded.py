@@ -2,7 +2,7 @@
 
 ``python3 -m benchmarks.guarded`` (needs ROS)
 
-The load is that of ``benchmark.latency`` with actions that return at once. *Flooded*: a node
+The load is that of ``benchmarks.latency`` with actions that return at once. *Flooded*: a node
 without the key publishes 10,000 messages a second of 0.5 KB on the topic of the agreement, in the
 name of a robot, on the same machine. With ``--verify`` the logs are checked as well.
 """
@@ -19,10 +19,11 @@ import sys
 import time
 from typing import Any, Dict, Iterator, List, Optional, Sequence
 
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import end_cleanly_on_signal
+from benchmarks.harness.team import RUN
 from benchmarks.latency import measure, plan_of
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.processes import end_cleanly_on_signal
-from benchmarks.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
@@ -105,7 +106,6 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     need_ros()
     rows: List[Dict[str, Any]] = []
     with Master() as master:
-        os.environ.update(master.environment)
         key = os.path.join(master.folder, "team.key")
         make_team_key(key)
         plan = plan_of("instant", args.robots, Synchronisation.FULL)
@@ -114,8 +114,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             print("guarded: %d of %d ..." % (number + 1, 4 * args.rounds), file=sys.stderr)
             row: Dict[str, Any] = {"key": "yes" if keyed else "no", "robots": args.robots}
             words = ["team_key_file:=" + key] if keyed else []
-            with flooded(TeamRun.next_run() if under_flood else "", row):
-                row.update(measure(master, plan, args.window, args.verify, words))
+            with flooded(RUN if under_flood else "", row):
+                row.update(measure(plan, args.window, args.verify, words))
             rows.append(row)
     if args.json:
         print(json.dumps({"machine": describe_machine(), "window_s": args.window, "rows": rows}))

@@ -12,20 +12,19 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import end_cleanly_on_signal
+from benchmarks.harness.team import LaunchedTeam
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.processes import end_cleanly_on_signal
-from benchmarks.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.analysis.simulation.estimates import mean
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.observation import RunObserver
@@ -114,18 +113,18 @@ def _sum(after: Mapping[str, float], before: Mapping[str, float], start: str) ->
     return math.fsum(after[name] - before[name] for name in after if name.startswith(start))
 
 
-def run_on_ros(master: Master, plan: Plan, seconds: float) -> SiteRun:
+def run_on_ros(plan: Plan, seconds: float) -> SiteRun:
     """One run of the plan with one node for each of its robots."""
-    with TeamRun(master, plan) as run:
-        source = os.path.join(plans_folder(), "inspection", "actions.py")
-        shutil.copy(source, os.path.join(run.folder, "actions.py"))
-        if not run.wait_all_fired(120.0):
-            raise ExecutionError("not every robot moved within two minutes", file=run.folder)
-        time.sleep(seconds + WARM_UP)
-    faults = run.faults()
-    if faults or run.violation():
-        raise ExecutionError("; ".join([*faults, run.violation()]), file=run.folder)
-    return seen_in(run.logs[0], plan, WARM_UP)
+    with LaunchedTeam(plan) as team:
+        team.await_steady()
+        team.pass_time(seconds + WARM_UP)
+        team.end()
+        faults, violation = team.programs.errors("launch"), team.verdict().violation
+        if violation is not None:
+            faults.append("rule %d: %s" % violation)
+        if faults:
+            raise ExecutionError("; ".join(faults), file=team.folder)
+        return seen_in(team.log_file(team.robots[0]), plan, WARM_UP)
 
 
 def compared(pairs: Sequence[Tuple[SiteRun, SiteRun]]) -> Dict[str, Any]:
@@ -206,11 +205,11 @@ def measure(args: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     if args.no_ros:
         return result
     pairs = []
-    with Master() as master:
+    with Master():
         for number in range(args.pairs):
             # the seed is also that of the environment: with one seed, all runs have the same luck
             seeded = [plan.with_seed(number + 1) for plan in plans]
-            pairs.append(tuple(run_on_ros(master, plan, args.seconds) for plan in seeded))
+            pairs.append(tuple(run_on_ros(plan, args.seconds) for plan in seeded))
             told = "pair %d of %d on ROS: %s" % (number + 1, args.pairs, pairs[-1])
             print(told, file=sys.stderr, flush=True)
     result["ros"] = compared(pairs)  # type: ignore[arg-type]

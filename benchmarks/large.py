@@ -15,8 +15,8 @@ import time
 from pathlib import Path
 from typing import Any, Dict
 
+from benchmarks.harness.processes import peak_mb
 from benchmarks.large_nets import LARGE
-from benchmarks.processes import peak_mb
 from gspn_framework_package.formats import write_net
 
 

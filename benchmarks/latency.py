@@ -20,133 +20,72 @@ counts once.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import glob
 import itertools
 import json
 import os
-import statistics
 import sys
 import time
 from dataclasses import replace
-from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, List, Optional, Sequence
 
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import end_cleanly_on_signal
+from benchmarks.harness.team import LaunchedTeam, NodeTeam
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.plans import ring_plan, tokens_plan
-from benchmarks.processes import end_cleanly_on_signal
-from benchmarks.team_run import Master, TeamRun, need_ros
-from gspn_framework_package.execution.event_log import EventLog, read_log
-from gspn_framework_package.execution.verifier import verify
-from gspn_framework_package.model.action import FunctionAction
+from benchmarks.plans import BRIEF, INSTANT, ring_plan, tokens_plan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.team.log_file import SYNC_PERIOD_NAME
 
-BRIEF = "benchmarks.load.brief"
 LOADS = ("light", "instant", "private")
 RING = 7
 """Places of the ring."""
 
 
-def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[float], List[float]]:
-    """The (private, coordinated) latencies (ms) in the records of one robot's log after the
-    monotonic time ``since``."""
-    private: List[float] = []
-    coordinated: List[float] = []
-    done: Optional[Tuple[int, float, bool]] = None
-    for record in records:
-        kind = record["kind"]
-        if kind in ("invoked", "private") and record["entry"]["entry"] == "done":
-            done = record["entry"]["visit"], record["mono"], kind == "private"
-        elif kind == "goal" and done is not None and record["visit"] == done[0] + 1:
-            if done[1] >= since:
-                (private if done[2] else coordinated).append((record["mono"] - done[1]) * 1000)
-            done = None
-    return private, coordinated
-
-
 def measure(
-    master: Master,
-    plan: Plan,
-    window: float,
-    check: bool = False,
-    arguments: Sequence[str] = (),
+    plan: Plan, window: float, check: bool = False, arguments: Sequence[str] = ()
 ) -> Dict[str, Any]:
     """Run a plan and report its latencies and throughput over ``window`` seconds.
 
     :param check: whether the history checker verifies the logs, too.
     :param arguments: further arguments of the launch file.
+    :raises ExecutionError: not all robots fired.
     """
-    with TeamRun(master, plan, arguments=arguments) as run:
-        if not run.wait_all_fired(120):
-            return {"note": "not all robots fired"}
-        time.sleep(3.0)  # exclude the connections made in the background
-        sent, began = messages_sent(), time.monotonic()
-        time.sleep(window)
-        ended, sent = time.monotonic(), messages_sent() - sent
-        folder = run.folder
-    private: List[float] = []
-    coordinated: List[float] = []
-    moves = 0
-    logs = [read_log(path) for path in sorted(glob.glob(os.path.join(folder, "*", "*.jsonl")))]
-    for log in logs:
-        records = [r for r in log.records if r.get("mono", 0) < began + window]
-        moves += sum(1 for r in records if r["kind"] == "goal" and r["mono"] >= began)
-        mine, agreed = latencies(records, began)
-        private += mine
-        coordinated += agreed
-    violation = verify(logs).violation if check else None
+    with LaunchedTeam(plan, arguments=arguments) as team:
+        team.await_steady()
+        sent, began = messages_sent(team), time.monotonic()
+        found = team.measure(window)
+        sent, ended = messages_sent(team) - sent, time.monotonic()
+        team.end()
+        violation = team.verdict().violation if check else None
+        evicted = {
+            (record["slot"], entry["robot"])
+            for log in team.logs.values()
+            for record in log.of("slot")
+            for entry in record["entries"]
+            if entry["entry"] == "evict"
+        }
+    a_firing = sent / (ended - began) / found.firings_per_s if found.moves else None
     return {
         **({"verdict": "rule %d: %s" % violation if violation else "valid"} if check else {}),
-        "evictions": len(evictions(logs)),
-        "firings_per_s": round(moves / window, 1),
-        "messages_per_firing": round(sent / (ended - began) * window / moves, 2) if moves else None,
-        **_summary("private", private),
-        **_summary("coordinated", coordinated),
+        "evictions": len(evicted),
+        "firings_per_s": round(found.firings_per_s, 1),
+        "messages_per_firing": None if a_firing is None else round(a_firing, 2),
+        **found.latencies(),
     }
 
 
-def evictions(logs: Sequence[EventLog]) -> Set[Tuple[int, str]]:
-    """The evictions in these logs: (slot, robot)."""
-    return {
-        (record["slot"], entry["robot"])
-        for log in logs
-        for record in log.records
-        if record["kind"] == "slot"
-        for entry in record["entries"]
-        if entry["entry"] == "evict"
-    }
-
-
-def messages_sent() -> int:
+def messages_sent(team: NodeTeam) -> int:
     """The number of messages that the running robots have sent each other so far."""
-    from gspn_framework_package.ros.operator_client import OperatorClient
-
-    with contextlib.closing(OperatorClient()) as client:
-        return sum(status["messages_sent"] for status in client.statuses().values() if status)
+    return sum(status["messages_sent"] for status in team.statuses().values())
 
 
 def plan_of(load: str, robots: int, mode: Synchronisation) -> Plan:
     """The plan of a load (see above)."""
     if load == "private":
-        return replace(ring_plan(RING, robots, instant=True), synchronisation=mode)
-    plan = replace(tokens_plan(instant=True), synchronisation=mode).for_robots(robots)
-    if load == "light":
-        plan = replace(
-            plan, actions={place: FunctionAction(BRIEF, place) for place in plan.actions}
-        )
-    return plan
-
-
-def _summary(name: str, values: List[float]) -> Dict[str, Any]:
-    if not values:
-        return {}
-    values.sort()
-    return {
-        name + "_median_ms": round(statistics.median(values), 2),
-        name + "_p99_ms": round(values[min(len(values) - 1, int(len(values) * 0.99))], 2),
-        name + "_count": len(values),
-    }
+        return replace(ring_plan(RING, robots, INSTANT), synchronisation=mode)
+    plan = tokens_plan(BRIEF if load == "light" else INSTANT).for_robots(robots)
+    return replace(plan, synchronisation=mode)
 
 
 _FSYNC = {"never": "1e9", "no": "", "yes": ""}
@@ -204,8 +143,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     rows: List[Dict[str, Any]] = []
     interrupted = False
     try:
-        with Master() as master:
-            os.environ.update(master.environment)
+        with Master():
             for load, mode, robots, fsync in itertools.product(
                 args.load, modes, args.robots, args.fsync
             ):
@@ -217,12 +155,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                     flush=True,
                 )
                 plan = plan_of(load, robots, mode)
-                master.environment[SYNC_PERIOD_NAME] = _FSYNC.get(fsync, "")
+                os.environ[SYNC_PERIOD_NAME] = _FSYNC.get(fsync, "")
                 if fsync:
                     plan = replace(plan, fsync=fsync == "yes")
                 if args.evict_after is not None:
                     plan = replace(plan, timing=plan.timing._replace(evict_after=args.evict_after))
-                measured = measure(master, plan, args.window, args.verify)
+                measured = measure(plan, args.window, args.verify)
                 row = {"load": load, "mode": mode.value, "robots": robots, "fsync": fsync}
                 rows.append({**row, **measured})
     except KeyboardInterrupt:

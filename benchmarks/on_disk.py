@@ -18,9 +18,9 @@ from typing import Any, Dict, Mapping, Optional, Sequence
 
 import psutil
 
+from benchmarks.harness.processes import peak_mb
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.nets import FAMILIES
-from benchmarks.processes import peak_mb
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
 from gspn_framework_package.analysis.on_disk.search import search

@@ -13,19 +13,20 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
 LOOP = "benchmarks.load.loop"
+BRIEF = "benchmarks.load.brief"
+SHORT = "benchmarks.load.short"
 INSTANT = "benchmarks.load.instant"
 
 
-def tokens_plan(instant: bool = False) -> Plan:
+def tokens_plan(function: str = LOOP) -> Plan:
     """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action. Here
     the action is one of :mod:`~benchmarks.load`, so that the plan runs from
     any folder."""
     plan = read_plan(os.path.join(plans_folder(), "tokens"))
-    function = INSTANT if instant else LOOP
     return replace(plan, actions={place: FunctionAction(function, place) for place in plan.actions})
 
 
-def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:
+def ring_plan(places: int, robots: int, function: str = LOOP) -> Plan:
     """A ring of ``places`` action places (thesis 6.1.2 and 6.1.3) with ``robots`` robots,
     distributed round-robin over the places."""
     names = ["p%d" % k for k in range(1, places + 1)]
@@ -35,7 +36,6 @@ def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:
     for k, name in enumerate(names):
         following = names[(k + 1) % places]
         net.exponential("t%d" % (k + 1), rate=1.25, servers=None, inputs=name, outputs=following)
-    function = INSTANT if instant else LOOP
     return Plan(
         net=net.build(),
         name="ring_%d" % places,

@@ -18,9 +18,9 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence
 
 import psutil
 
+from benchmarks.harness.processes import peak_mb
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.nets import FAMILIES
-from benchmarks.processes import peak_mb
 from gspn_framework_package.analysis.state_space import ENGINES, explore
 from gspn_framework_package.model.net import Net
 

@@ -18,31 +18,25 @@ once although robots are killed or stopped, or the network is cut.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import queue
 import random
 import statistics
-import subprocess
 import sys
 import time
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import psutil
 
-from benchmarks.faults.team import PATIENCE, RestartableMaster
+from benchmarks.faults.team import FaultyTeam
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import cpu_seconds, end_cleanly_on_signal
+from benchmarks.harness.team import PATIENCE
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.netns.main import why_not
-from benchmarks.processes import cpu_seconds, end_cleanly_on_signal
 from benchmarks.reacting_tasks import COLUMNS as TASK_COLUMNS
-from benchmarks.reacting_tasks import (
-    FAULTS,
-    launched,
-    measure_tasks,
-    publisher,
-)
-from benchmarks.team_run import need_ros
+from benchmarks.reacting_tasks import EVICT_AFTER, FAULTS, measure_tasks, publisher
 from gspn_framework_package.model.action import EXEC_GSPN, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
@@ -118,11 +112,11 @@ def measure_interrupts(robots: int, mode: Synchronisation, samples: int) -> Row:
     names = ["robot_%d" % n for n in range(1, robots + 1)]
     servers = {name: WorkServer("/" + name) for name in names}
     values: List[float] = []
-    with launched(robots, mode, guard_plan(robots)) as team:
+    with FaultyTeam(robots, mode, EVICT_AFTER, guard_plan(robots)) as team:
         for server in servers.values():
             server.goals.get(timeout=PATIENCE)
         batteries = {name: publisher("/%s/battery" % name, Float32) for name in names}
-        team.wait_until(team.is_complete, "the start")
+        team.wait(team.is_complete, "the start")
         for number in range(samples):
             name = names[number % robots]
             began = time.monotonic()
@@ -151,15 +145,17 @@ def measure_interrupts(robots: int, mode: Synchronisation, samples: int) -> Row:
 def measure_flood(window: float) -> Row:
     """The processor time of a node whose event's topic floods, in percent of a core."""
     server = WorkServer("/robot_1")
-    with launched(1, Synchronisation.FULL, guard_plan(1)) as team, contextlib.ExitStack() as stack:
+    with FaultyTeam(1, Synchronisation.FULL, EVICT_AFTER, guard_plan(1)) as team:
         server.goals.get(timeout=PATIENCE)
         time.sleep(3.0)
         log = team.log_file("robot_1")
-        node = psutil.Process(team.pid("robot_1"))
+        node = psutil.Process(team.programs.pid("robot_1"))
         without = _share(node, window)
         size = os.path.getsize(log)
-        stack.enter_context(_child("--publish", "/robot_1/battery"))
-        listener = stack.enter_context(_child("--listen", "/robot_1/battery"))
+        for what in ("publish", "listen"):
+            words = [sys.executable, "-m", MODULE, "--" + what, "/robot_1/battery"]
+            team.programs.start(what, words)
+        listener = psutil.Process(team.programs.pid("listen"))
         time.sleep(3.0)
         with_flood = _share(node, window)
         return {
@@ -167,9 +163,7 @@ def measure_flood(window: float) -> Row:
             "messages_per_s": FLOOD,
             "cpu_without": round(100 * without, 1),
             "cpu_with": round(100 * with_flood, 1),
-            "cpu_of_a_mere_subscriber": round(
-                100 * _share(psutil.Process(listener.pid), window), 1
-            ),
+            "cpu_of_a_mere_subscriber": round(100 * _share(listener, window), 1),
             "log_bytes_written": os.path.getsize(log) - size,
         }
 
@@ -179,18 +173,6 @@ def _share(process: psutil.Process, window: float) -> float:
     before, began = cpu_seconds([process])[process.pid], time.monotonic()
     time.sleep(window)
     return (cpu_seconds([process])[process.pid] - before) / (time.monotonic() - began)
-
-
-@contextlib.contextmanager
-def _child(*words: str) -> Iterator[Any]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", MODULE, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-    )
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait()
 
 
 def _publish(topic: str) -> None:
@@ -285,25 +267,22 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                     told = "%s, %s, %s" % (part, fault, mode.value)
                     work.append((told, lambda v=given: measure_tasks(*v)))  # type: ignore[misc]
     rows: List[Row] = []
-    master = RestartableMaster()
-    master.start()
     interrupted = failed = False
     try:
-        import rospy
+        with Master():
+            import rospy
 
-        rospy.init_node("reacting", anonymous=True, disable_signals=True)
-        for part, measure in work:
-            print("reacting: %s ..." % part, file=sys.stderr, flush=True)
-            try:
-                rows.append(measure())
-            except ExecutionError as error:
-                print("reacting: error: %s" % error, file=sys.stderr)
-                failed = True
+            rospy.init_node("reacting", anonymous=True, disable_signals=True)
+            for part, measure in work:
+                print("reacting: %s ..." % part, file=sys.stderr, flush=True)
+                try:
+                    rows.append(measure())
+                except ExecutionError as error:
+                    print("reacting: error: %s" % error, file=sys.stderr)
+                    failed = True
     except KeyboardInterrupt:
         print("reacting: interrupted", file=sys.stderr)
         interrupted = True
-    finally:
-        master.kill()
     if args.json:
         print(json.dumps({"machine": describe_machine(), "rows": rows}))
     else:

@@ -10,33 +10,25 @@ the logs are looked at.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import glob
 import json
-import os
 import random
 import signal
 import sys
 import time
 from collections import Counter
-from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
-from benchmarks.faults.team import (
-    BRIEF,
-    PATIENCE,
-    QUIET,
-    LaunchedTeam,
-    require,
-)
-from benchmarks.netns.experiment import PartitionExperiment
-from benchmarks.netns.rules import Cuts, one_way, partition
-from benchmarks.netns.team import MASTER
-from benchmarks.processes import end_cleanly_on_signal
-from gspn_framework_package.execution.event_log import Record, read_log
-from gspn_framework_package.execution.verifier import Verdict, verify
+from benchmarks.faults.team import FaultyTeam, require
+from benchmarks.harness.processes import end_cleanly_on_signal
+from benchmarks.harness.rules import Cuts, one_way, partition
+from benchmarks.harness.team import MASTER, PATIENCE
+from benchmarks.netns.experiment import partition_experiment
+from benchmarks.plans import BRIEF
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.verifier import Verdict
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import ExecutionError, GspnError
+from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.plan import (
     FailureKind,
@@ -249,24 +241,6 @@ def is_well(row: Row) -> bool:
 # -- kills and pauses ------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def launched(robots: int, mode: Synchronisation, plan: Plan) -> Iterator[LaunchedTeam]:
-    """A team that is ended at the end of the block. Its files are removed, unless it fails."""
-    team = LaunchedTeam(robots, mode, EVICT_AFTER, plan)
-    try:
-        yield team
-    except GspnError:
-        team.end()
-        print("the logs are in %s" % team.folder, file=sys.stderr)
-        raise
-    except BaseException:
-        team.end()
-        team.discard()
-        raise
-    team.end()
-    team.discard()
-
-
 class Trouble:
     """Kills or stops robots of a team, one fault after the other.
 
@@ -277,7 +251,7 @@ class Trouble:
     :ivar count: the number of faults so far.
     """
 
-    def __init__(self, team: LaunchedTeam, fault: str, seed: int) -> None:
+    def __init__(self, team: FaultyTeam, fault: str, seed: int) -> None:
         self._team, self._fault = team, fault
         self._random = random.Random(seed)
         self._down: List[str] = []
@@ -292,21 +266,21 @@ class Trouble:
             self.end()
         elif not self._down and now >= self._next:
             # a stop may hit several robots, and more than half of them
-            number = self._random.randint(1, len(self._team.first)) if self._pauses else 1
-            self._down = self._random.sample(self._team.first, number)
+            number = self._random.randint(1, len(self._team.robots)) if self._pauses else 1
+            self._down = self._random.sample(self._team.robots, number)
             self._until = now + self._random.choice([BRIEFEST, 1.5, EVICT_AFTER + 2.0])
             for name in self._down:
                 if self._pauses:
-                    self._team.signal(name, signal.SIGSTOP)
+                    self._team.programs.signal(name, signal.SIGSTOP)
                 else:
-                    self._team.kill(name)
+                    self._team.programs.kill(name)
             self.count += 1
 
     def end(self) -> None:
         """Bring back who is down."""
         for name in self._down:
             if self._pauses:
-                self._team.signal(name, signal.SIGCONT)
+                self._team.programs.signal(name, signal.SIGCONT)
             else:
                 self._team.start(name)
         self._down = []
@@ -321,24 +295,23 @@ def measure_processes(
     fault: str, robots: int, mode: Synchronisation, seconds: float, rate: float, seed: int
 ) -> Row:
     """Kill or stop robots while orders come; the figures."""
-    with launched(robots, mode, courier_plan(robots)) as team:
-        team.wait_until(team.is_complete, "the start")
-        sender, trouble = OrderSender(team.first, seed), Trouble(team, fault, seed)
+    with FaultyTeam(robots, mode, EVICT_AFTER, courier_plan(robots)) as team:
+        team.wait(team.is_complete, "the start")
+        sender, trouble = OrderSender(team.robots, seed), Trouble(team, fault, seed)
         began = time.monotonic()
         sender.run(seconds, rate, trouble.go_on)
         trouble.end()
         published = time.monotonic() - began
 
         def found() -> LoggedTasks:
-            return outcome(team.read(name).records for name in team.first)
+            return outcome(log.records for log in team.read().values())
 
         _wait_for_all(sender.sent, found, seconds)
         drained = time.monotonic() - began
         team.rest()
         sender.close()
         team.end()
-        logs = [read_log(team.log_file(name)).records for name in team.first]
-        row = make_row(sender.sent, outcome(logs), team.verdict())
+        row = make_row(sender.sent, found(), team.verdict(settled=True))
         row.update(number_of_faults=trouble.count, tracebacks=len(team.tracebacks()))
         require(is_well(row), "not as it must be: %s" % row)
     return {**_head(fault, robots, mode, published, drained), **row}
@@ -397,34 +370,37 @@ def measure_cuts(robots: int, mode: Synchronisation, seconds: float, rate: float
     source = random.Random(seed)
     cuts = 0
     plan = courier_plan(robots)
-    with PartitionExperiment(
+    with partition_experiment(
         mode.value, plan=plan, others=[SENDER], evict_after=EVICT_AFTER
     ) as lab:
+
+        def said() -> str:
+            return lab.programs.output(SENDER)
+
         words = ["--seconds", str(seconds), "--rate", str(rate), "--seed", str(seed)]
         words += ["--robots", *lab.robots]
-        lab.run_beside(SENDER, [sys.executable, "-m", MODULE, *words])
-        lab.wait(lambda: "begun" in lab.said(SENDER), "the first order", PATIENCE)
+        words = [sys.executable, "-m", MODULE, *words]
+        lab.programs.start(SENDER, words, "", lab.environment(SENDER))
+        lab.wait(lambda: "begun" in said(), "the first order", PATIENCE)
         began = time.monotonic()
         lab.pass_time(FIRST)
-        while "sent" not in lab.said(SENDER):
+        while "sent" not in said():
             lab.cut(random_cut(lab.robots, source))
             cuts += 1
             lab.pass_time(source.choice([BRIEFEST, 1.5, EVICT_AFTER + 2.0]))
             lab.heal()
             lab.pass_time(source.uniform(*BETWEEN))
         published = time.monotonic() - began
-        sent = ["order %d" % n for n in range(int(lab.said(SENDER).rsplit("sent", 1)[1]))]
+        sent = ["order %d" % n for n in range(int(said().rsplit("sent", 1)[1]))]
 
         def found() -> LoggedTasks:
             return outcome(log.records for log in lab.read().values())
 
         _wait_for_all(sent, found, seconds)
         drained = time.monotonic() - began
-        lab.rest(QUIET)
-        files = glob.glob(os.path.join(lab.folder, "*", "*.jsonl"))
-        logs = [read_log(path) for path in sorted(files)]
-        row = make_row(sent, outcome(log.records for log in logs), verify(logs, settled=True))
-        tracebacks = sum("Traceback" in lab.said(name) for name in lab.robots)
+        lab.rest()
+        row = make_row(sent, found(), lab.verdict(settled=True))
+        tracebacks = sum("Traceback" in lab.programs.output(name) for name in lab.robots)
         row.update(number_of_faults=cuts, tracebacks=tracebacks)
         lab.require(is_well(row), "not as it must be: %s" % row)
     return {**_head("cuts", robots, mode, published, drained), **row}

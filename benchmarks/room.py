@@ -22,8 +22,8 @@ import sys
 import time
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
+from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.machine import describe_machine, machine_line
-from benchmarks.processes import end_cleanly_on_signal
 from benchmarks.room_report import FAULTS, figures, show
 from benchmarks.room_ros import measure_ros
 from gspn_framework_package.formats.example_plans import plans_folder

@@ -7,14 +7,14 @@ import json
 import os
 import re
 import signal
-import subprocess
 import threading
 import time
 from typing import Any, Dict, List, Optional, Tuple
 
-from benchmarks.processes import cost_of, descendants
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import cost_of, descendants
+from benchmarks.harness.team import launch_words
 from benchmarks.room_report import figures
-from benchmarks.team_run import Master, need_ros
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
@@ -27,6 +27,9 @@ from gspn_framework_package.world.room_file import load_room
 
 START = 120.0
 """Seconds within which the first robot must have driven."""
+
+PATROL, AGAIN = "patrol", "again"
+"""The programs of a run: all, and the node that comes back."""
 
 _CHECK = re.compile(r"Go_Check_(\w+)$")
 _PLACE = re.compile(r"(Check_Temperature|Alarm|Decide)_(\w+)$")
@@ -111,12 +114,9 @@ class Loss:
     :param robot: the robot that is lost, the second of the team.
     """
 
-    def __init__(
-        self, robot: str, minutes: float, command: List[str], environment: Dict[str, str]
-    ) -> None:
+    def __init__(self, robot: str, minutes: float, command: List[str]) -> None:
         self.robot, self._end = robot, minutes * 60
-        self._command, self._environment = command, environment
-        self._launch: Optional[subprocess.Popen[bytes]] = None
+        self._command = command
         self.killed: Optional[Tuple[float, int, int]] = None
         self.returned: Optional[Tuple[float, int, int]] = None
 
@@ -126,19 +126,8 @@ class Loss:
             os.kill(master.process_of("/%s/executor" % self.robot), signal.SIGKILL)
             self.killed = (watcher.time, *watcher.entries(self.robot))
         elif self.killed and self.returned is None and watcher.time > self._end * 2 / 3:
-            self._launch = subprocess.Popen(
-                self._command,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=self._environment,
-                start_new_session=True,
-            )
+            master.programs.start(AGAIN, self._command)
             self.returned = (watcher.time, *watcher.entries(self.robot))
-
-    def end(self) -> None:
-        """End the restarted node."""
-        if self._launch is not None:
-            end_launch(self._launch)
 
     def report(self, watcher: Watcher) -> Dict[str, Any]:
         """When the robot was lost, and how many locations were entered before, during and after the
@@ -179,43 +168,27 @@ def measure_ros(
     plan = read_plan(path).for_robots(robots)
     names = [robot.name for robot in plan.robots]
     with Master() as master:
-        os.environ.update(master.environment)
         import rospy
 
         rospy.init_node("bench_room", anonymous=True, disable_signals=True)
         watcher = Watcher(load_room(room))
-        output = os.path.join(master.folder, "patrol.txt")
-        words = ["roslaunch", "gspn_framework_package", "patrol.launch", "robots:=%d" % robots]
-        words += [
-            "world:=" + os.path.abspath(room),
-            "real_time_factor:=%g" % factor,
-            "run:=room_%d" % seed,
-        ]
-        with open(output, "wb") as log:
-            launch = subprocess.Popen(
-                words,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=master.environment,
-                start_new_session=True,
-            )
-        again = [
-            "roslaunch",
-            "gspn_framework_package",
-            "robot.launch",
-            "plan:=" + path,
-            "number:=2",
-        ]
-        again += ["robots:=%d" % robots, "run:=room_%d" % seed]
-        loss = Loss(names[1], minutes, again, master.environment) if lose else None
+        run = "room_%d" % seed
+        again = launch_words("robot.launch", plan=path, number=2, robots=robots, run=run)
+        loss = Loss(names[1], minutes, again) if lose else None
+        words = launch_words(
+            "patrol.launch",
+            robots=robots,
+            world=os.path.abspath(room),
+            real_time_factor=factor,
+            run=run,
+        )
+        master.programs.start(PATROL, words)
         try:
-            result = _watch(watcher, launch, plan, seed, minutes, output, master, loss)
+            result = _watch(watcher, plan, seed, minutes, master, loss)
         finally:
-            if loss is not None:
-                loss.end()
-            end_launch(launch)
+            master.programs.stop(PATROL, AGAIN)
             rospy.signal_shutdown("measured")
-        return {**result, **read_logs(os.path.join(master.folder, "gspn", "room_%d" % seed))}
+        return {**result, **read_logs(os.path.join(master.folder, "gspn", run))}
 
 
 def read_logs(folder: str) -> Dict[str, Any]:
@@ -258,11 +231,9 @@ def count_policy_misses(event_log: EventLog) -> int:
 
 def _watch(
     watcher: Watcher,
-    launch: subprocess.Popen[bytes],
     plan: Any,
     seed: int,
     minutes: float,
-    output: str,
     master: Master,
     loss: Optional[Loss],
 ) -> Dict[str, Any]:
@@ -270,17 +241,17 @@ def _watch(
     first: Optional[Tuple[float, float, float]] = None
     # count from the first firing: the start-up of the team is reported separately
     while first is None or watcher.time < first[1] + minutes * 60:
-        if launch.poll() is not None:
-            raise ExecutionError("the patrol ended by itself", hint=last_lines(output))
+        master.programs.check()
         if first is None and watcher.firings:
-            cost = cost_of(descendants(launch.pid))
+            cost = cost_of(descendants(master.programs.pid(PATROL)))
             first = (time.monotonic(), watcher.time, cost.cpu_seconds)
         if first is None and time.monotonic() - begin > START:
-            raise ExecutionError("nothing fired within %g s" % START, hint=last_lines(output))
+            said = master.programs.said(PATROL)
+            raise ExecutionError("nothing fired within %g s" % START, hint=said)
         if loss is not None:
             loss.poll(watcher, master)
         time.sleep(0.2)
-    cost = cost_of(descendants(launch.pid))
+    cost = cost_of(descendants(master.programs.pid(PATROL)))
     wall, simulated = time.monotonic() - first[0], watcher.time - first[1]
     order = EntryOrder()
     for robot in plan.robots:
@@ -306,21 +277,3 @@ def _watch(
         "memory_mb": cost.pss_mb,
         "processes": cost.processes,
     }
-
-
-def end_launch(launch: subprocess.Popen[bytes]) -> None:
-    """End a ``roslaunch`` with its process group, in the end by force."""
-    for number, patience in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
-        if launch.poll() is not None:
-            return
-        os.killpg(launch.pid, number)
-        try:
-            launch.wait(patience)
-        except subprocess.TimeoutExpired:
-            continue
-
-
-def last_lines(file: str) -> str:
-    """The last lines of an output, for an error message."""
-    with open(file, encoding="utf-8", errors="replace") as log:
-        return " / ".join(log.read().strip().splitlines()[-3:])

@@ -10,9 +10,9 @@ import time
 from dataclasses import replace
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
-from benchmarks.plans import ring_plan, tokens_plan
-from benchmarks.processes import MachineLoad, quiet_machine
-from benchmarks.team_run import Master, Measurement, TeamRun
+from benchmarks.harness.processes import MachineLoad, quiet_machine
+from benchmarks.harness.team import LaunchedTeam
+from benchmarks.plans import INSTANT, ring_plan, tokens_plan
 from benchmarks.token_game import standalone_rate
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan, Synchronisation
@@ -48,7 +48,7 @@ def _tokens(robots: int, places: int) -> Plan:
 
 
 def _instant(robots: int, places: int) -> Plan:
-    return tokens_plan(instant=True).for_robots(robots)
+    return tokens_plan(INSTANT).for_robots(robots)
 
 
 def _ring(robots: int, places: int) -> Plan:
@@ -110,59 +110,10 @@ def thesis_start(robots: int) -> Optional[float]:
     return THESIS_START if robots > 13 else None
 
 
-class Result(NamedTuple):
-    """The result of one point. ``servers``: place servers in the team; ``measured`` is None if the
-    robots did not start."""
-
-    experiment: str
-    mode: str
-    robots: int
-    places: int
-    servers: int
-    measured: Optional[Measurement]
-    faults: int
-    note: str = ""
-
-    def row(self) -> Dict[str, Any]:
-        """The figures by name, for CSV and JSON."""
-        row: Dict[str, Any] = {
-            "experiment": self.experiment,
-            "mode": self.mode,
-            "robots": self.robots,
-            "places": self.places,
-            "servers": self.servers,
-        }
-        m = self.measured
-        if m is not None:
-            row.update(
-                started_s=round(m.started, 2),
-                first_goals_s=round(m.first_goals, 2),
-                all_fired_s=None if m.all_fired is None else round(m.all_fired, 2),
-                firings_per_s=round(m.firings, 2),
-                cpu_percent_of_core=round(100 * m.cpu_of_core, 1),
-                master_cpu_percent_of_core=round(100 * m.master_cpu_of_core, 1),
-                cpu_seconds=round(m.cost.cpu_seconds, 2),
-                processes=m.cost.processes,
-                pss_mb=round(m.cost.pss_mb, 1),
-                threads=m.cost.threads,
-                descriptors=m.cost.descriptors,
-                machine_cpu_percent=round(m.machine.cpu_percent, 1),
-                machine_memory_percent=round(m.machine.memory_percent, 1),
-            )
-        row.update(faults=self.faults, note=self.note)
-        return row
-
-
 def run_point(
-    name: str,
-    robots: int,
-    places: int,
-    mode: str,
-    master: Master,
-    window: float,
-    partial: bool = False,
-) -> Result:
-    """Run one point of an experiment. A point that fails gives a result with a note.
+    name: str, robots: int, places: int, mode: str, window: float, partial: bool = False
+) -> Dict[str, Any]:
+    """Run one point of an experiment; returns its figures by name. A point that fails has a note.
 
     :param window: length (s) of the measurement.
     :param partial: whether to use partial synchronisation.
@@ -172,25 +123,47 @@ def run_point(
     if partial:
         plan = replace(plan, synchronisation=Synchronisation.PARTIAL)
     servers = robots * sum(1 for action in plan.actions.values() if action is not None)
-    measured, note = None, ""
+    row: Dict[str, Any] = {"servers": servers, "note": ""}
     faults: List[str] = []
-    run = TeamRun(master, plan, mode)
+    team = LaunchedTeam(plan, mode)
     try:
-        with run:
+        with team:
             try:
-                measured = run.measure(window, experiment.timeout)
+                team.await_steady(experiment.timeout)
+                row.update(_figures(team, window))
             finally:
-                faults = run.faults()
-        if measured.all_fired is None:
-            note = "not all robots fired within %g s" % experiment.timeout
+                faults = team.programs.errors("launch")
+            team.end()
+            violation = team.verdict().violation
     except ExecutionError as error:
-        note = error.message
-    violation = run.violation()
-    if violation:
-        faults.append("the logs contradict each other: " + violation)
+        row["note"] = error.message
+    else:
+        if violation is not None:
+            faults.append("the logs contradict each other: rule %d: %s" % violation)
     if faults:
-        note = (note + "; first fault: " if note else "first fault: ") + faults[0][:300]
-    return Result(name, mode, robots, places, servers, measured, len(faults), note)
+        row["note"] += "; first fault: " * bool(row["note"]) + faults[0][:300]
+    return {**row, "faults": len(faults)}
+
+
+def _figures(team: LaunchedTeam, window: float) -> Dict[str, Any]:
+    """What a team does and needs; times are in seconds from the start of ``roslaunch``."""
+    found = team.measure(window)
+    logs = team.logs.values()
+    goals = [[r["mono"] for r in log.of("goal") if r["attempt"] == 1] for log in logs]
+    return {
+        "started_s": round(max(log.records[0]["mono"] for log in logs) - team.began, 2),
+        "first_goals_s": round(max(times[0] for times in goals) - team.began, 2),
+        "all_fired_s": round(max(times[1] for times in goals) - team.began, 2),
+        "firings_per_s": round(found.firings_per_s, 2),
+        "cpu_percent_of_core": round(100 * found.cpu["robots"], 1),
+        "cpu_seconds": round(found.cost.cpu_seconds, 2),
+        "processes": found.cost.processes,
+        "pss_mb": round(found.cost.pss_mb, 1),
+        "threads": found.cost.threads,
+        "descriptors": found.cost.descriptors,
+        "machine_cpu_percent": round(found.machine.cpu_percent, 1),
+        "machine_memory_percent": round(found.machine.memory_percent, 1),
+    }
 
 
 def standalone_results(quick: bool, seconds: float, tell: Tell) -> List[Dict[str, Any]]:

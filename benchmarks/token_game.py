@@ -20,7 +20,7 @@ import uuid
 from typing import Any, Deque, Dict, List, Optional, Sequence
 
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.plans import tokens_plan
+from benchmarks.plans import INSTANT, tokens_plan
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Firing, StartAction
@@ -94,7 +94,7 @@ def standalone_rate(plan: Plan, seconds: float, record: bool) -> float:
 
 def measure(agents: int, seconds: float) -> Dict[str, Any]:
     """The three rates with ``agents`` agents."""
-    plan = tokens_plan(instant=True).for_robots(agents)
+    plan = tokens_plan(INSTANT).for_robots(agents)
     return {
         "agents": agents,
         "token_game": game_rate(plan, seconds),

@@ -14,17 +14,16 @@ import argparse
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections import Counter
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Dict, Optional, Sequence
 
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import end_cleanly_on_signal
+from benchmarks.harness.team import launch_words
 from benchmarks.machine import describe_machine, machine_line
-from benchmarks.processes import end_cleanly_on_signal
-from benchmarks.room_ros import end_launch, last_lines
-from benchmarks.team_run import Master, need_ros
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
@@ -141,30 +140,24 @@ def measure(robots: int, minutes: float, factor: float, seed: int) -> Dict[str, 
     """
     need_ros()
     with Master() as master:
-        os.environ.update(master.environment)
         import rospy
 
         rospy.init_node("bench_warehouse", anonymous=True, disable_signals=True)
         watcher = ShopWatcher()
-        output = os.path.join(master.folder, "warehouse.txt")
-        launches = [
-            _launch(
-                master,
-                output,
-                "warehouse.launch",
-                robots=robots,
-                bodies=robots + 1,
-                orders_for=minutes * 60,
-                real_time_factor=factor,
-                seed=seed,
-                run=RUN,
-            )
-        ]
+        words = launch_words(
+            "warehouse.launch",
+            robots=robots,
+            bodies=robots + 1,
+            orders_for=minutes * 60,
+            real_time_factor=factor,
+            seed=seed,
+            run=RUN,
+        )
+        master.programs.start(RUN, words)
         try:
-            result = _watch(watcher, master, launches, output, robots, minutes)
+            result = _watch(watcher, master, robots, minutes)
         finally:
-            for launch in reversed(launches):
-                end_launch(launch)
+            master.programs.stop(RUN, KILLED, "joins")
             rospy.signal_shutdown("measured")
         logs = [read_log(path) for path in log_files([os.path.join(master.folder, "gspn", RUN)])]
     longest = max(logs, key=lambda log: len(log.records))
@@ -204,24 +197,9 @@ def measure(robots: int, minutes: float, factor: float, seed: int) -> Dict[str, 
     }
 
 
-def _launch(master: Master, output: str, file: str, **arguments: Any) -> subprocess.Popen[bytes]:
-    words = ["roslaunch", "gspn_framework_package", file]
-    words += ["%s:=%s" % pair for pair in arguments.items()]
-    with open(output, "ab") as log:
-        return subprocess.Popen(
-            words,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=master.environment,
-            start_new_session=True,
-        )
-
-
 def _watch(
     watcher: ShopWatcher,
     master: Master,
-    launches: List[subprocess.Popen[bytes]],
-    output: str,
     robots: int,
     minutes: float,
 ) -> Dict[str, Any]:
@@ -233,10 +211,10 @@ def _watch(
     joined: Optional[float] = None
     while watcher.time < seconds or watcher.undelivered:
         now = watcher.time
-        if launches[0].poll() is not None:
-            raise ExecutionError("the run ended by itself", hint=last_lines(output))
+        master.programs.check()
         if not watcher.fired and time.monotonic() - begin > START:
-            raise ExecutionError("nothing fired within %g s" % START, hint=last_lines(output))
+            said = master.programs.said(RUN)
+            raise ExecutionError("nothing fired within %g s" % START, hint=said)
         if now > seconds + DRAIN:
             break
         if killed is None and now > seconds / 3 and watcher.place(KILLED) == "Fetch":
@@ -244,25 +222,13 @@ def _watch(
             killed = now
         elif killed and returned is None and now > max(seconds / 2, killed + 60):
             number = int(KILLED.split("_")[1])
-            launches.append(
-                _launch(
-                    master,
-                    output,
-                    "robot.launch",
-                    plan=plan,
-                    number=number,
-                    robots=robots,
-                    run=RUN,
-                )
-            )
+            words = launch_words("robot.launch", plan=plan, number=number, robots=robots, run=RUN)
+            master.programs.start(KILLED, words)
             returned = now
         elif joined is None and now > seconds * 2 / 3:
             name = "robot_%d" % (robots + 1)
-            launches.append(
-                _launch(
-                    master, output, "robot.launch", plan=plan, robot=name, place="Parked", run=RUN
-                )
-            )
+            words = launch_words("robot.launch", plan=plan, robot=name, place="Parked", run=RUN)
+            master.programs.start("joins", words)
             joined = now
         time.sleep(0.2)
     wall = time.monotonic() - begin

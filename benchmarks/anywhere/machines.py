@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Dict, List, NamedTuple, Sequence
 
-from benchmarks.netns.gateways import Gateways
+from benchmarks.harness.gateways import Gateways
 
 HUB = "hub"
 """The machine with the router, which all others can reach."""

@@ -5,10 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import signal
 import sys
-import tempfile
 import time
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
@@ -21,10 +19,11 @@ from benchmarks.anywhere.report import (
     strangers_in,
 )
 from benchmarks.anywhere.team import AnywhereTeam
+from benchmarks.harness.master import why_no_ros
+from benchmarks.harness.network import why_impossible
+from benchmarks.harness.rules import partition
+from benchmarks.harness.team import why_no_zenoh
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.netns.network import why_impossible
-from benchmarks.netns.rules import partition
-from benchmarks.netns.team import why_no_ros, why_no_zenoh
 from gspn_framework_package.model.errors import GspnError
 
 HOLD = 5.0
@@ -90,11 +89,7 @@ class Demonstration:
 
     def _start(self) -> Any:
         took = self.team.goes_on()
-        begin = time.monotonic()
-        while time.monotonic() < begin + CALM:
-            self.team.read()
-            time.sleep(0.1)
-        self._speed = self.team.speed(begin, begin + CALM)
+        self._speed = self.team.speed(*self.team.pass_time(CALM))
         return "all move, %.1f slots/s" % self._speed, took
 
     def _kill(self, kind: str) -> Any:
@@ -104,7 +99,7 @@ class Demonstration:
         team.programs.kill(victim)
         team.goes_on(rest, 2)
         began = time.monotonic()
-        team.start_robot(victim)
+        team.start(victim)
         team.goes_on()
         return "the others went on; %s is back" % victim, time.monotonic() - began
 
@@ -126,7 +121,7 @@ class Demonstration:
         cut_at = time.monotonic()
         network.verify()
         team.goes_on(rest)
-        team.wait(lambda: bool(team.read()) and time.monotonic() >= cut_at + HOLD, "the cut")
+        team.pass_time(HOLD, cut_at)
         settled = cut_at + 1.0  # what was on its way has been written by then
         lone = [robot for robot in away if team.read()[robot].of("slot", settled)]
         network.heal()
@@ -142,9 +137,9 @@ class Demonstration:
 
     def _kill_router(self) -> Any:
         team = self.team
-        team.programs.kill("hub")
+        team.programs.kill(team.hub)
         killed_at = time.monotonic()
-        team.wait(lambda: bool(team.read()) and time.monotonic() >= killed_at + HOLD, "the time")
+        team.pass_time(HOLD, killed_at)
         lone = [robot for robot in team.robots if team.read()[robot].of("slot", killed_at + 1.0)]
         team.start_router()
         took = team.goes_on()
@@ -169,7 +164,7 @@ class Demonstration:
             took = team.goes_on()
             # robots move once a second: a shorter time would count chance
             enough = max(ended, begin + FLOOD_TIME)
-            team.wait(lambda: bool(team.read()) and time.monotonic() >= enough, "the time")
+            team.pass_time(enough - begin, begin)
             wrong = [slowed(team.speed(begin, enough), self._speed)]
             logs = list(team.read().values())
             strangers = strangers_in(logs, team.robots)
@@ -189,8 +184,8 @@ class Demonstration:
         return "saw %d firings, and new ones" % self.team.watched(), None
 
     def _finish(self) -> Any:
-        history = self.team.rest()
-        return "%d firings in %d slots, all valid" % (history.firings, history.slots), None
+        found = self.team.finish()
+        return "%d firings in %d slots, all valid" % (found.firings, found.slots), None
 
 
 def _wrong(text: str) -> GspnError:
@@ -206,7 +201,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run it; returns 0: all as it must be, 1: something was not, 2: not possible here, or wrong
     usage."""
     parser = argparse.ArgumentParser(
-        prog="benchmark.anywhere",
+        prog="benchmarks.anywhere",
         description="A team on three machines behind two NATs, with and without ROS: faults, and "
         "each attack of docs/security.md (needs root and ROS).",
         epilog="Exit codes: 0 all as it must be, 1 not so, 2 not possible on this machine, or "
@@ -224,27 +219,21 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         return 2
     # so that everything is cleaned up
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    folder = tempfile.mkdtemp(prefix="gspn_anywhere_")
     rows: List[Row] = []
     load = os.getloadavg()[0]
     try:
-        with AnywhereTeam(folder) as team:
+        with AnywhereTeam() as team:
             show = Demonstration(team, lambda line: print(line, file=sys.stderr, flush=True))
             rows = show.rows
             show.run(args.attack or list(ATTACKS))
+            team.keep = args.keep or not all(row.ok for row in rows)
     except GspnError as error:
         rows.append(Row("the team", "", str(error), None, False))
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        shutil.rmtree(folder, ignore_errors=True)
         return 130
-    good = all(row.ok for row in rows)
-    if good and not args.keep:
-        shutil.rmtree(folder, ignore_errors=True)
-    else:
-        print("logs and output are in %s" % folder, file=sys.stderr)
     _print(rows, load, args.json)
-    return 0 if good else 1
+    return 0 if all(row.ok for row in rows) else 1
 
 
 def _print(rows: Sequence[Row], load: float, as_json: bool) -> None:

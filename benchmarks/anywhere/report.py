@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set
 
-from benchmarks.log_tail import LogTail
+from benchmarks.harness.log_tail import LogTail
 
 HALF = 0.5
 """The share of its speed that a team must keep while it is flooded."""

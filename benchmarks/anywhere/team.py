@@ -9,31 +9,16 @@ import os
 import shutil
 import sys
 import time
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Dict, List, Optional, Sequence
 from unittest import mock
 
 from benchmarks.anywhere.attacks import ATTACKS, STOLEN, Found
-from benchmarks.anywhere.machines import (
-    HUB,
-    OUTSIDE,
-    THREE,
-    Machine,
-    Sites,
-)
-from benchmarks.log_tail import LogTail
-from benchmarks.netns.logs import AgreedHistory, check_history
-from benchmarks.netns.network import Network
-from benchmarks.netns.programs import Programs, ros_environment
-from benchmarks.netns.team import (
-    GSPN,
-    MASTER_PORT,
-    OPERATOR,
-    ROS_MASTER,
-    ROUTER_PORT,
-    RUN,
-    node_words,
-)
+from benchmarks.anywhere.machines import HUB, OUTSIDE, THREE, Machine, Sites
+from benchmarks.harness.master import master_words, ros_environment
+from benchmarks.harness.network import Network
+from benchmarks.harness.team import MASTER_PORT, NODE, OPERATOR, RUN, AgentTeam, node_words
 from gspn_framework_package.formats.example_plans import plans_folder
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team import keys
 from gspn_framework_package.team.keys import NewMember
@@ -49,55 +34,32 @@ _LATE = "robot_8"
 """A robot whose keys the router does not know."""
 
 
-class AnywhereTeam:
-    """The programs, which end with the ``with`` block, as does the network.
+class AnywhereTeam(AgentTeam):
+    """A team of which some robots have ROS, in a network of its own.
 
-    :param folder: for keys, logs and output.
     :param machines: who is where.
     """
 
-    def __init__(self, folder: str, machines: Sequence[Machine] = THREE) -> None:
-        self.folder, self.machines = folder, machines
+    hub = HUB
+    network: Network
+
+    def __init__(self, machines: Sequence[Machine] = THREE) -> None:
+        self.machines = machines
         self.layout = Sites.of(machines)
-        self.robots = sorted(self.layout.place_of)
-        self.network = Network(self.layout.nodes, gateways=self.layout.gateways)
-        paths = {name: os.path.join(folder, RUN, name + ".jsonl") for name in self.robots}
-        self.programs = Programs(self.network, folder, paths)
-        self._plan = os.path.join(plans_folder(), "patrol")
-
-    def __enter__(self) -> AnywhereTeam:
-        self.network.__enter__()
-        try:
-            self.network.verify()
-            self._make_keys()
-            self.start_router()
-            for machine in self.machines:
-                if machine.has_master:
-                    self.start_master(machine.name)
-                if machine.page:
-                    self.start_watch(machine.name)
-            for robot in self.robots:
-                self.start_robot(robot)
-        except BaseException:
-            self.__exit__()
-            raise
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        try:
-            self.programs.end(self.robots, [self.master_of(m.name) for m in self.machines], [HUB])
-        finally:
-            self.network.__exit__()
+        network = Network(self.layout.nodes, gateways=self.layout.gateways)
+        super().__init__(read_plan(os.path.join(plans_folder(), "patrol")), network)
+        self.patience = PATIENCE
+        self._make_more_keys()
 
     # -- keys --------------------------------------------------------------------------------------
 
-    def _make_keys(self) -> None:
-        """The team's keys, and those that an attacker may have."""
-        members = [NewMember(robot, "robot") for robot in (*self.robots, STOLEN)]
-        members += [NewMember(OPERATOR, "operator"), NewMember(SCREEN, "watcher")]
-        members.append(NewMember(HUB, "router", (self.network.address(HUB),)))
-        keys.make_team(self._path("keys"), members, 30)
-        keys.make_team(self._path("others"), members, 30)
+    def members(self) -> List[NewMember]:
+        """See :class:`~benchmarks.harness.team.AgentTeam`."""
+        return [*super().members(), NewMember(STOLEN, "robot"), NewMember(SCREEN, "watcher")]
+
+    def _make_more_keys(self) -> None:
+        """The keys that an attacker may have."""
+        keys.make_team(self._path("others"), self.members(), 30)
         shutil.copytree(self._path("keys"), self._path("expired"))
         yesterday = datetime.timedelta(days=3)
         now = keys._now()
@@ -118,20 +80,20 @@ class AnywhereTeam:
 
     # -- programs ----------------------------------------------------------------------------------
 
-    @property
-    def endpoint(self) -> str:
-        """Where the router listens."""
-        return "tls/%s:%d" % (self.network.address(HUB), ROUTER_PORT)
+    def start_middle(self) -> None:
+        """See :class:`~benchmarks.harness.team.Team`: the router, and what each machine has."""
+        self.start_router()
+        for machine in self.machines:
+            if machine.has_master:
+                self.start_master(machine.name)
+            if machine.page:
+                module = "benchmarks.anywhere.watcher"
+                words = [sys.executable, "-m", module, "--run", RUN, *self.way(SCREEN)]
+                self.programs.start(SCREEN, words, machine.name)
 
-    def way(self, member: str) -> List[str]:
-        """The options with which a member reaches the team."""
-        return ["--connect", self.endpoint, "--keys", self._path("keys", member)]
-
-    def start_router(self) -> None:
-        """Start the router, and wait until it listens."""
-        listen = ["--listen", "tls/0.0.0.0:%d" % ROUTER_PORT, "--keys", self._path("keys", HUB)]
-        self.programs.start(HUB, [*GSPN, "router", *listen])
-        self.programs.await_port(HUB, ROUTER_PORT)
+    def middle(self) -> List[str]:
+        """See :class:`~benchmarks.harness.team.Team`."""
+        return [*(self.master_of(machine.name) for machine in self.machines), HUB]
 
     @staticmethod
     def master_of(machine: str) -> str:
@@ -141,47 +103,38 @@ class AnywhereTeam:
     def start_master(self, machine: str) -> None:
         """Start the ROS master of a machine, and wait until it listens."""
         name = self.master_of(machine)
-        self.programs.start(name, ROS_MASTER, machine, self._ros(machine))
+        words = master_words(MASTER_PORT)
+        self.programs.start(name, words, machine, self.environment(machine))
         self.programs.await_port(name, MASTER_PORT, machine)
 
-    def _ros(self, machine: str) -> Dict[str, str]:
-        own = self.network.address(machine)
-        return ros_environment(own, own, MASTER_PORT, self.folder)
+    def environment(self, place: str) -> Dict[str, str]:
+        """See :class:`~benchmarks.harness.team.Team`."""
+        own = self.network.address(place)
+        return ros_environment(own, "http://%s:%d" % (own, MASTER_PORT), self.folder)
 
-    def start_robot(self, robot: str) -> None:
+    def start(self, robot: str, place: str = "") -> None:
         """Start a robot on its machine."""
         machine = self.layout.place_of[robot]
-        if self.layout.kind_of[robot] == "ros":
-            told = {
-                "plan": self._plan,
-                "robot": robot,
-                "run": RUN,
-                "log_dir": self.folder,
-                "transport": "zenoh",
-                "router": self.endpoint,
-                "keys": self._path("keys", robot),
-            }
-            self.programs.start(robot, node_words(robot, told), machine, self._ros(machine))
+        if self.layout.kind_of[robot] != "ros":
+            self.programs.start(robot, self.agent_words(robot), machine)
             return
-        words = ["agent", self._plan, "--robot", robot, "--run", RUN, "--log"]
-        words += [self.programs.logs[robot].path, *self.way(robot)]
-        self.programs.start(robot, [*GSPN, *words], machine)
-
-    def start_watch(self, machine: str) -> None:
-        """Have somebody watch the team from a machine."""
-        module = "benchmarks.anywhere.watcher"
-        words = [sys.executable, "-m", module, "--run", RUN, *self.way(SCREEN)]
-        self.programs.start(SCREEN, words, machine)
+        parameters = node_words(
+            robot,
+            plan=self.folder,
+            robot=robot,
+            run=RUN,
+            log_dir=self.folder,
+            transport="zenoh",
+            router=self.way(robot)[1],
+            keys=self._path("keys", robot),
+        )
+        words = [sys.executable, "-c", NODE, *parameters]
+        self.programs.start(robot, words, machine, self.environment(machine))
 
     def watched(self) -> int:
         """How many firings the one who watches has seen."""
         seen = self.programs.output(SCREEN).split()
         return int(seen[-1]) if seen and seen[-1].isdigit() else 0
-
-    def order(self, command: str) -> str:
-        """Give an order as the operator; returns "" if it was carried out, otherwise why not."""
-        code, said = self.programs.ask(HUB, [*GSPN, command, *self.way(OPERATOR)])
-        return "" if code == 0 else said or "it failed"
 
     def attack(self, name: str) -> Found:
         """Have the attacker try something; returns what it got.
@@ -189,17 +142,18 @@ class AnywhereTeam:
         :raises ExecutionError: the attack could not even be tried.
         """
         attack = ATTACKS[name]
-        words = [name, "--connect", self.endpoint, "--run", RUN]
+        endpoint = self.way(OPERATOR)[1]
+        words = [name, "--connect", endpoint, "--run", RUN]
         if attack.keys:
             words += ["--keys", self._path(*attack.keys.split("/"))]
             words += ["--name", attack.keys.rsplit("/", 1)[1]]
         else:
-            words[2] = self.endpoint.replace("tls/", "tcp/")
+            words[2] = endpoint.replace("tls/", "tcp/")
         words += ["--operator", OPERATOR, "--victim-keys", self._path("keys", "robot_4")]
         words += ["--address", self.network.address(OUTSIDE)]
         module = "benchmarks.anywhere.attacks"
         code, said = self.programs.ask(
-            OUTSIDE, [sys.executable, "-m", module, *words], seconds=PATIENCE
+            [sys.executable, "-m", module, *words], OUTSIDE, seconds=PATIENCE
         )
         found: Found = {}
         with contextlib.suppress(ValueError, IndexError):
@@ -210,51 +164,15 @@ class AnywhereTeam:
 
     # -- what happens ------------------------------------------------------------------------------
 
-    def read(self) -> Dict[str, LogTail]:
-        """The logs of the robots, as far as they were written."""
-        return self.programs.read()
-
-    def wait(self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> float:
-        """Wait until a condition holds; returns when.
-
-        :raises ExecutionError: it does not hold in time.
-        """
-        deadline = time.monotonic() + seconds
-        while not condition():
-            if time.monotonic() > deadline:
-                raise ExecutionError("waited %g s in vain for %s" % (seconds, what))
-            time.sleep(0.02)
-        return time.monotonic()
-
-    def goes_on(self, robots: Sequence[str] = (), number: int = 1) -> float:
+    def goes_on(self, robots: Optional[Sequence[str]] = None, number: int = 1) -> float:
         """Wait until each of these robots (all) has moved ``number`` times from now on; returns the
         seconds until then.
 
         :raises ExecutionError: they do not.
         """
         now = time.monotonic()
-
-        def moved() -> bool:
-            logs = self.read()
-            return all(logs[robot].moves(now) >= number for robot in robots or self.robots)
-
-        what = "%d moves of each of %s" % (number, ", ".join(robots or self.robots))
-        return self.wait(moved, what) - now
+        return self.wait_for_moves(robots, number, now) - now
 
     def speed(self, begin: float, end: float) -> float:
         """Slots that the team decided a second between two times."""
         return max(len(log.of("slot", begin, end)) for log in self.read().values()) / (end - begin)
-
-    def rest(self) -> AgreedHistory:
-        """Pause the team, end the robots, and check their logs.
-
-        :raises GspnError: the logs do not end alike, or break a rule.
-        """
-        self.wait(lambda: not self.order("pause"), "the team to pause")
-
-        def alike() -> bool:
-            return len({(log.length, log.hash) for log in self.read().values()}) == 1
-
-        self.wait(alike, "all logs to end alike")
-        self.programs.end(self.robots, [HUB])
-        return check_history([self.programs.logs[robot].path for robot in self.robots])

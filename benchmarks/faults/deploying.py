@@ -15,10 +15,9 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from benchmarks.faults.dying_node import Death
 from benchmarks.faults.each_in_turn import MOVES, Tell
-from benchmarks.faults.team import BRIEF, LaunchedTeam, require
-from benchmarks.plans import ring_plan
+from benchmarks.faults.team import FaultyTeam, require
+from benchmarks.plans import BRIEF, ring_plan
 from gspn_framework_package.execution.plan_change import stage_of
-from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
@@ -52,8 +51,7 @@ STEPS = (
 
 def patrol_plan(places: int, robots: int) -> Plan:
     """A patrol of so many places with brief actions."""
-    plan = ring_plan(places, robots)
-    return replace(plan, actions={place: FunctionAction(BRIEF, place) for place in plan.actions})
+    return ring_plan(places, robots, BRIEF)
 
 
 class Deploying:
@@ -68,7 +66,7 @@ class Deploying:
         self._tell = tell
         self.injected: Counter[str] = Counter()
         # only the operator evicts: the team waits for the vote of the robot that died
-        self.team = LaunchedTeam(robots, mode, 0.0, patrol_plan(SHORT, robots))
+        self.team = FaultyTeam(robots, mode, 0.0, patrol_plan(SHORT, robots))
         self._places = SHORT
 
     def run(self) -> None:
@@ -77,11 +75,11 @@ class Deploying:
         :raises ExecutionError: the team did not end on one plan.
         """
         team = self.team
-        team.wait_until(team.is_complete, "the start")
-        team.wait_for_moves(team.first, MOVES)
+        team.wait(team.is_complete, "the start")
+        team.wait_for_moves(team.robots, MOVES)
         for step in STEPS:
-            for number, name in enumerate(team.first):
-                self._deploy(step, name, team.first[(number + 1) % len(team.first)])
+            for number, name in enumerate(team.robots):
+                self._deploy(step, name, team.robots[(number + 1) % len(team.robots)])
         team.rest()
         plans = {status["plan_name"] for status in team.statuses().values()}
         require(len(plans) == 1, "the team is on several plans: %s" % ", ".join(sorted(plans)))
@@ -92,7 +90,7 @@ class Deploying:
         began = time.monotonic()
         places = LONG if self._places == SHORT else SHORT
         plan = replace(
-            patrol_plan(places, len(team.first)),
+            patrol_plan(places, len(team.robots)),
             synchronisation=team.plan.synchronisation,
             timing=team.plan.timing,
             on_failure=team.plan.on_failure,
@@ -106,25 +104,23 @@ class Deploying:
             dying,
             lambda: (
                 self._staged(at, entry.digest) is not None
-                or team.order("stage", "", at, json.dumps(argument))
+                or not team.order("stage", "", at, json.dumps(argument))
             ),
             "the stage of a plan",
         )
         died = died or (step.entry != "adopt" and self._revived(death, dying))
-        team.wait_until(lambda: self._all_voted(at, entry.digest), "all votes")
+        team.wait(lambda: self._all_voted(at, entry.digest), "all votes")
         # the check takes too long on a busy machine, or a robot that just died has to vote again
         died |= self._wait_reviving(
             dying,
-            lambda: self._follows(at, plan.name) or team.order("adopt", "", at),
+            lambda: self._follows(at, plan.name) or not team.order("adopt", "", at),
             "the new plan",
         )
         died = died or self._revived(death, dying)
-        team.wait_until(
-            lambda: all(self._follows(name, plan.name) for name in team.first), "one plan"
-        )
+        team.wait(lambda: all(self._follows(name, plan.name) for name in team.robots), "one plan")
         self._places = places
         now = time.monotonic()
-        team.wait_for_moves(team.first, places + 1, now)  # the new place too
+        team.wait_for_moves(team.robots, places + 1, now)  # the new place too
         self.injected[step.name if died else "not reached"] += 1
         self._tell(
             "%s %s at the step '%s'; on one plan after %.1f s"
@@ -134,7 +130,7 @@ class Deploying:
     def _revived(self, death: Death, name: str) -> bool:
         """Restart a robot that dies within a moment; returns whether it died."""
         try:
-            self.team.await_death(name, MOMENT)
+            self.team.programs.await_end(name, MOMENT)
         except ExecutionError:
             death.withdraw()
             return False
@@ -148,12 +144,12 @@ class Deploying:
 
         def holds() -> bool:
             nonlocal died
-            if name not in self.team.alive():
+            if name not in self.team.programs.alive():
                 died = True
                 self.team.start(name)
             return condition()
 
-        self.team.wait_until(holds, what)
+        self.team.wait(holds, what)
         return died
 
     def _staged(self, at: str, digest: str) -> Optional[Dict[str, Any]]:

@@ -13,7 +13,8 @@ from collections import Counter
 from typing import Any, Callable, Dict, List
 
 from benchmarks.faults import dying_node
-from benchmarks.faults.team import LaunchedTeam, RestartableMaster, require
+from benchmarks.faults.team import FaultyTeam, require
+from benchmarks.harness.master import Master
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.model.plan import Synchronisation
 
@@ -50,7 +51,7 @@ class EachInTurn:
 
     def __init__(
         self,
-        master: RestartableMaster,
+        master: Master,
         robots: int,
         mode: Synchronisation,
         source: random.Random,
@@ -62,27 +63,27 @@ class EachInTurn:
         self.unsent: Counter[str] = Counter()
         self.back: List[float] = []
         self.woken: List[float] = []
-        self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
+        self.team = FaultyTeam(robots, mode, EVICT_AFTER)
 
     def run(self) -> None:
         """Inject every fault, then wait until the team is at rest.
 
         :raises ExecutionError: the team did not continue as it must.
         """
-        self.team.wait_until(self.team.is_complete, "the start")
-        self.team.wait_for_moves(self.team.first, MOVES)
+        self.team.wait(self.team.is_complete, "the start")
+        self.team.wait_for_moves(self.team.robots, MOVES)
         for fault, kill in (
             ("killed", self._anywhere),
             ("killed in a write", self._in_a_write),
             ("killed before a send", self._before_a_send),
         ):
-            for name in self.team.first:
+            for name in self.team.robots:
                 self._kill(name, fault, kill)
-        for name in self.team.first:
+        for name in self.team.robots:
             self._stop_beyond_eviction(name)
         self._restart_master()
         self._join("late")
-        self._leave(self.team.first[0])
+        self._leave(self.team.robots[0])
         self._tell("pause")
         self.team.rest()
 
@@ -100,7 +101,7 @@ class EachInTurn:
     # -- faults ------------------------------------------------------------------------------------
 
     def _anywhere(self, name: str) -> str:
-        self.team.kill(name)
+        self.team.programs.kill(name)
         return ""
 
     def _in_a_write(self, name: str) -> str:
@@ -118,11 +119,11 @@ class EachInTurn:
         time.sleep(self._source.uniform(0.0, 0.3))  # at a random point of its action
         how = kill(name)
         self.injected[fault] += 1
-        goals = self.team.read(name).of("goal")
+        goals = self.team.read()[name].of("goal")
         began = time.monotonic()
         self.team.start(name)
         self.team.wait_for_moves(self.team.present(), MOVES, began)
-        again = self.team.read(name).of("goal", began)[0]
+        again = self.team.read()[name].of("goal", began)[0]
         self.back.append(again["mono"] - began)
         evicted = any(self.team.entries("evict", name, began))
         require(
@@ -143,9 +144,9 @@ class EachInTurn:
         others = [n for n in self.team.present() if n != name]
         members = self.team.statuses()[others[0]]["members"]
         stopped, evicted = time.monotonic(), 0.0
-        self.team.signal(name, signal.SIGSTOP)
+        self.team.programs.signal(name, signal.SIGSTOP)
         if is_quorum(others, members):
-            self.team.wait_until(
+            self.team.wait(
                 lambda: any(self.team.entries("evict", name, stopped)), "the eviction of " + name
             )
             evicted = time.monotonic()
@@ -155,19 +156,19 @@ class EachInTurn:
         else:
             time.sleep(EVICT_AFTER + HELD_UP)
             for other in others:
-                slots = [r["slot"] for r in self.team.read(other).of("slot", stopped + GRACE)]
+                slots = [r["slot"] for r in self.team.read()[other].of("slot", stopped + GRACE)]
                 require(not slots, "%s decided slots %s without a quorum" % (other, slots))
             self.injected["stopped, the rest no quorum"] += 1
             what = "the rest waited"
-        old = self.team.read(name).of("goal")[-1]["incarnation"]
+        old = self.team.read()[name].of("goal")[-1]["incarnation"]
         woken = time.monotonic()
-        self.team.signal(name, signal.SIGCONT)
+        self.team.programs.signal(name, signal.SIGCONT)
 
         def goals() -> List[Dict[str, Any]]:
-            later = self.team.read(name).of("goal", woken)
+            later = self.team.read()[name].of("goal", woken)
             return [goal for goal in later if goal["incarnation"] > old or not evicted]
 
-        self.team.wait_until(lambda: len(goals()) >= MOVES, "%s to go on" % name)
+        self.team.wait(lambda: len(goals()) >= MOVES, "%s to go on" % name)
         self.team.wait_for_moves(others, MOVES, woken)
         self.woken.append(goals()[0]["mono"] - woken)
         self._tell("%s stopped, %s; back after %.1f s" % (name, what, self.woken[-1]))
@@ -178,7 +179,7 @@ class EachInTurn:
         self.team.wait_for_moves(self.team.present(), MOVES)
         self._master.start()
         self.injected["master killed"] += 1
-        self.team.wait_until(self.team.is_complete, "all nodes to register with the new master")
+        self.team.wait(self.team.is_complete, "all nodes to register with the new master")
         self.team.wait_for_moves(self.team.present(), MOVES)
         self._tell("the master killed, and started again")
 
@@ -189,13 +190,13 @@ class EachInTurn:
         self.injected["killed in its first write"] += 1
         began = time.monotonic()
         self.team.start(name, "p1")
-        self.team.wait_for_moves([*self.team.first, name], MOVES, began)
+        self.team.wait_for_moves([*self.team.robots, name], MOVES, began)
         self.injected["joined"] += 1
         self._tell("%s killed in its very first write, then joined" % name)
 
     def _leave(self, name: str) -> None:
         self.team.gone.append(name)
-        self.team.wait_until(lambda: self.team.order("leave", name), "%s to leave" % name)
+        self.team.wait(lambda: not self.team.order("leave", name), "%s to leave" % name)
         self.team.await_death(name)
         self.injected["left"] += 1
         self.team.wait_for_moves(self.team.present(), MOVES)

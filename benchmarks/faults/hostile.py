@@ -13,7 +13,8 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from urllib.parse import urlparse
 
 from benchmarks.faults.each_in_turn import EVICT_AFTER, MOVES, Tell
-from benchmarks.faults.team import RUN, LaunchedTeam, require
+from benchmarks.faults.team import FaultyTeam, require
+from benchmarks.harness.team import RUN
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.model.plan import Synchronisation
@@ -41,7 +42,7 @@ class Hostile:
     def __init__(self, robots: int, mode: Synchronisation, tell: Tell) -> None:
         self._tell = tell
         self.injected: Counter[str] = Counter()
-        self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
+        self.team = FaultyTeam(robots, mode, EVICT_AFTER)
         self._heard: Dict[Tuple[str, str], Body] = {}
         self._early: List[Any] = []
 
@@ -62,15 +63,15 @@ class Hostile:
         self._publisher = rospy.Publisher("/gspn_agreement", Agreement, queue_size=10_000)
         listener = rospy.Subscriber("/gspn_agreement", Agreement, self._listen)
         try:
-            team.wait_until(team.is_complete, "the start")
-            team.wait_for_moves(team.first, MOVES)
-            team.wait_until(lambda: ("hello", team.first[0]) in self._heard, "a greeting")
-            team.wait_until(
-                lambda: self._publisher.get_num_connections() >= len(team.first), "the connections"
+            team.wait(team.is_complete, "the start")
+            team.wait_for_moves(team.robots, MOVES)
+            team.wait(lambda: ("hello", team.robots[0]) in self._heard, "a greeting")
+            team.wait(
+                lambda: self._publisher.get_num_connections() >= len(team.robots), "the connections"
             )
             for name, send in self._attacks():
                 self.injected[name] += send()
-                team.wait_for_moves(team.first, MOVES)
+                team.wait_for_moves(team.robots, MOVES)
                 require(
                     not team.ended(),
                     "%s: the nodes of %s have ended" % (name, ", ".join(team.ended())),
@@ -145,10 +146,10 @@ class Hostile:
     def _send_all(self, body: Any) -> int:
         """Publish a body in the name of each robot, twice."""
         text = body if isinstance(body, str) else json.dumps(body)
-        for name in self.team.first:
+        for name in self.team.robots:
             for _ in range(2):
                 self._publish(name, text)
-        return 2 * len(self.team.first)
+        return 2 * len(self.team.robots)
 
     def _publish(self, sender: str, body: str, service_uri: str = "") -> None:
         from gspn_framework_package.msg import Agreement
@@ -173,16 +174,16 @@ class Hostile:
         sent, end = 0, time.monotonic() + FLOOD
         while time.monotonic() < end:
             made = body(sent)
-            self._publish(self.team.first[0], made if isinstance(made, str) else json.dumps(made))
+            self._publish(self.team.robots[0], made if isinstance(made, str) else json.dumps(made))
             sent += 1
             time.sleep(0.001)
         return sent
 
     def _elsewhere(self) -> int:
         """Claim that every robot's services are at an address where nothing answers."""
-        for name in self.team.first:
+        for name in self.team.robots:
             self._publish(name, json.dumps(self._hello(name)), "rosrpc://127.0.0.1:9")
-        return len(self.team.first)
+        return len(self.team.robots)
 
     def _calls(self) -> int:
         import rospy
@@ -197,7 +198,7 @@ class Hostile:
             "\ud7ff" * 1000,
         ]
         sent = 0
-        for name in self.team.first:
+        for name in self.team.robots:
             for text in texts:
                 for service, kind, fields in (
                     ("get_place", GetPlace, {"from_robot": text[:1000], "agreement": text}),
@@ -224,7 +225,7 @@ class Hostile:
 
         master = rosgraph.Master("/gspn_hostile")
         sent = 0
-        for name in self.team.first:
+        for name in self.team.robots:
             addresses = [
                 master.lookupNode("/%s/executor" % name),
                 master.lookupService("/%s/command" % name),
@@ -250,13 +251,13 @@ class Hostile:
     # -- forged messages ---------------------------------------------------------------------------
 
     def _hello(self, robot: Optional[str] = None) -> Body:
-        return dict(self._heard["hello", robot or self.team.first[0]])
+        return dict(self._heard["hello", robot or self.team.robots[0]])
 
     def _length(self) -> int:
         return int(self._hello()["length"])
 
     def _last(self) -> str:
-        return self.team.first[-1]
+        return self.team.robots[-1]
 
     def _in_name(self, kind: str, **fields: Any) -> Body:
         """A message with the true envelope of the first robot."""

@@ -24,11 +24,11 @@ from benchmarks.faults.hostile import Hostile
 from benchmarks.faults.operators import Operators
 from benchmarks.faults.outages import Outages
 from benchmarks.faults.soak import Soak
-from benchmarks.faults.team import RestartableMaster
+from benchmarks.faults.team import FaultyTeam
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.processes import end_cleanly_on_signal
-from benchmarks.team_run import need_ros
-from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.plan import Synchronisation
 
 Row = Dict[str, Any]
@@ -110,7 +110,6 @@ def _report(args: argparse.Namespace) -> int:
     _tell("seed %d" % seed)
     source = random.Random(seed)
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
-    master = RestartableMaster()
     began = time.monotonic()
     rows: List[Row] = []
     chosen = {
@@ -123,27 +122,17 @@ def _report(args: argparse.Namespace) -> int:
     name = next((scenario for scenario, asked in chosen.items() if asked), "soak")
     interrupted = False
     try:
-        master.start()
-        if name != "soak":
-            for robots in args.robots:
-                for mode in modes:
-                    rows.append(_scenario(master, robots, mode, source, args))
-        while name == "soak" and time.monotonic() - began < args.minutes * 60:
-            rows.append(
-                _soak(
-                    master,
-                    source.choice(args.robots),
-                    source.choice(modes),
-                    source,
-                    args.round,
-                    args.keep,
-                )
-            )
+        with Master() as master:
+            if name != "soak":
+                for robots in args.robots:
+                    for mode in modes:
+                        rows.append(_scenario(master, robots, mode, source, args))
+            while name == "soak" and time.monotonic() - began < args.minutes * 60:
+                robots, mode = source.choice(args.robots), source.choice(modes)
+                rows.append(_soak(master, robots, mode, source, args.round, args.keep))
     except KeyboardInterrupt:
         _tell("interrupted; what was done until then:")
         interrupted = True
-    finally:
-        master.kill()
     injected: Counter[str] = Counter()
     for row in rows:
         injected.update(row["injected"])
@@ -168,7 +157,7 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _soak(
-    master: RestartableMaster,
+    master: Master,
     robots: int,
     mode: Synchronisation,
     source: random.Random,
@@ -181,7 +170,7 @@ def _soak(
 
 
 def _scenario(
-    master: RestartableMaster,
+    master: Master,
     robots: int,
     mode: Synchronisation,
     source: random.Random,
@@ -217,21 +206,19 @@ def _scenario(
 def _run(scenario: Any, run: Callable[[], None], keep: bool) -> Row:
     """Run a scenario and verify its team; keeps the logs of a team that failed."""
     began = time.monotonic()
-    row: Row = {"fault": "", "firings": 0, "slots": 0, "logs": 0, "folder": scenario.team.folder}
+    team: FaultyTeam = scenario.team
+    team.keep = keep
+    row: Row = {"fault": "", "firings": 0, "slots": 0, "logs": 0, "folder": team.folder}
     try:
-        run()
-        scenario.team.end()
-        verdict = scenario.team.verdict()
-        row.update(firings=verdict.firings, slots=verdict.slots, logs=verdict.logs)
-        if verdict.violation is not None:
-            row["fault"] = "rule %d: %s" % verdict.violation
+        with team:
+            run()
+            team.end()
+            verdict = team.verdict(settled=True)
+            row.update(firings=verdict.firings, slots=verdict.slots, logs=verdict.logs)
+            if verdict.violation is not None:
+                raise ExecutionError("rule %d: %s" % verdict.violation)
     except GspnError as error:
         row["fault"] = str(error)
-        keep = True
-    finally:
-        scenario.team.end()
-        if not (keep or row["fault"]):
-            scenario.team.discard()
     return dict(row, seconds=round(time.monotonic() - began, 1))
 
 

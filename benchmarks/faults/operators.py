@@ -10,7 +10,7 @@ from collections import Counter
 from typing import List
 
 from benchmarks.faults.each_in_turn import GRACE, HELD_UP, MOVES, Tell
-from benchmarks.faults.team import LaunchedTeam, require
+from benchmarks.faults.team import FaultyTeam, require
 from gspn_framework_package.model.plan import Synchronisation
 
 
@@ -26,7 +26,7 @@ class Operators:
     def __init__(self, robots: int, mode: Synchronisation, rounds: int, tell: Tell) -> None:
         self._rounds, self._tell = rounds, tell
         self.injected: Counter[str] = Counter()
-        self.team = LaunchedTeam(robots, mode, evict_after=0.0)  # only the operator evicts robots
+        self.team = FaultyTeam(robots, mode, evict_after=0.0)  # only the operator evicts robots
 
     def run(self) -> None:
         """Do everything, then wait until the team is at rest.
@@ -34,8 +34,8 @@ class Operators:
         :raises ExecutionError: the team did not continue as it must.
         """
         team = self.team
-        team.wait_until(team.is_complete, "the start")
-        team.wait_for_moves(team.first, MOVES)
+        team.wait(team.is_complete, "the start")
+        team.wait_for_moves(team.robots, MOVES)
         for number in range(self._rounds):
             for step in (self._restart_after_force, self._return_with_more, self._lose_logs):
                 began = time.monotonic()
@@ -53,20 +53,20 @@ class Operators:
         team = self.team
         names = self._turned(number)
         restarted, dead = names[0], names[-1]
-        team.kill(dead)
+        team.programs.kill(dead)
         self._force(restarted, [dead])
         self._start(dead)
         began = time.monotonic()
-        team.kill(restarted)
+        team.programs.kill(restarted)
         self._start(restarted)
         others = names[1:]
         for name in others:
-            team.signal(name, signal.SIGSTOP)
+            team.programs.signal(name, signal.SIGSTOP)
         alone = time.monotonic()
         time.sleep(GRACE + HELD_UP)
-        slots = [record["slot"] for record in team.read(restarted).of("slot", alone + GRACE)]
+        slots = [record["slot"] for record in team.read()[restarted].of("slot", alone + GRACE)]
         for name in others:
-            team.signal(name, signal.SIGCONT)
+            team.programs.signal(name, signal.SIGCONT)
         require(not slots, "%s decided the slots %s alone" % (restarted, slots))
         require(
             bool(self._missing("evict", [dead], restarted, began)), "%s was evicted again" % dead
@@ -81,24 +81,22 @@ class Operators:
         team = self.team
         names = self._turned(number)
         left, others = names[0], names[1:]
-        length = team.read(left).length
-        team.signal(left, signal.SIGSTOP)
+        length = team.read()[left].length
+        team.programs.signal(left, signal.SIGSTOP)
         began = time.monotonic()
         time.sleep(GRACE)  # with full synchronisation the others, a quorum, continue
         for name in others:
-            team.kill(name)
-        ahead = max(team.read(name).length for name in others) - length
-        team.signal(left, signal.SIGCONT)
+            team.programs.kill(name)
+        ahead = max(team.read()[name].length for name in others) - length
+        team.programs.signal(left, signal.SIGCONT)
         self._force(left, others)
         team.wait_for_moves([left], MOVES)
-        team.kill(left)
+        team.programs.kill(left)
         self._start(left)
         for name in others:
             team.start(name)
         # do not wait for moves: until they heard of the restart, they continued where they were
-        team.wait_until(
-            lambda: not self._missing("join", others, left, began), "the others to join anew"
-        )
+        team.wait(lambda: not self._missing("join", others, left, began), "the others to join anew")
         team.wait_for_moves(names, MOVES)
         self._tell("%s were up to %d slots ahead of %s" % (", ".join(others), ahead, left))
         return "returned after the rest went on alone"
@@ -111,25 +109,25 @@ class Operators:
         quorum = len(names) // 2 + 1
         forgetful, remembering = names[:quorum], names[quorum:]
         for name in forgetful:
-            team.kill(name)
-        known = max(team.read(name).length for name in names)
+            team.programs.kill(name)
+        known = max(team.read()[name].length for name in names)
         for name in forgetful:
             team.lose_log(name)
         for name in forgetful:
             team.start(name)
-        team.wait_until(
+        team.wait(
             lambda: all(status["stuck"] for status in team.statuses().values()),
             "all robots to say that they are stuck",
         )
         time.sleep(HELD_UP)
         for name in names:
-            length = team.read(name).length
+            length = team.read()[name].length
             require(
                 length <= known,
                 "%s decided up to slot %d, where only %d were known" % (name, length, known),
             )
         for name in forgetful:
-            team.kill(name)
+            team.programs.kill(name)
         self._force(remembering[0], forgetful)
         for name in forgetful:
             team.start(name)
@@ -140,7 +138,7 @@ class Operators:
 
     def _turned(self, number: int) -> List[str]:
         """The robots, rotated so that each round begins with a different one."""
-        names = self.team.first
+        names = self.team.robots
         at = number % len(names)
         return names[at:] + names[:at]
 
@@ -153,7 +151,7 @@ class Operators:
     def _missing(self, kind: str, robots: List[str], at: str, since: float) -> List[str]:
         """The ``robots`` about which the log of robot ``at`` has no entry of this kind after time
         ``since``."""
-        entries = self.team.read(at).entries(kind, since)
+        entries = self.team.read()[at].entries(kind, since)
         found = {entry["robot"] for entry in entries}
         return [name for name in robots if name not in found]
 
@@ -168,4 +166,4 @@ class Operators:
                 team.order("force_evict", name, at)
             return not missing
 
-        team.wait_until(evicted, "the eviction of %s" % ", ".join(robots))
+        team.wait(evicted, "the eviction of %s" % ", ".join(robots))

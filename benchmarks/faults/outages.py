@@ -21,8 +21,8 @@ from collections import Counter
 from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
 
 from agreement.world import changes_members
-from benchmarks.faults.team import LaunchedTeam, require
-from benchmarks.log_tail import LogTail
+from benchmarks.faults.team import FaultyTeam, require
+from benchmarks.harness.log_tail import LogTail
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.log_damage import BOOT_ID
 from gspn_framework_package.execution.verifier.merge import Merged
@@ -56,7 +56,7 @@ class Outages:
         self.injected: Counter[str] = Counter()
         self._boots = 0
         self._boot()
-        self.team = LaunchedTeam(robots, mode, 0.0)
+        self.team = FaultyTeam(robots, mode, 0.0)
 
     def _boot(self) -> None:
         self._boots += 1
@@ -68,9 +68,9 @@ class Outages:
         :raises ExecutionError: the team does not go on, or lacks what was synced.
         """
         steps = [self._end_in_order, self._fail_at_rest, self._fail_at_work]
-        if len(self.team.first) > 1:
+        if len(self.team.robots) > 1:
             steps.append(self._one_stays_off)
-        self.team.wait_for_moves(self.team.first, MOVES)
+        self.team.wait_for_moves(self.team.robots, MOVES)
         for _ in range(self._rounds):
             for step in steps:
                 what = step()
@@ -84,27 +84,27 @@ class Outages:
     def _end_in_order(self) -> str:
         before = self._rest()
         self._signal_all(signal.SIGTERM)
-        self._start_anew(self.team.first)
+        self._start_anew(self.team.robots)
         self._is_as_before(before)
         return "ended in order"
 
     def _fail_at_rest(self) -> str:
         before = self._rest()
-        self.team.wait_until(
+        self.team.wait(
             lambda: all(
                 s["synced_length"] >= s["log_length"] for s in self.team.statuses().values()
             ),
             "all logs to be synced",
         )
         self._fail()
-        self._start_anew(self.team.first)
+        self._start_anew(self.team.robots)
         self._is_as_before(before)
         return "power failed at rest"
 
     def _fail_at_work(self) -> str:
         self._work_on()
         kept = self._fail()
-        self._start_anew(self.team.first)
+        self._start_anew(self.team.robots)
         self._goes_on(kept)
         return "power failed at work"
 
@@ -112,21 +112,21 @@ class Outages:
         team = self.team
         self._work_on()
         kept = self._fail()
-        off, *here = self._random.sample(team.first, len(team.first))
+        off, *here = self._random.sample(team.robots, len(team.robots))
         self._start_anew(here)
-        team.wait_until(
+        team.wait(
             lambda: all(
                 s["stuck"] and s["missing"] == [off] and off in s["waits_for"]
                 for s in team.statuses().values()
             ),
             "all robots to say that they miss %s" % off,
         )
-        team.wait_until(lambda: team.order("trust", "", here[0]), "the team to go on without one")
+        team.wait(lambda: not team.order("trust", "", here[0]), "the team to go on without one")
         team.wait_for_moves(here, MOVES)
         del kept[off]  # given up
         self._goes_on(kept, here)
         team.start(off)
-        team.wait_for_moves(team.first, MOVES)
+        team.wait_for_moves(team.robots, MOVES)
         return "one stayed off"
 
     # -- steps -------------------------------------------------------------------------------------
@@ -139,12 +139,12 @@ class Outages:
     def _work_on(self) -> None:
         """Wait until all that was done so far is on the disk, and then for more."""
         team = self.team
-        length = max(team.read(name).length for name in team.first)
-        team.wait_until(
+        length = max(team.read()[name].length for name in team.robots)
+        team.wait(
             lambda: all(s["synced_length"] >= length for s in team.statuses().values()),
             "all logs to be synced",
         )
-        team.wait_for_moves(team.first, self._random.randint(1, MOVES))
+        team.wait_for_moves(team.robots, self._random.randint(1, MOVES))
 
     def _where(self) -> List[Any]:
         status = next(iter(self.team.statuses().values()))
@@ -153,24 +153,24 @@ class Outages:
 
     def _is_as_before(self, before: List[Any]) -> None:
         team = self.team
-        team.wait_until(
+        team.wait(
             team.is_complete,
             "all robots to be in the team again",
         )
-        team.wait_until(lambda: self._where() == before, "the team to be where it was")
-        team.wait_until(lambda: team.order("resume", ""), "the team to resume")
-        team.wait_for_moves(team.first, MOVES)
+        team.wait(lambda: self._where() == before, "the team to be where it was")
+        team.wait(lambda: not team.order("resume"), "the team to resume")
+        team.wait_for_moves(team.robots, MOVES)
 
     def _goes_on(self, kept: Mapping[str, Position], robots: Sequence[str] = ()) -> None:
         """Check that robots go on, and from every slot that was synced."""
-        robots = robots or self.team.first
+        robots = robots or self.team.robots
         self.team.wait_for_moves(robots, MOVES)
         check_kept([read_log(self.team.log_file(name)) for name in robots], kept)
 
     def _signal_all(self, number: int) -> None:
-        for name in self.team.first:
-            self.team.signal(name, number)
-        for name in self.team.first:
+        for name in self.team.robots:
+            self.team.programs.signal(name, number)
+        for name in self.team.robots:
             self.team.await_death(name)
 
     def _start_anew(self, names: Sequence[str]) -> None:
@@ -181,7 +181,7 @@ class Outages:
     def _fail(self) -> Dict[str, Position]:
         """The power fails; returns the last slot that each robot had synced, if any."""
         self._signal_all(signal.SIGKILL)
-        return {name: last for name in self.team.first for last in self._lose_end(name)}
+        return {name: last for name in self.team.robots for last in self._lose_end(name)}
 
     def _lose_end(self, name: str) -> List[Position]:
         """Cut a log somewhere behind what was synced; returns the last synced slot, if any."""

@@ -11,7 +11,8 @@ from collections import Counter
 from typing import Callable, List
 
 from benchmarks.faults import dying_node
-from benchmarks.faults.team import LaunchedTeam, RestartableMaster
+from benchmarks.faults.team import FaultyTeam
+from benchmarks.harness.master import Master
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Synchronisation
@@ -29,16 +30,16 @@ class Soak:
     """
 
     def __init__(
-        self, master: RestartableMaster, robots: int, mode: Synchronisation, source: random.Random
+        self, master: Master, robots: int, mode: Synchronisation, source: random.Random
     ) -> None:
         self._master, self._source = master, source
         self.injected: Counter[str] = Counter()
-        self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
+        self.team = FaultyTeam(robots, mode, EVICT_AFTER)
         self._joined = 0
 
     def run(self, seconds: float) -> None:
         """Inject faults for ``seconds``; then wait until the team is at rest."""
-        self.team.wait_until(self.team.is_complete, "the start")
+        self.team.wait(self.team.is_complete, "the start")
         deadline = time.monotonic() + seconds
         faults: List[Callable[[], bool]] = [
             self._kill,
@@ -61,11 +62,11 @@ class Soak:
         self.team.rest()
 
     def _victim(self) -> str:
-        return self._source.choice(sorted(self.team.alive()))
+        return self._source.choice(sorted(self.team.programs.alive()))
 
     def _kill(self) -> bool:
         name = self._victim()
-        self.team.kill(name)
+        self.team.programs.kill(name)
         time.sleep(self._source.choice([0.0, 0.5, 2.0]))
         self.team.start(name)
         return True
@@ -80,11 +81,11 @@ class Soak:
         if not self._is_complete():  # a starting node does not handle the signal yet
             return False
         name = self._victim()
-        self.team.signal(name, told)
+        self.team.programs.signal(name, told)
         time.sleep(self._source.choice([0.5, 2.0]))
-        in_write = name not in self.team.alive()
+        in_write = name not in self.team.programs.alive()
         if not in_write:  # nothing to write, e.g. the other one of two has left
-            self.team.kill(name)
+            self.team.programs.kill(name)
             self.injected["kill"] += 1
         self.team.start(name)
         return in_write
@@ -100,7 +101,7 @@ class Soak:
         others = [robot for robot in members if robot in told and robot != name]
         if not all(status["active"] for status in told.values()) or not is_quorum(others, members):
             return False
-        self.team.kill(name)
+        self.team.programs.kill(name)
         self.team.lose_log(name)
         self.team.start(name)
         return True
@@ -119,9 +120,9 @@ class Soak:
 
     def _stop(self, seconds: float) -> bool:
         name = self._victim()
-        self.team.signal(name, signal.SIGSTOP)
+        self.team.programs.signal(name, signal.SIGSTOP)
         time.sleep(seconds)
-        self.team.signal(name, signal.SIGCONT)
+        self.team.programs.signal(name, signal.SIGCONT)
         return True
 
     def _kill_master(self) -> bool:
@@ -139,7 +140,7 @@ class Soak:
 
     def _leave(self) -> bool:
         leaver = "joined_%d" % self._joined
-        if leaver not in self.team.alive() or leaver in self.team.gone:
+        if leaver not in self.team.programs.alive() or leaver in self.team.gone:
             return False
         self.team.gone.append(leaver)
-        return self.team.order("leave", leaver)
+        return not self.team.order("leave", leaver)

@@ -10,8 +10,11 @@ import sys
 import time
 from typing import Any, Dict, List, Optional, Sequence
 
+from benchmarks.harness.master import why_no_ros
+from benchmarks.harness.network import why_impossible
+from benchmarks.harness.team import why_no_zenoh
 from benchmarks.machine import describe_machine, machine_line
-from benchmarks.netns.network import why_impossible
+from benchmarks.netns.experiment import TRANSPORTS
 from benchmarks.netns.scenarios import (
     HOLD,
     NEED_DELAY,
@@ -19,7 +22,6 @@ from benchmarks.netns.scenarios import (
     SCENARIOS,
     TAKE_HOLD,
 )
-from benchmarks.netns.team import TEAMS, why_no_ros, why_no_zenoh
 from gspn_framework_package.model.errors import GspnError
 
 MODES = ("full", "partial")
@@ -36,7 +38,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run the scenarios; returns 0: the team behaved as it must in all of them, 1: it did not, 2:
     not possible here, or wrong usage."""
     parser = argparse.ArgumentParser(
-        prog="benchmark.netns",
+        prog="benchmarks.netns",
         description="Cuts and slows the network of a robot team, each robot in its own network "
         "namespace (needs root).",
         epilog="Exit codes: 0 all as it must be, 1 not so, 2 not possible on this machine, or "
@@ -47,7 +49,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument(
         "--transport",
-        choices=list(TEAMS),
+        choices=list(TRANSPORTS),
         default="ros",
         help="what carries the messages: ros, with a master in the middle (default); masters: ros, "
         "with a master on each robot; or zenoh, with a router, mutual TLS and robots without ROS",

@@ -6,9 +6,9 @@ import statistics
 import time
 from typing import Any, Callable, Dict, List
 
-from benchmarks.netns.experiment import PartitionExperiment
-from benchmarks.netns.rules import partition
-from benchmarks.netns.team import MASTER
+from benchmarks.harness.rules import partition
+from benchmarks.harness.team import MASTER
+from benchmarks.netns.experiment import PartitionExperiment, partition_experiment
 
 Numbers = Dict[str, Any]
 """The figures that a scenario measured; times in seconds."""
@@ -48,9 +48,9 @@ def master_side(mode: str, hold: float = HOLD, transport: str = "ros") -> Number
     with _experiment(mode, hold, transport) as lab:
         lab.warm_up()
         lab.part([MASTER], lab.robots)
-        lab.wait_for_moves(lab.robots, 10, "of each robot without the master")
+        lab.wait_for_moves(lab.robots, 10)
         lab.heal()
-        lab.wait_for_moves(lab.robots, 5, "of each robot with the master again")
+        lab.wait_for_moves(lab.robots, 5)
         numbers = _lose_robot_3(lab, hold, ["robot_1", "robot_2"], [MASTER, "robot_3"])
         return _finish(lab, numbers)
 
@@ -58,7 +58,7 @@ def master_side(mode: str, hold: float = HOLD, transport: str = "ros") -> Number
 def eviction(mode: str, evict_after: float = 3.0, transport: str = "ros") -> Numbers:
     """One robot is cut off for longer than ``evict_after``: it is evicted, the others continue, and
     after healing it joins with a new incarnation."""
-    with PartitionExperiment(mode, evict_after=evict_after, transport=transport) as lab:
+    with partition_experiment(mode, evict_after=evict_after, transport=transport) as lab:
         lab.warm_up()
         lab.part([MASTER, "robot_1", "robot_2"], ["robot_3"])
 
@@ -68,7 +68,7 @@ def eviction(mode: str, evict_after: float = 3.0, transport: str = "ros") -> Num
             )
 
         evicted_at = lab.wait(evicted, "the eviction")
-        lab.wait_for_moves(["robot_1", "robot_2"], 10, "of the two that are left")
+        lab.wait_for_moves(["robot_1", "robot_2"], 10)
         lab.heal()
 
         def joined() -> bool:
@@ -81,7 +81,7 @@ def eviction(mode: str, evict_after: float = 3.0, transport: str = "ros") -> Num
             )
 
         joined_at = lab.wait(joined, "robot_3 to join again")
-        lab.wait_for_moves(["robot_3"], 5, "of robot_3 after its return")
+        lab.wait_for_moves(["robot_3"], 5)
         goals = lab.read()["robot_3"].of("goal", joined_at)
         lab.require(goals[-1]["incarnation"] > 0, "robot_3 acts under its old incarnation")
         begin, end = lab.fault()
@@ -171,10 +171,10 @@ def delay(mode: str, window: float = WINDOW, transport: str = "ros") -> Numbers:
     numbers: Numbers = {}
     delays = {"none": 0.0, **DELAYS[transport]}
     for name, seconds in delays.items():
-        with PartitionExperiment(mode, delay=seconds, transport=transport) as lab:
+        with partition_experiment(mode, delay=seconds, transport=transport) as lab:
             times = [lab.network.travel_time("robot_1", "robot_2") for _ in range(9)]
             lab.require(None not in times, "a datagram was lost in the relay")
-            began = lab.wait_for_moves(lab.robots, 1, "of each robot") - lab.began
+            began = lab.wait_for_moves(lab.robots, 1) - lab.began
             lab.wait(lab.all_were_everywhere, "each robot to act in every place", 120.0)
             begin, end = lab.pass_time(window)
             commits = [t for log in lab.read().values() for t in log.commit_times(begin, end)]
@@ -202,10 +202,10 @@ def router_killed(mode: str, hold: float = HOLD, transport: str = "zenoh") -> Nu
     with _experiment(mode, hold, transport) as lab:
         lab.warm_up()
         lab.begin_fault()
-        lab.team.programs.kill(MASTER)
+        lab.programs.kill(MASTER)
         lab.hold(hold)
         lab.end_fault()
-        lab.team.start_middle()
+        lab.start_middle()
         begin, end = lab.fault()
         lab.require(lab.slots(lab.robots, begin, end) == 0, "somebody decided a slot alone")
         numbers: Numbers = {"away": end - lab.cut_at, "all_on_after": _all_on_after(lab)}
@@ -233,8 +233,8 @@ def loss(mode: str, window: float = WINDOW, transport: str = "zenoh") -> Numbers
     numbers: Numbers = {}
     for share in LOSSES:
         name = "lost_%d" % round(100 * share)
-        with PartitionExperiment(mode, loss=share, transport=transport) as lab:
-            began = lab.wait_for_moves(lab.robots, 1, "of each robot") - lab.began
+        with partition_experiment(mode, loss=share, transport=transport) as lab:
+            began = lab.wait_for_moves(lab.robots, 1) - lab.began
             begin, end = lab.pass_time(window)
             moves = {robot: lab.moves(robot, begin, end) for robot in lab.robots}
             lab.require(all(moves.values()), "not every robot moves: %s" % moves)
@@ -249,7 +249,7 @@ def loss(mode: str, window: float = WINDOW, transport: str = "zenoh") -> Numbers
 def flapping(mode: str, window: float = WINDOW, transport: str = "zenoh") -> Numbers:
     """Every half second the links change: at any time every other robot is cut off from all. The
     team goes on in between, and evicts nobody."""
-    with PartitionExperiment(mode, transport=transport) as lab:
+    with partition_experiment(mode, transport=transport) as lab:
         lab.warm_up()
         lab.begin_fault()
         for step in range(round(window / FLAP)):
@@ -286,7 +286,7 @@ def _longest_pause(lab: PartitionExperiment, begin: float, end: float) -> float:
 def _experiment(mode: str, hold: float, transport: str, **more: Any) -> PartitionExperiment:
     """A team in which no robot is evicted while the network is cut for ``hold`` seconds."""
     evict_after = max(15.0, 3 * hold)
-    return PartitionExperiment(mode, evict_after=evict_after, transport=transport, **more)
+    return partition_experiment(mode, evict_after=evict_after, transport=transport, **more)
 
 
 def _lose_robot_3(
@@ -326,12 +326,13 @@ def _progress_of_others(lab: PartitionExperiment, others: List[str]) -> Numbers:
 
 def _all_on_after(lab: PartitionExperiment) -> float:
     """Seconds from healing until every robot moves again."""
-    return lab.wait_for_moves(lab.robots, 1, "of each robot after healing") - lab.healed_at
+    return lab.wait_for_moves(lab.robots, 1) - lab.healed_at
 
 
 def _finish(lab: PartitionExperiment, numbers: Numbers) -> Numbers:
-    history = lab.finish()
-    numbers.update(slots=history.slots, firings=history.firings, marking=history.marking)
+    lab.wait_for_moves(number=5)
+    found = lab.finish()
+    numbers.update(slots=found.slots, firings=found.firings)
     return numbers
 
 

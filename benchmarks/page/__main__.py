@@ -19,13 +19,13 @@ import sys
 import tempfile
 from typing import Any, Dict, Iterator, Tuple
 
+from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.machine import describe_machine, machine_line
 from benchmarks.page.editing import measure_editing
 from benchmarks.page.long_log import measure_log
 from benchmarks.page.rendering import measure_page
 from benchmarks.page.team import ARRANGEMENTS, measure_team
 from benchmarks.page.viewers import measure_memory, measure_viewers
-from benchmarks.processes import end_cleanly_on_signal
 from gspn_framework_package.model.errors import GspnError
 
 WORDS = ("render", "viewers", "memory", "edit", "log", "team")
@@ -34,7 +34,7 @@ WORDS = ("render", "viewers", "memory", "edit", "log", "team")
 def main() -> int:
     """Measure, and print the results."""
     parser = argparse.ArgumentParser(
-        prog="benchmark.page", description="Measure the page under load."
+        prog="benchmarks.page", description="Measure the page under load."
     )
     parser.add_argument(
         "what", nargs="*", metavar="WHAT", help="%s (default: the first three)" % ", ".join(WORDS)
@@ -84,7 +84,7 @@ def main() -> int:
             if not args.json:
                 print(name, json.dumps(found), flush=True)
     except GspnError as error:
-        print("benchmark.page: error: %s" % error, file=sys.stderr)
+        print("benchmarks.page: error: %s" % error, file=sys.stderr)
         return error.exit_code
     print(json.dumps(result, indent=2) if args.json else machine_line(result["machine"]))
     return 0

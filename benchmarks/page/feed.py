@@ -12,7 +12,7 @@ import threading
 import time
 from typing import Iterator, NamedTuple, Tuple
 
-from benchmarks.ports import free_port
+from benchmarks.harness.ports import free_port
 from gspn_framework_package.execution.simulator import Simulator
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExecutionError

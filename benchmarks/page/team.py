@@ -14,26 +14,22 @@ processor time *of the robots*, a figure that does not depend on what else uses 
 from __future__ import annotations
 
 import contextlib
-import glob
 import os
-import signal
-import socket
 import statistics
-import subprocess
 import sys
 import time
 from typing import Any, Callable, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Tuple
 
 import psutil
 
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.ports import free_port
+from benchmarks.harness.processes import cpu_seconds, descendants
+from benchmarks.harness.team import LaunchedTeam
 from benchmarks.page.feed import served
 from benchmarks.page.rendering import SCREEN, chromium
-from benchmarks.plans import tokens_plan
-from benchmarks.ports import free_port
-from benchmarks.processes import cpu_seconds, descendants
-from benchmarks.team_run import Master, TeamRun, need_ros
-from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.model.errors import ExecutionError, UsageError
+from benchmarks.plans import INSTANT, tokens_plan
+from gspn_framework_package.model.errors import UsageError
 
 ARRANGEMENTS = {
     "apart": "the page's server and the browser on another processor than the robots, as on the "
@@ -82,32 +78,25 @@ def measure_team(robots: int, where: str, rounds: int, seconds: float) -> Dict[s
     """
     need_ros()
     team_cpus, server_cpus, browser_cpus = _processors(where)
-    plan = tokens_plan(instant=True).for_robots(robots)
+    plan = tokens_plan(INSTANT).for_robots(robots)
     without: List[Window] = []
     with_page: List[Window] = []
-    with _on(browser_cpus), chromium() as browser, _on(team_cpus), Master() as master, TeamRun(
-        master, plan
-    ) as run:
-        if not run.wait_all_fired(START):
-            raise ExecutionError("not all robots fired within %g s" % START)
-        others = {p.pid for p in [*descendants(master.pid), *_browser()]}
-        # including roslaunch, which only waits
-        team = [p for p in descendants(os.getpid()) if p.pid not in others]
-        began = time.monotonic()
-        time.sleep(seconds)
-        rate = sum(1 for at in _goals(run.folder) if at > began) / (time.monotonic() - began)
+    run = LaunchedTeam(plan)
+    with _on(browser_cpus), chromium() as browser, _on(team_cpus), Master(), run:
+        run.await_steady(START)
+        team = run.processes()
+        rate = run.measure(seconds).firings_per_s
         with _on(browser_cpus), served(NODES, rate) as feed:
             for _ in range(rounds):
                 without.append(_watched(feed.port, None, browser, team, seconds))
                 with _on(server_cpus):
-                    server = _Server(master, run.folder, robots)
-                try:
-                    with_page.append(_watched(server.port, server, browser, team, seconds))
-                finally:
-                    server.end()
+                    port = _start_page(run)
+                server = psutil.Process(run.programs.pid(PAGE))
+                with_page.append(_watched(port, server, browser, team, seconds))
+                run.programs.stop(PAGE)
             without.append(_watched(feed.port, None, browser, team, seconds))
-        faults = run.faults()
-        goals = _goals(run.folder)
+        faults = run.programs.errors("launch")
+        goals = [goal["mono"] for log in run.read().values() for goal in log.of("goal")]
     return {
         "robots": robots,
         "where": where,
@@ -140,54 +129,25 @@ def _on(cpus: FrozenSet[int]) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-class _Server:
-    """The node ``visualizer`` of the run."""
+PAGE = "page"
 
-    def __init__(self, master: Master, plan: str, robots: int) -> None:
-        self.port = free_port()
-        command = [
-            sys.executable,
-            "-m",
-            "gspn_framework_package.visualizer.ros_node",
-            "_plan:=" + plan,
-            "_robots:=%d" % robots,
-            "_port:=%d" % self.port,
-        ]
-        self._process = subprocess.Popen(
-            command,
-            env=master.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        deadline = time.monotonic() + START
-        while not self._answers():
-            if self._process.poll() is not None or time.monotonic() > deadline:
-                self.end()
-                raise ExecutionError("the page's node did not start")
-            time.sleep(0.1)
 
-    def _answers(self) -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", self.port)) == 0
-
-    def cpu(self) -> float:
-        """Processor seconds so far."""
-        return sum(cpu_seconds([psutil.Process(self._process.pid)]).values())
-
-    def end(self) -> None:
-        """End the node, and wait until it is gone."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
-            try:
-                self._process.wait(15)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+def _start_page(team: LaunchedTeam) -> int:
+    """Start the node ``visualizer`` of the run; returns its port."""
+    port = free_port()
+    module = "gspn_framework_package.visualizer.ros_node"
+    words = ["_plan:=" + team.folder, "_robots:=%d" % len(team.robots), "_port:=%d" % port]
+    team.programs.start(PAGE, [sys.executable, "-m", module, *words])
+    team.programs.await_port(PAGE, port)
+    return port
 
 
 def _watched(
-    port: int, server: Optional[_Server], browser: Any, team: List[psutil.Process], seconds: float
+    port: int,
+    server: Optional[psutil.Process],
+    browser: Any,
+    team: List[psutil.Process],
+    seconds: float,
 ) -> Window:
     """A window in which the browser shows a page: that of the team, or another one (``server`` is
     None)."""
@@ -203,7 +163,7 @@ def _watched(
             return [
                 time.monotonic(),
                 sum(cpu_seconds(team).values()),
-                server.cpu() if server else 0.0,
+                sum(cpu_seconds([server] if server else []).values()),
                 sum(cpu_seconds(_browser()).values()),
                 *page.evaluate("() => [window.fired, window.marks]"),
             ]
@@ -226,19 +186,6 @@ def _browser() -> List[psutil.Process]:
             ):
                 found.append(process)
     return found
-
-
-def _goals(folder: str) -> List[float]:
-    """Monotonic times (s) at which robots entered places; each firing of this plan moves one
-    robot."""
-    times = []
-    for path in glob.glob(os.path.join(folder, "*", "*.jsonl")):
-        times += [
-            float(r["mono"])
-            for r in read_log(path, os.path.getsize(path)).records
-            if r["kind"] == "goal"
-        ]
-    return times
 
 
 def _compared(goals: List[float], without: List[Window], with_page: List[Window]) -> Dict[str, Any]:

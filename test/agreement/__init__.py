@@ -1,7 +1,7 @@
 """Tests of the agreement: real replicas on a simulated network with faults, all from one seed.
 
-Nothing here runs on a robot. ``test/simulation`` and the commands ``benchmark.agreement``,
-``benchmark.agreement_cost`` and ``benchmark.mutants`` use it:
+Nothing here runs on a robot. ``test/simulation`` and the commands ``benchmarks.agreement``,
+``benchmarks.agreement_cost`` and ``benchmarks.mutants`` use it:
 
 - ``world``: simulated time, network, disks and actions for a team of real replicas;
 - ``plans``: small plans that together use every rule of the token game;

@@ -12,7 +12,6 @@ import argparse
 import io
 import json
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -21,10 +20,10 @@ from PIL import Image, ImageDraw
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 
+from benchmarks.harness.master import Master, need_ros
+from benchmarks.harness.ports import free_port
+from benchmarks.harness.team import launch_words
 from benchmarks.page.rendering import chromium
-from benchmarks.ports import free_port
-from benchmarks.room_ros import end_launch, last_lines
-from benchmarks.team_run import Master, need_ros
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.world.camera import Camera, scalable_font
 from gspn_framework_package.world.film import Film
@@ -77,36 +76,24 @@ def main():
 def film_page(args, master, recording):
     """Yield the time of the room (s) and the page's picture then, while a team runs."""
     port = free_port()
-    output = str(Path(master.folder) / "patrol.txt")
-    common = {"env": master.environment, "start_new_session": True, "stderr": subprocess.STDOUT}
-    run = ["robots:=%d" % args.robots, "run:=film"]
-    with open(output, "wb") as log:
-        launches = [
-            subprocess.Popen(
-                ["roslaunch", "gspn_framework_package", *words, *run], stdout=log, **common
-            )
-            for words in (
-                ["visualizer.launch", "port:=%d" % port, "plan:=%s" % patrol()],
-                ["patrol.launch", "record:=%s" % recording],
-            )
-        ]
-        try:
-            with chromium() as browser:
-                page = browser.new_page(viewport={"width": PAGE[0], "height": PAGE[1]})
-                page.add_init_script(PANELS)
-                open_page(page, "http://127.0.0.1:%d/" % port, output)
-                step = args.speed / args.rate
-                due = args.start
-                while due <= args.start + args.seconds:
-                    moment = newest(recording)
-                    if moment < due:
-                        time.sleep(0.02)
-                        continue
-                    yield moment, Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-                    due += step
-        finally:
-            for launch in reversed(launches):
-                end_launch(launch)
+    run = {"robots": args.robots, "run": "film"}
+    page_server = launch_words("visualizer.launch", port=port, plan=patrol(), **run)
+    master.programs.start("page", page_server)
+    master.programs.start("patrol", launch_words("patrol.launch", record=recording, **run))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": PAGE[0], "height": PAGE[1]})
+        page.add_init_script(PANELS)
+        open_page(page, "http://127.0.0.1:%d/" % port, master)
+        step = args.speed / args.rate
+        due = args.start
+        while due <= args.start + args.seconds:
+            moment = newest(recording)
+            if moment < due:
+                time.sleep(0.02)
+                continue
+            yield moment, Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+            due += step
+    master.programs.stop("page", "patrol")
 
 
 def patrol():
@@ -114,7 +101,7 @@ def patrol():
     return Path(__file__).resolve().parents[2] / "plans" / "patrol" / "room.json"
 
 
-def open_page(page, address, output):
+def open_page(page, address, master):
     """Open the page as soon as its server is there, with the net as large as it gets."""
     deadline = time.monotonic() + PATIENCE
     while True:
@@ -123,7 +110,9 @@ def open_page(page, address, output):
             break
         except Exception:
             if time.monotonic() > deadline:
-                raise InputError("the page did not come: %s" % last_lines(output)) from None
+                raise InputError(
+                    "the page did not come: %s" % master.programs.said("page")
+                ) from None
             time.sleep(0.2)
     page.wait_for_selector("body[data-mode=LIVE][data-ready]", timeout=1000 * PATIENCE)
     page.keyboard.press("f")

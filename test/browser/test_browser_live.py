@@ -10,7 +10,7 @@ import pytest
 from page_reading import boxes, dots, marking, overlaps, settle
 from reported_run import ReportedRun
 
-from benchmarks.ports import free_port
+from benchmarks.harness.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.robot_colours import colour_of
 

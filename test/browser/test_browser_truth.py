@@ -7,7 +7,7 @@ import time
 
 from page_reading import dots, marking, settle
 
-from benchmarks.ports import free_port
+from benchmarks.harness.ports import free_port
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Arc
 from gspn_framework_package.visualizer.activity import Activity

@@ -5,12 +5,12 @@ import subprocess
 
 import pytest
 
-from benchmarks.netns import rules
+from benchmarks.harness import rules
 
 pytest.importorskip("rospy", reason="ROS is not here")
-from benchmarks.netns.gateways import Gateways
+from benchmarks.harness.gateways import Gateways
+from benchmarks.harness.network import Network, why_impossible
 from benchmarks.netns.main import why_not
-from benchmarks.netns.network import Network, why_impossible
 from benchmarks.netns.scenarios import minority, mute, router_killed
 from gspn_framework_package.model.errors import ExecutionError
 

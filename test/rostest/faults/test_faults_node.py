@@ -11,7 +11,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 TESTS = os.path.dirname(HERE)
 sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 
-from benchmarks.ports import free_port
+from benchmarks.harness.ports import free_port
 
 PORT = free_port()
 os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % PORT

@@ -22,7 +22,7 @@ sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 from robots import chain, write_plan
 from waiting import wait_for
 
-from benchmarks.ports import free_port
+from benchmarks.harness.ports import free_port
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.srv import Command, GetState

@@ -19,7 +19,7 @@ sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 from robots import ROOT, RobotTestCase, copy_plan, start_node
 from waiting import wait_for
 
-from benchmarks.ports import free_port
+from benchmarks.harness.ports import free_port
 
 
 class Page:

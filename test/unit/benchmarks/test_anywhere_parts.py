@@ -13,9 +13,9 @@ from benchmarks.anywhere.report import (
     slowed,
     strangers_in,
 )
-from benchmarks.log_tail import LogTail
-from benchmarks.netns.gateways import Gateways
-from benchmarks.netns.master_sync import Offer, offers_of
+from benchmarks.harness.gateways import Gateways
+from benchmarks.harness.log_tail import LogTail
+from benchmarks.harness.master_sync import Offer, offers_of
 
 
 def test_the_layout_follows_from_the_machines():

@@ -9,38 +9,59 @@ import time
 import psutil
 import pytest
 
+from benchmarks.harness.programs import Programs
+from gspn_framework_package.model.errors import ExecutionError
+
 PARENT = """
-import time
-from benchmarks.processes import child, end_cleanly_on_signal
+import sys, time
+from benchmarks.harness.processes import end_cleanly_on_signal
+from benchmarks.harness.programs import Programs
 
 end_cleanly_on_signal()
-started = child(time.sleep, 600)
-started.start()
-print(started.pid, flush=True)
+programs = Programs(sys.argv[1])
+programs.start("sleeps", ["sh", "-c", "sleep 600 & wait"])
+print(programs.pid("sleeps"), flush=True)
 try:
     time.sleep(600)
 except KeyboardInterrupt:
-    started.kill()
+    programs.end()
     print("ends cleanly", flush=True)
 """
 
 
-def is_running(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
+def test_programs_end_with_what_they_started_when_a_benchmark_is_ended(tmp_path):
+    words = [sys.executable, "-c", PARENT, str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as parent:
+        shell = psutil.Process(int(parent.stdout.readline()))
+        family = [shell, *shell.children()]
+        os.kill(parent.pid, signal.SIGTERM)
+        assert parent.stdout.read() == "ends cleanly\n"
+    _, alive = psutil.wait_procs(family, timeout=60)
+    assert not alive
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_child_ends_with_its_benchmark_however_that_ends(number):
-    with subprocess.Popen(
-        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True
-    ) as parent:
-        pid = int(parent.stdout.readline())
-        os.kill(parent.pid, number)
-        deadline = time.monotonic() + 60
-        while is_running(pid):
-            assert time.monotonic() < deadline, "the child runs on"
-            time.sleep(0.02)
-        assert parent.stdout.read() == ("ends cleanly\n" if number == signal.SIGTERM else "")
+def test_a_program_that_ends_by_itself_is_noticed_and_what_it_said_is_reported(tmp_path):
+    programs = Programs(str(tmp_path))
+    programs.start("one", ["sh", "-c", "echo '[ERROR] no fuel'; exit 3"])
+    programs.start("two", ["sleep", "600"])
+    deadline = time.monotonic() + 60
+    while programs.ended() != ["one"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    with pytest.raises(ExecutionError, match=r"one ended with 3: \[ERROR\] no fuel"):
+        programs.check()
+    assert programs.errors("one") == ["[ERROR] no fuel"] and programs.errors("two") == []
+    assert programs.await_end("one", 60) == 3
+    assert programs.alive() == ["two"] and programs.ended() == []
+    programs.signal("two", signal.SIGSTOP)
+    programs.end()  # a stopped program too
+    assert programs.alive() == []
+
+
+def test_a_program_that_does_not_end_in_time_is_reported(tmp_path):
+    programs = Programs(str(tmp_path))
+    programs.start("long", ["sleep", "600"])
+    with pytest.raises(ExecutionError, match="waited 0.1 s for the end of long"):
+        programs.await_end("long", 0.1)
+    programs.kill("long")
+    assert programs.alive() == []

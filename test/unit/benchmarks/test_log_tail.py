@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from agreement.plans import make_plan
-from benchmarks.latency import latencies
-from benchmarks.log_tail import LogTail
+from benchmarks.harness.log_tail import LogTail
+from benchmarks.harness.team import latencies
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.log_writer import EventLogWriter
 

@@ -70,7 +70,7 @@ def test_the_team_is_at_rest_when_it_is_verified(monkeypatch: Any) -> None:
     done: List[str] = []
 
     class Team:
-        first = ("r1", "r2")
+        robots = ("r1", "r2")
 
         def __init__(self, *_: Any) -> None:
             pass
@@ -81,7 +81,7 @@ def test_the_team_is_at_rest_when_it_is_verified(monkeypatch: Any) -> None:
         def rest(self) -> None:
             done.append("rest")
 
-    monkeypatch.setattr(outages, "LaunchedTeam", Team)
+    monkeypatch.setattr(outages, "FaultyTeam", Team)
     monkeypatch.setenv(BOOT_ID, "")
     outages.Outages(2, Synchronisation.FULL, 0, 1, print).run()
     assert done == ["moves", "rest"]

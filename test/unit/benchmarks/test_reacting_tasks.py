@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.netns.team import MASTER
+from benchmarks.harness.team import MASTER
 from benchmarks.reacting_tasks import (
     SENDER,
     courier_plan,

@@ -9,9 +9,8 @@ from benchmarks import policy, scaling
 from benchmarks.__main__ import main
 from benchmarks.figures import draw_figures
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.plans import ring_plan, tokens_plan
+from benchmarks.plans import INSTANT, ring_plan, tokens_plan
 from benchmarks.results import Results
-from benchmarks.team_run import _Tail
 from benchmarks.token_game import game_rate
 from gspn_framework_package.model.errors import UsageError
 
@@ -49,26 +48,6 @@ def test_every_plan_is_one_that_may_run(name):
 def test_a_ring_deals_its_robots_over_the_places():
     plan = ring_plan(3, 5)
     assert [p.tokens for p in plan.net.places] == [2, 2, 1]
-
-
-def test_the_log_of_a_robot_tells_when_its_visits_began(tmp_path):
-    path = tmp_path / "robot_1.jsonl"
-    tail = _Tail(str(path))
-    assert tail.read() == []
-    lines = [
-        {"kind": "header", "mono": 1.0},
-        {"kind": "goal", "visit": 1, "attempt": 1, "mono": 2.0},
-        {"kind": "goal", "visit": 1, "attempt": 2, "mono": 2.5},
-        {"kind": "slot", "slot": 1, "mono": 3.0},
-        {"kind": "goal", "visit": 2, "attempt": 1, "mono": 3.5},
-    ]
-    text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
-    path.write_text(text[:-20], encoding="utf-8")  # the last line is not whole yet
-    assert tail.read() == [2.0]
-    with open(path, "a", encoding="utf-8") as file:
-        file.write(text[-20:])
-    assert tail.read() == [2.0, 3.5]
-    assert tail.opened == 1.0
 
 
 def test_figures_are_drawn_of_what_was_measured(tmp_path):
@@ -142,7 +121,7 @@ def test_the_scan_of_the_policy_benchmark_finds_the_row_of_the_fewest_wildcards(
 
 
 def test_the_token_game_benchmark_fires():
-    assert game_rate(tokens_plan(instant=True).for_robots(3), 0.01) > 0
+    assert game_rate(tokens_plan(INSTANT).for_robots(3), 0.01) > 0
 
 
 def test_the_machine_is_reported_with_every_result():
@@ -168,4 +147,4 @@ def test_without_ros_it_says_so(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(scaling, "quiet_machine", lambda: scaling.MachineLoad(0.0, 0.0))
     assert main(["tokens", "--quick"]) == 2
-    assert "ROS is not sourced" in capsys.readouterr().err
+    assert "ROS is not installed, or not sourced" in capsys.readouterr().err

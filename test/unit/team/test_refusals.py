@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.plans import ring_plan
+from benchmarks.plans import INSTANT, ring_plan
 from gspn_framework_package.cli.status import refusal_lines
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
@@ -18,7 +18,7 @@ NONSENSE = {"from": "robot_2", "kind": "dance", "version": PROTOCOL_VERSION}
 
 @pytest.fixture
 def robot():
-    replica = Replica(ring_plan(3, 2, instant=True), "robot_1", "run", "log", [])
+    replica = Replica(ring_plan(3, 2, INSTANT), "robot_1", "run", "log", [])
     replica.start(0.0)
     return SimpleNamespace(
         replica=replica,

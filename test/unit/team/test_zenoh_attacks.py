@@ -8,7 +8,7 @@ import threading
 import pytest
 from zenoh_team import MEMBERS, Hub, make_keys, wait_for
 
-from benchmarks.plans import ring_plan
+from benchmarks.plans import INSTANT, ring_plan
 from gspn_framework_package.execution.agreement.interface import EVERYBODY, Send
 from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.execution.event_log import read_log
@@ -31,7 +31,7 @@ class RunningTeam:
 
     def __init__(self, hub, folder):
         self.carriers, self.hosts, self.logs = {}, {}, []
-        plan = ring_plan(3, len(ROBOTS), instant=True)
+        plan = ring_plan(3, len(ROBOTS), INSTANT)
         for robot in ROBOTS:
             self.logs.append(str(folder / (robot + ".jsonl")))
 

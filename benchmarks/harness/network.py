@@ -14,9 +14,9 @@ import time
 from contextlib import contextmanager
 from typing import Any, Dict, Iterator, List, Optional, Sequence
 
-from benchmarks.netns import relay
-from benchmarks.netns.gateways import Gateways
-from benchmarks.netns.rules import Cuts, ruleset
+from benchmarks.harness import relay
+from benchmarks.harness.gateways import Gateways
+from benchmarks.harness.rules import Cuts, ruleset
 from gspn_framework_package.model.errors import ExecutionError
 
 PREFIX = "gspn-lab-"

@@ -1,7 +1,7 @@
 """Brings what the nodes of other ROS masters offer to the own master, as ``fkie_multimaster`` does,
 for tests of teams with a master on each robot.
 
-``python3 -m benchmarks.netns.master_sync URI URI ...``: the own master, then
+``python3 -m benchmarks.harness.master_sync URI URI ...``: the own master, then
 the others. Only the topics and services that docs/own_robots.md names are synchronised.
 """
 

@@ -3,14 +3,10 @@ and exact figures per process."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import resource
 import signal
-import threading
 import time
-from multiprocessing.connection import wait
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional
+from typing import Dict, Iterable, List, NamedTuple, Optional
 
 import psutil
 
@@ -97,25 +93,6 @@ def cost_of(processes: Iterable[psutil.Process]) -> ProcessCost:
 def end_cleanly_on_signal() -> None:
     """Make SIGTERM what Ctrl-C is, so that the processes of a benchmark end with it."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-
-
-def child(target: Callable[..., None], *arguments: Any) -> Any:
-    """A process that calls ``target(*arguments)`` and does not outlive this one, however this one
-    ends; start it, and have it end."""
-    context = multiprocessing.get_context("spawn")  # threads and sessions do not survive a fork
-    return context.Process(target=_be_child, args=(target, *arguments))
-
-
-def _be_child(target: Callable[..., None], *arguments: Any) -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, name="parent", daemon=True).start()
-    target(*arguments)
 
 
 def quiet_machine(period: float = 5.0) -> MachineLoad:
