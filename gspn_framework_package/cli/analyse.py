@@ -42,7 +42,6 @@ from gspn_framework_package.cli.memory import (
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
 
 _PARTS = 1_000
@@ -118,7 +117,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effort.add_argument(
         "--engine", choices=ENGINES, default="auto", help="the engine that explores (default: auto)"
     )
-    effort.add_argument("--on", type=_on, help=argparse.SUPPRESS)
     effort.add_argument(
         "--lump",
         action="store_true",
@@ -128,16 +126,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit codes: 0 answered, 1 something was not decided (it is listed), 2 wrong input or "
         "wrong usage."
     )
-
-
-def _on(word: str) -> str:
-    if word != "local":
-        raise UsageError(
-            "an analysis runs in this process, not on %s" % shorten(word),
-            hint="--memory SIZE keeps on disk what is too large for memory; Storm reads what gspn "
-            "convert writes",
-        )
-    return word
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,32 +1,9 @@
 """Actions that are Python functions: how they are written, found and called, without ROS.
 
 An action is what a robot does in an action place: a plain function, or a class with callable
-instances. The names of its parameters, all of them optional, declare what it needs:
-
-``place`` name of the place it runs for. ``robot`` name of the robot (standalone: of the agent) that
-    runs it. ``feedback`` call it with one or more whole numbers to report progress (by convention,
-    the elapsed seconds). ``is_cancelled`` call it without arguments to learn whether the action
-    should end; ``is_cancelled.wait(s)`` sleeps for ``s`` seconds, or until the action should end.
-    ``id`` number of the robot, which is the number at the end of its name (in standalone execution,
-    agents are numbered from 1); if the name has no number, the name itself. Functions written for
-    the thesis take it. ``data`` the data that the action may read, by full name:
-    ``data["task.pose"]``, ``data.get("robot.speed")``. It is a copy: writing to it changes nothing.
-    ``resumed_from`` number of the robot's earlier visit to the place that this one continues after
-    an interrupt; 0 if there is none. ``visit``, ``attempt`` number of the robot's visit, which
-    grows with each move, and of the attempt within that visit. An attempt number above 1 means that
-    an earlier attempt failed or was interrupted by a crash.
-
-Any other parameter is a setting: the plan passes its value, under ``settings``, to the function or
-to the ``__init__`` of the class. A class with settings thus defines a new kind of action::
-
-    class Wait:
-        def __init__(self, seconds):
-            self.seconds = seconds
-
-        def __call__(self, is_cancelled):
-            is_cancelled.wait(self.seconds)
-
-    {"function": "actions.Wait", "settings": {"seconds": 3}}
+instances. The names of its parameters, all of them optional, declare what it needs; any other
+parameter is a setting, whose value the plan gives to the function, or to the ``__init__`` of the
+class. ``docs/plan_file.md`` lists them. Functions written for the thesis take ``id``.
 
 An action returns the name of the transition to fire, or None, "" or "None" to let the policy decide
 (thesis Algorithm 1). It may also return a pair that includes data by name for other actions to

@@ -19,16 +19,8 @@ from gspn_framework_package.execution.event_log import (
     header_of,
     record_of,
 )
+from gspn_framework_package.execution.stored_policy import sync_folder
 from gspn_framework_package.model.errors import LogError
-
-
-def sync_folder(path: str) -> None:
-    """Sync a folder, so that the name of a new file in it survives a power failure."""
-    folder = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def end_is_there(event_log: EventLog) -> bool:

@@ -16,8 +16,12 @@ from gspn_framework_package.execution.event_log import (
     Record,
     next_sum,
 )
-from gspn_framework_package.execution.log_damage import boot_id, drop_cut_line, sync_folder
-from gspn_framework_package.execution.stored_policy import stored_separately, without_large_policies
+from gspn_framework_package.execution.log_damage import boot_id, drop_cut_line
+from gspn_framework_package.execution.stored_policy import (
+    stored_separately,
+    sync_folder,
+    without_large_policies,
+)
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import LogError
 

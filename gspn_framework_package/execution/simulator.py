@@ -33,7 +33,6 @@ class SimulatedFiring(NamedTuple):
 class Simulator:
     """Plays the token game of a net.
 
-    :param marking: where to start; the initial marking by default.
     :param source: the random number generator; pass a seeded one to repeat a simulation.
     :param probabilities: transition (index) -> relative firing probability (>= 0) that replaces its
         rate or weight. It changes which transition fires, not how long that takes.
@@ -49,13 +48,12 @@ class Simulator:
     def __init__(
         self,
         net: Net,
-        marking: Optional[Sequence[int]] = None,
         source: Optional[random.Random] = None,
         probabilities: Optional[Mapping[int, float]] = None,
     ) -> None:
         self.net = net
         self.random = source or random.Random()
-        self.enabled = EnabledSet(net, net.initial_marking if marking is None else marking)
+        self.enabled = EnabledSet(net, net.initial_marking)
         self.change = Change((), ())
         """How the last move changed the set of enabled transitions."""
         self.probabilities: Mapping[int, float] = {}

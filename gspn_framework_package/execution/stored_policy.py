@@ -202,12 +202,13 @@ def _write(path: str, data: bytes, fsync: bool) -> None:
         raise
     if fsync:
         for place in (folder, os.path.dirname(folder)):
-            _sync(place)
+            sync_folder(place)
 
 
-def _sync(folder: str) -> None:
-    handle = os.open(folder, os.O_RDONLY)
+def sync_folder(path: str) -> None:
+    """Sync a folder, so that the name of a new file in it survives a power failure."""
+    folder = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(handle)
+        os.fsync(folder)
     finally:
-        os.close(handle)
+        os.close(folder)

@@ -17,6 +17,7 @@ REPORT_GROUPS = ("day", "robot", "place", "run")
 _SECONDS = tuple(use + "_s" for use in USES)
 _COUNTS = ("failures", "alarms", "interventions")
 
+_MOMENTS = 200  # most of them that are shown
 _AT_ONCE = 1000
 """Rows that are fetched at a time."""
 
@@ -121,7 +122,7 @@ def _refuse_unknown(database: Any, question: Question) -> None:
                 raise UsageError("no %s '%.80s' is in the store in this time" % (column, name))
 
 
-def moments(store: Store, question: Question, limit: int = 200) -> List[Dict[str, Any]]:
+def moments(store: Store, question: Question) -> List[Dict[str, Any]]:
     """What a person may want to look at: failures, alarms and interventions, the newest first, and
     the longest waits.
 
@@ -129,7 +130,6 @@ def moments(store: Store, question: Question, limit: int = 200) -> List[Dict[str
     wait) and ``detail``.
 
     :param question: its groups do not matter.
-    :param limit: largest number of rows.
     :raises UsageError: the question makes no sense.
     """
     question.check()
@@ -140,7 +140,7 @@ def moments(store: Store, question: Question, limit: int = 200) -> List[Dict[str
         "UNION ALL "
         "(SELECT day, began, run, slot, robot, place, 'wait', "
         "printf('%%.1f s', waiting_ms / 1000.0) FROM stays WHERE %s AND waiting_ms > 0 "
-        "ORDER BY waiting_ms DESC, began LIMIT %d)" % (where, limit, where, max(1, limit // 10))
+        "ORDER BY waiting_ms DESC, began LIMIT %d)" % (where, _MOMENTS, where, _MOMENTS // 10)
     )
     with explained(store.folder):
         database = store.open_tables(question.days)

@@ -195,13 +195,9 @@ class YamlDocument:
         )
 
 
-def read_yaml(path: str, limit: int = MOST_ELEMENTS) -> YamlDocument:
-    """Read a YAML file.
-
-    :param limit: largest number of elements.
-    :raises InputError: the file cannot be read, or as :class:`YamlDocument`.
-    """
-    return YamlDocument(read_bytes(path), path, limit)
+def read_yaml(path: str) -> YamlDocument:
+    """Read a YAML file. :raises InputError: it cannot be read, or as :class:`YamlDocument`."""
+    return YamlDocument(read_bytes(path), path)
 
 
 def _line_of(text: Union[str, bytes], position: int) -> int:

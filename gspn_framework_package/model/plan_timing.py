@@ -19,7 +19,7 @@ times have no memory. :attr:`PlanTiming.splits` names the places where the two d
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.net import Net
@@ -230,7 +230,7 @@ def why_blocked(net: Net, t: int, place: int) -> str:
     return ""
 
 
-def listed(names: Sequence[str], most: int = 5) -> str:
+def listed(names: Sequence[str]) -> str:
     """The first names of a list, and how many more there are."""
-    more: Optional[str] = "and %d more" % (len(names) - most) if len(names) > most else None
-    return ", ".join(names[:most]) + (", " + more if more else "")
+    more = len(names) - 5
+    return ", ".join(names[:5]) + (", and %d more" % more if more > 0 else "")

@@ -123,15 +123,15 @@ class NodeOptions(NamedTuple):
         return log_path(self.log_dir, self.run, robot)
 
 
-def read_options(name: str = "~") -> NodeOptions:
+def read_options() -> NodeOptions:
     """Read the options of this node from the parameter server with one call.
 
     :raises UsageError: a parameter is unknown, has the wrong type or an invalid value, or no plan
         was given.
     """
-    given: Dict[str, Any] = rospy.get_param(name, {})
+    given: Dict[str, Any] = rospy.get_param("~", {})
     if not isinstance(given, dict):
-        raise UsageError("the private parameters are not a map", element=name)
+        raise UsageError("the private parameters are not a map", element="~")
     return options_from(given, room=bool(rospy.get_param(ROOM, "")))
 
 

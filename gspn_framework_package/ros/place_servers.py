@@ -63,15 +63,12 @@ class PlaceServers:
 
     :param plan: the plan; its functions are loaded from its folder.
     :param namespace: absolute namespace of the robot.
-    :param pool: the threads that run the actions; a new pool by default.
     :raises PlanError: a function does not exist, or is not an action.
     """
 
-    def __init__(
-        self, plan: Plan, robot: str, namespace: str, pool: Optional[WorkerPool] = None
-    ) -> None:
+    def __init__(self, plan: Plan, robot: str, namespace: str) -> None:
         self.robot = robot
-        self._pool = pool or WorkerPool("action")
+        self._pool = WorkerPool("action")
         self._lock = threading.Lock()
         self._running: Dict[str, _RunningGoal] = {}
         self._namespace = namespace

@@ -25,11 +25,9 @@ class Lanes:
     """A sender's lanes in one channel.
 
     :param lanes: number of lanes.
-    :param pause: seconds between two messages in the same lane.
     """
 
-    def __init__(self, lanes: int = LANES, pause: float = PAUSE) -> None:
-        self._pause = pause
+    def __init__(self, lanes: int = LANES) -> None:
         self._free_at = [0.0] * lanes
         self._next = 0
 
@@ -41,7 +39,7 @@ class Lanes:
         lane = self._next
         self._next = (lane + 1) % len(self._free_at)
         wait = max(0.0, self._free_at[lane] - now)
-        self._free_at[lane] = now + wait + self._pause
+        self._free_at[lane] = now + wait + PAUSE
         return lane, wait
 
 

@@ -15,9 +15,9 @@ from gspn_framework_package.execution.log_damage import (
     drop_torn_end,
     end_is_there,
     set_damage_aside,
-    sync_folder,
 )
 from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.stored_policy import sync_folder
 from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 

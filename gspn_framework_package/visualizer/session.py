@@ -201,9 +201,8 @@ class Session:
 class Sessions:
     """The open nets of one server, by key."""
 
-    def __init__(self, limit: int = SESSIONS) -> None:
+    def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._limit = limit
         self._sessions: OrderedDict[str, Session] = OrderedDict()
 
     def get(self, key: str) -> Session:
@@ -263,21 +262,21 @@ class Sessions:
         return known
 
     def _check_room(self, room: bool) -> None:
-        full = len(self._sessions) >= self._limit
+        full = len(self._sessions) >= SESSIONS
         if full and not room:
             raise RefusedError(
-                "%d nets are open already" % self._limit, hint="open it from the list of files"
+                "%d nets are open already" % SESSIONS, hint="open it from the list of files"
             )
         if full and all(session.loss is None for session in self._sessions.values()):
             raise RefusedError(
-                "%d plans are being executed already" % self._limit, hint="stop one of them"
+                "%d plans are being executed already" % SESSIONS, hint="stop one of them"
             )
 
     def _surplus(self, new: str) -> List[Session]:
         """The sessions to close for a new one: first those with the smallest loss, and of these the
         least recently used."""
         closed: List[Session] = []
-        while len(self._sessions) > self._limit:
+        while len(self._sessions) > SESSIONS:
             known = [(s.loss, key) for key, s in self._sessions.items() if key != new]
             losses = [(loss, key) for loss, key in known if loss is not None]
             if not losses:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import threading
 from collections import deque
 from typing import Any, Deque, Dict, List, NamedTuple, Optional
@@ -41,18 +40,15 @@ class _Past(NamedTuple):
 
 
 class OfflineSimulation(Activity):
-    """The offline simulation of a net. All viewers share it.
-
-    :param seed: seed of the random numbers; None for a different simulation each time.
-    """
+    """The offline simulation of a net. All viewers share it."""
 
     mode = "SIMULATE"
 
-    def __init__(self, net: Net, seed: Optional[int] = None) -> None:
+    def __init__(self, net: Net) -> None:
         super().__init__()
         self.net = net
         self._lock = threading.Lock()
-        self._simulator = Simulator(net, source=random.Random(seed))
+        self._simulator = Simulator(net)
         self._time = 0.0
         self._past: Deque[_Past] = deque(maxlen=STEPS_BACK)
         self.commands = {

@@ -37,6 +37,7 @@ GAP = 0.035
 STANDING_GAP = 0.028
 """Distance to a robot that stands, parked or dead, in metres."""
 
+_BRAKING_GAP = 0.025  # least metres between two discs when braking
 _STEPS = np.linspace(0.2, HORIZON, 15)
 _OFFSETS = np.radians([0, 12, -12, 25, -25, 42, -42, 65, -65, 95, -95, 130, -130, 180])
 _TURN = 1.8  # average rate of a turn on the spot, radians per second
@@ -176,9 +177,7 @@ def steer(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
     return (drive, math.copysign(turn, error))
 
 
-def brake(
-    grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[OtherRobot], gap: float = 0.025
-) -> float:
+def brake(grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[OtherRobot]) -> float:
     """Reduce a speed so that the robot can stop before it touches anything.
 
     It assumes that others keep approaching at their current speed. Driving away from something too
@@ -186,10 +185,10 @@ def brake(
 
     :param speed: the desired forward speed, metres per second.
     :param dt: seconds until the next command.
-    :param gap: the least distance between discs, in metres.
     :returns: the allowed speed, metres per second.
     """
     robot = grid.room.robot
+    least = 2 * robot.radius + _BRAKING_GAP
     if speed <= 0.0:
         return 0.0
     for factor in (1.0, 0.6, 0.3):
@@ -202,7 +201,7 @@ def brake(
         )
         if spare < 0.006 and spare < now:
             continue
-        if all(_stays_clear(pose, (x, y), peer, dt, 2 * robot.radius + gap) for peer in peers):
+        if all(_stays_clear(pose, (x, y), peer, dt, least) for peer in peers):
             return tried
     return 0.0
 

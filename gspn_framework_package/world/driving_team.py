@@ -60,14 +60,14 @@ class DrivingTeam:
         """Simulated seconds since the start."""
         return self.physics.time
 
-    def teleoperate(self, robot: str, speed: float, turn_rate: float, seconds: float = 0.5) -> None:
-        """Drive a robot manually while it has no goal.
+    def teleoperate(self, robot: str, speed: float, turn_rate: float) -> None:
+        """Drive a robot manually while it has no goal; half a second later it stops, unless another
+        command follows.
 
         :param speed: forward, metres per second.
         :param turn_rate: counter-clockwise, radians per second.
-        :param seconds: how long the command holds; the robot stops unless another follows.
         """
-        self._teleop[robot] = (speed, turn_rate, self.time + seconds)
+        self._teleop[robot] = (speed, turn_rate, self.time + 0.5)
 
     def peers(self) -> List[OtherRobot]:
         """The current observations and announcements of all robots."""

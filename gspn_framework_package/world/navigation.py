@@ -47,6 +47,8 @@ GIVE_UP_AFTER = 60.0
 """Seconds without progress after which the goal is given up, not counting the time spent making
 room for others. Without any path, half of this suffices."""
 
+_GOAL_TOLERANCE = 0.06  # metres
+_YAW_TOLERANCE = 0.15  # radians
 _LOOK_AHEAD = 0.9  # metres of path searched for a target in sight
 _NEIGHBOURHOOD = 1.4  # metres within which other robots count
 
@@ -100,17 +102,11 @@ class Navigator:
     """Drives one robot.
 
     :param index: breaks ties in the right of way; different for each robot.
-    :param goal_tolerance: distance at which the goal is reached, in metres.
-    :param yaw_tolerance: tolerance of the final heading, in radians.
     """
 
-    def __init__(
-        self, grid: Grid, index: int, goal_tolerance: float = 0.06, yaw_tolerance: float = 0.15
-    ) -> None:
+    def __init__(self, grid: Grid, index: int) -> None:
         self._grid = grid
         self._index = index
-        self._goal_tolerance = goal_tolerance
-        self._yaw_tolerance = yaw_tolerance
         self._random = random.Random(index)
         self.status = NavigationStatus.IDLE
         self.reason = ""
@@ -205,10 +201,10 @@ class Navigator:
         if self.goal is None:
             return (0.0, 0.0)
         pose, goal = seen.pose, self.goal
-        if pose.distance(goal) < self._goal_tolerance * (1.5 if self._turning else 1.0):
+        if pose.distance(goal) < _GOAL_TOLERANCE * (1.5 if self._turning else 1.0):
             self._turning = True
             error = wrap(goal.yaw - pose.yaw)
-            if not self._turn_at_goal or abs(error) < self._yaw_tolerance:
+            if not self._turn_at_goal or abs(error) < _YAW_TOLERANCE:
                 self._end(NavigationStatus.REACHED)
                 return (0.0, 0.0)
             self.path = ((goal.x, goal.y),)
@@ -304,7 +300,7 @@ class Navigator:
         path = field.path(here, _LOOK_AHEAD + 0.6)
         self.path = tuple(path[::3]) + tuple(path[-1:])
         away = math.dist(here, end)
-        if self._yield is not None and away < self._goal_tolerance:
+        if self._yield is not None and away < _GOAL_TOLERANCE:
             self.path = (end,)
             return (0.0, 0.0)
         target = self._in_sight(here, path)
@@ -335,7 +331,7 @@ class Navigator:
         time, pose = seen.time, seen.pose
         now = self._yield
         if now is not None:
-            if now.arrived is None and math.dist((pose.x, pose.y), now.spot) < self._goal_tolerance:
+            if now.arrived is None and math.dist((pose.x, pose.y), now.spot) < _GOAL_TOLERANCE:
                 now.arrived = time
             if self._may_resume(now, seen):
                 self._yield = now = None

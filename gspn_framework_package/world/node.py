@@ -1,19 +1,7 @@
 """The world as a ROS node: one process simulates the room and the robots' bodies, sensors and
 navigation.
 
-For each robot, in its namespace, the node has the interface of a real one. It
-
-- serves ``move_base`` (move_base_msgs/MoveBaseAction);
-- publishes ``odom`` (nav_msgs/Odometry), ``amcl_pose`` (geometry_msgs/PoseWithCovarianceStamped,
-  latched, in the frame ``map``), ``temperature`` (sensor_msgs/Temperature), ``scan``
-  (sensor_msgs/LaserScan, only while there are subscribers);
-- subscribes to ``cmd_vel`` (geometry_msgs/Twist), which drives the robot while it has no goal.
-
-For all robots, it publishes ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint),
-``/map`` (latched), and for the page ``/world/room`` (std_msgs/String, JSON, latched),
-``/world/state`` (JSON, at most ten per second of wall time) and ``/world/referee`` (JSON, the
-referee's counts, once per second). In a room into which people walk, it publishes ``/person``
-(std_msgs/Bool, latched): whether somebody is there.
+``docs/ros_interface.md`` lists what it serves, publishes and subscribes to.
 
 Private parameters: ``room`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
 separated by commas), ``real_time_factor`` (1 is real time, 0 as fast as possible), ``gui``,

@@ -18,6 +18,9 @@ from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.referee import Referee
 from gspn_framework_package.world.room import Pose, Room
 
+_THRESHOLD = 30.0  # degrees Celsius above which a location is too hot
+_WAIT = 4.0  # mean seconds that a robot waits before it decides again
+
 
 class SimulatedRobot:
     """One robot of a team, with the interface of the patrol's actions (:class:`.patrol.Robot`)."""
@@ -82,29 +85,16 @@ class Patrol:
     :param room: a room whose locations form a ring, in the order of the file.
     :param robots: names of the robots.
     :param seed: seed of all random numbers.
-    :param threshold: temperature above which a location is too hot, in degrees Celsius.
-    :param wait_seconds: mean time that a robot waits before it decides again, in seconds.
-    :param gui: open PyBullet's window.
     """
 
-    def __init__(
-        self,
-        room: Room,
-        robots: Sequence[str],
-        seed: int = 0,
-        threshold: float = 30.0,
-        wait_seconds: float = 4.0,
-        gui: bool = False,
-    ) -> None:
+    def __init__(self, room: Room, robots: Sequence[str], seed: int = 0) -> None:
         self._random = random.Random(seed)
         self._ring = list(room.locations)
         # random start headings, so that no two seeds give the same run
         starts = [Pose(p.x, p.y, p.yaw + self._random.uniform(-0.5, 0.5)) for p in room.spawn]
-        self.team = DrivingTeam(room, robots, starts, gui)
+        self.team = DrivingTeam(room, robots, starts)
         self.referee = Referee(self.team)
         self.failures: List[str] = []
-        self._threshold = threshold
-        self._wait_seconds = wait_seconds
         self._members = [
             _Patroller(SimulatedRobot(self.team, name), index, self._ring[index % len(self._ring)])
             for index, name in enumerate(robots)
@@ -177,10 +167,10 @@ class Patrol:
         room, robot = self.team.room, member.robot
         if member.state == "check":
             member.action = patrol.measure_temperature(
-                robot, room, member.at, self._threshold, "high", "low"
+                robot, room, member.at, _THRESHOLD, "high", "low"
             )
         elif member.state == "alarm":
             member.action = patrol.sound_alarm(robot, member.at, 5.0)
         else:
-            seconds = self._wait_seconds * self._random.uniform(0.5, 1.5)
+            seconds = _WAIT * self._random.uniform(0.5, 1.5)
             member.action = patrol.wait_in_bay(robot, room, member.at, seconds, member.slot)

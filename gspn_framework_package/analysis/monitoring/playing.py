@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Callable, Iterable, List, Optional, Tuple
 
 from gspn_framework_package.analysis.monitoring.monitor import Monitor
-from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.analysis.watch import Progress, Watch
 
 
 def play_to_monitor(
@@ -15,7 +15,6 @@ def play_to_monitor(
     *,
     began: float = 0.0,
     progress: Optional[Progress] = None,
-    cancel: Optional[Cancel] = None,
 ) -> None:
     """Pass all attempts and choices of one run to a monitor.
 
@@ -23,7 +22,6 @@ def play_to_monitor(
     :param choices: of class ``execution.observation.PolicyChoice``, in any order.
     :param began: when the run began, in seconds on the clock of the attempts; the monitor's time
         begins there.
-    :raises CancelledError: ``cancel`` returned true.
     """
     events: List[Tuple[float, int, int, Callable[[float], object]]] = []
     for number, attempt in enumerate(attempts):
@@ -32,7 +30,7 @@ def play_to_monitor(
     for number, choice in enumerate(choices):
         events.append((choice.at - began, 1, number, _choose(monitor, choice)))
     events.sort(key=lambda event: event[:3])  # at one moment: ends, then choices, then starts
-    watch = Watch(progress, cancel)
+    watch = Watch(progress)
     for count, (at, _, _, tell) in enumerate(events):
         monitor.advance(at)
         tell(at)

@@ -19,11 +19,9 @@ from gspn_framework_package.analysis.report import (
     Part,
     Questions,
     ReportWork,
-    asked_conditions,
     report,
 )
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
 
 _BYTES_PER_STATE = 240
@@ -63,7 +61,7 @@ def report_within(
     if space.complete or states == limits.states or first.boundedness.bounded is False:
         return first, report(first, questions)
     del first, space  # and their memory
-    _check(net, questions)
+    questions.check(net)
     found = search(
         net,
         memory,
@@ -82,20 +80,6 @@ def report_within(
         return analysis, _report_of(analysis, found, questions, memory, watch)
     finally:
         scratch.close()
-
-
-def _check(net: Net, questions: Questions) -> None:
-    """Find mistakes in the questions before the long search.
-
-    :raises GspnError: a condition cannot be parsed, or a name is unknown.
-    """
-    for condition in asked_conditions(questions):
-        parse_condition(condition, [place.name for place in net.places], ["deadlock"])
-    for marking in questions.cover:
-        net.marking(marking)
-    for name in questions.rewards:
-        if name not in net.place_index:
-            net.transition_number(name)
 
 
 def _report_of(

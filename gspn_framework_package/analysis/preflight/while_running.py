@@ -46,12 +46,10 @@ def report_soon(
         return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST)
 
 
-def why_refused(
-    plan: Plan, standalone: bool = False, clock: Callable[[], float] = time.monotonic
-) -> str:
+def why_refused(plan: Plan, standalone: bool = False) -> str:
     """What the check has against a plan that begins where the team is; "" for nothing. The
     parameters are those of :func:`report_soon`."""
     try:
-        return report_soon(plan, standalone, clock).why
+        return report_soon(plan, standalone).why
     except GspnError as error:
         return str(error)

@@ -52,11 +52,10 @@ class Anderson:
     True
     """
 
-    def __init__(
-        self, size: int, depth: int = ANDERSON_DEPTH, vector: Callable[[int], Vector] = np.empty
-    ) -> None:
+    def __init__(self, size: int, vector: Callable[[int], Vector] = np.empty) -> None:
         """:param vector: makes a vector of a given size; its entries do not matter."""
-        self._size, self._depth = size, depth
+        self._size = size
+        self._depth = depth = ANDERSON_DEPTH
         self._changes = [vector(size) for _ in range(depth)]  # of successive G(x) - x
         self._moves = [vector(size) for _ in range(depth)]  # of successive G(x)
         self._products = np.zeros((depth, depth))  # scalar products of the changes

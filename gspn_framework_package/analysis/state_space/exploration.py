@@ -105,9 +105,9 @@ def in_wide_fields(
 class Growing:
     """An array that grows in place along its first axis; only ``array[:used]`` is valid."""
 
-    def __init__(self, dtype: Type[np.generic], columns: int = 0, capacity: int = 1024) -> None:
+    def __init__(self, dtype: Type[np.generic], columns: int = 0) -> None:
         self._columns = columns
-        self.array: np.ndarray = np.empty((capacity, columns) if columns else capacity, dtype=dtype)
+        self.array: np.ndarray = np.empty((1024, columns) if columns else 1024, dtype=dtype)
         self.used = 0
 
     def reserve(self, count: int) -> None:

@@ -179,11 +179,11 @@ def await_master(ending: Ending) -> None:
         ending.wait(0.5)
 
 
-def raise_descriptor_limit(wanted: int = 65536) -> None:
-    """Raise the limit of open files to ``wanted``, or as far as allowed: each connected action
+def raise_descriptor_limit() -> None:
+    """Raise the limit of open files to 65536, or as far as allowed: each connected action
     takes twenty."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    wanted = 65536 if hard == resource.RLIM_INFINITY else min(65536, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 

@@ -15,6 +15,7 @@ import secrets
 import stat
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional
 
+from gspn_framework_package.execution.stored_policy import sync_folder
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.documents import Folder
@@ -173,11 +174,7 @@ def _forget(place: str, files: List[_File]) -> None:
 
 def _flush_folder(path: str) -> None:
     with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_folder(path)
 
 
 def _hash(data: Optional[bytes]) -> str:

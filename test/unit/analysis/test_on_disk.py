@@ -349,7 +349,6 @@ def test_the_command_stays_in_memory_if_that_is_enough(kanban, capsys):
         (["--memory", "1GB", "--limit-memory", "1"], "exclude each other"),
         (["--scratch", "/tmp"], "goes with --memory"),
         (["--memory", "1GB", "--scratch", "/nowhere"], "no temporary file can be made"),
-        (["--on", "mpi"], "--memory SIZE keeps on disk what is too large for memory"),
     ],
 )
 def test_the_command_refuses_what_makes_no_sense(kanban, capsys, arguments, says):
