@@ -129,7 +129,7 @@ class SimulatedNode:
         self.holds = -1
         self.renamed = {}
         if self.disk is None:
-            log_id = "%s-log%d" % (self.key, len(self.old_disks))
+            log_id = world.new_log_id(self)
             self.disk = Disk(dict(_header(world.plan), robot=self.name, log=log_id))
         records = self.disk.records()
         self.replica = world.replica_type(
@@ -634,6 +634,10 @@ class World:
             and any(disk is other for other in kept)
             and _is_missing(task, team)
         ]
+
+    def new_log_id(self, node: SimulatedNode) -> str:
+        """The id of a log that a node begins. Origins shorten it to eight characters."""
+        return "%s-log%d" % (node.key, len(node.old_disks))
 
     # -- checks during the run ---------------------------------------------------------------------
 

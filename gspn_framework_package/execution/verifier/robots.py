@@ -175,47 +175,59 @@ class RobotCheck:
     def check(self) -> None:
         """Check the log. :raises BrokenRuleError: a rule is broken."""
         known: Dict[LoggedOrigin, Record] = {}
-        given_up = {i for n, i in self.merged.void if n == self.number}
-        if given_up:
-            return  # the operator gave up what this robot did alone
-        for record in self.log.records:
+        differs = {i for n, i in self.merged.void if n == self.number}
+        given_up = False
+        for i, record in enumerate(self.log.records):
             kind = record["kind"]
-            if kind == "slot" or kind == "snapshot":
-                self._length = record["slot"] + 1
-                self._jumped = kind == "snapshot"
-                self._follow()
-            elif kind == "reset":
-                self._length = 0
-                self._ahead.clear()
-                self._astray = True
-                self._void |= set(known)
+            given_up = (given_up or i in differs) and kind != "reset"
+            if kind in ("invoked", "private") and _origin(record) in known:
+                raise BrokenRuleError(4, "%s came up twice" % _name(_origin(record)))
+            if kind in ("invoked", "private"):
+                known[_origin(record)] = record
+                self._ordered(_origin(record), record["entry"])
             elif kind == "life":
                 self._incarnation = record["incarnation"]
                 self._last_goal = None
-            elif kind == "void":
-                origin = _origin(record)
-                self._ruled_out(origin, known)
-                self._void.add(origin)
-                self._astray = self._ahead.pop(origin, None) is not None or self._astray
-            elif kind in ("invoked", "private"):
-                origin = _origin(record)
-                if origin in known:
-                    raise BrokenRuleError(4, "%s came up twice" % _name(origin))
-                known[origin] = record
-                self._ordered(origin, record["entry"])
-                if kind == "invoked":
-                    self.invoked[origin] = float(record.get("mono", 0.0))
-                else:
-                    self._local_transition(origin, record)
-            elif kind == "goal":
-                self._goal(record)
             elif kind == ORDER_GIVEN:
                 self._givers.add((str(record["operator"]), str(record["proof"])))
             elif kind == "offered":
                 entry = record["entry"]
                 self._offered.add((entry["transition"], entry["id"]))
+            if not given_up:
+                self._compare(record, known)
+            elif kind in ("invoked", "private"):  # until it forgets, its log is another one
+                self._void.add(_origin(record))
+        if given_up:
+            self._void |= set(known)
         for origin, record in known.items():
             self._proposal(origin, record)
+
+    def _compare(self, record: Record, known: Mapping[LoggedOrigin, Record]) -> None:
+        """Compare a record with the agreed log.
+
+        :param known: the proposals up to and including this record.
+        """
+        kind = record["kind"]
+        if kind == "slot" or kind == "snapshot":
+            self._length = record["slot"] + 1
+            self._jumped = kind == "snapshot"
+            self._follow()
+        elif kind == "reset":
+            self._length = 0
+            self._ahead.clear()
+            self._astray = True
+            self._void |= set(known)
+        elif kind == "void":
+            origin = _origin(record)
+            self._ruled_out(origin, known)
+            self._void.add(origin)
+            self._astray = self._ahead.pop(origin, None) is not None or self._astray
+        elif kind == "invoked":
+            self.invoked[_origin(record)] = float(record.get("mono", 0.0))
+        elif kind == "private":
+            self._local_transition(_origin(record), record)
+        elif kind == "goal":
+            self._goal(record)
 
     def _ordered(self, origin: LoggedOrigin, entry: Record) -> None:
         """Check that whoever a proposal names as its giver had given this robot an order."""

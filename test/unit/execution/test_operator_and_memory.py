@@ -122,6 +122,27 @@ def test_who_was_cast_out_is_known_after_a_restart(partial: bool) -> None:
     world.verify()
 
 
+def test_after_a_log_was_given_up_and_forgotten_the_verifier_checks_it_again() -> None:
+    world = team(TOKENS, 2)
+    world.cut_off("r1")
+    world.run(world.now + 1)  # r1 alone is a quorum, and goes on
+    world.nodes["r1"].crash()
+    world.given_up = True
+    world.force("r2", "r1")
+    world.run(world.now + 1)
+    world.blocked.clear()
+    world.nodes["r1"].start()
+    world.run(world.now + 2)
+    world.verify()
+    lines = world.nodes["r1"].disk.lines
+    kinds = [record["kind"] for record in world.nodes["r1"].disk.records()]
+    goal = kinds.index("goal", kinds.index("reset"))
+    lines.insert(goal, lines[goal])
+    logs = [EventLog(str(d.header["log"]), d.header, d.records()) for d in world.logs()]
+    found = verify(logs).violation
+    assert found is not None and found.rule == 8 and "went out twice" in found.text
+
+
 @pytest.mark.parametrize("partial", [False, True])
 def test_one_of_three_needs_the_word_of_the_other_that_is_left(partial: bool) -> None:
     """r2 and r3 may have decided without r1: r1 must not decide without r2, though r3 is off."""

@@ -204,7 +204,7 @@ def _sent_by(world: Team, robot: str, **body: Any) -> None:
         "version": 4,
         "from": robot,
         "team": world.replica("r3").config.tag,
-        "log": "%s-log0" % robot,
+        "log": world.nodes[robot].disk.header["log"],
         "incarnation": 0,
         "records": 1000,
         "length": ledger.length,
@@ -215,8 +215,9 @@ def _sent_by(world: Team, robot: str, **body: Any) -> None:
 
 def _lost_slot(world: Team) -> Any:
     ledger = world.replica("r3").ledger
-    pause = [{"entry": "pause", "robot": ""}, ["r1", 0, 999, "r1-log0"[:8]], 0]
-    slot = [[50, "r1", "r1-log0"], [pause], ledger.hash]
+    log = world.nodes["r1"].disk.header["log"]
+    pause = [{"entry": "pause", "robot": ""}, ["r1", 0, 999, log[:8]], 0]
+    slot = [[50, "r1", log], [pause], ledger.hash]
     return {"kind": "learn", "at": ledger.length, "slots": [slot]}
 
 
