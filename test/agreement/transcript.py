@@ -5,7 +5,8 @@ again. The commands:
 
 ==========================  ======================================================================
 ``team N [WORD]...``        N robots of the plan :func:`story_plan`, all in A; with the words
-                            ``partial`` (synchronisation) or ``fsync``
+                            ``partial`` (synchronisation), ``fsync`` or ``large`` (the robots act as
+                            in a team of more than eight)
 ``start [ROBOT]...``        start processes (all); one that died starts again with its log
 ``run SECONDS``             let time pass; a message takes 5 ms
 ``done ROBOT [TRANSITION]`` its action ends
@@ -13,12 +14,15 @@ again. The commands:
 ``crash ROBOT``             ``kill -9``
 ``power ROBOT``             the power of its machine fails
 ``forget ROBOT``            the log of a dead process is lost
+``shorten ROBOT LINES``     the log of a dead process lacks its last lines
 ``cut ROBOT ROBOT``         no message passes between two robots; ``heal`` ends all of these
+``mute ROBOT ROBOT``        no message of the first reaches the second; ``heal`` ends it too
 ``spare ROBOT``             start a second process under the name of a robot
 ``join ROBOT PLACE``        start a robot that is not in the plan
 ``order ROBOT ORDER WORD``  an operator gives a robot an order: ``pause``, ``resume``, ``evict R``,
                             ``force_evict R``, ``leave R``, ``set_place R P``, ``stop``,
                             ``submit ID``, ``stage PLACE``, ``adopt``
+``task ROBOT ID``           a message on the topic of orders reaches one robot only
 ``state``                   what each robot knows
 ==========================  ======================================================================
 
@@ -31,13 +35,16 @@ anew, look at the difference, and commit it with the change that explains it::
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Sequence
+from unittest import mock
 
 from agreement.world import SimulatedNode, Weather, World
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.agreement import config, interface
+from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.plan_change import stage_of
@@ -62,8 +69,10 @@ def story_plan(robots: int, partial: bool = False, second: str = "B") -> Plan:
     """Robots go from A to B and back. In B, a robot holds a tool of which there is one. Orders come
     in by a transition of the environment.
 
-    :param second: the name of B, which another plan may change.
+    :param second: the name of B, which another plan may change; orders then come in by another
+        transition.
     """
+    order = "order" if second == "B" else "order_" + second
     net = (
         NetBuilder("story")
         .place("A")
@@ -72,7 +81,7 @@ def story_plan(robots: int, partial: bool = False, second: str = "B") -> Plan:
         .place("orders")
         .exponential("go", inputs=["A", "tool"], outputs=second)
         .exponential("back", inputs=second, outputs=["A", "tool"])
-        .exponential("order", outputs="orders")
+        .exponential(order, outputs="orders")
         .build()
     )
     return Plan(
@@ -83,7 +92,7 @@ def story_plan(robots: int, partial: bool = False, second: str = "B") -> Plan:
         robots=tuple(RobotSpec("robot_%d" % number, "A") for number in range(1, robots + 1)),
         spawn=("A",),
         on_evict={second: {"tool": 1}},
-        events={"order": EventSource("/orders", "std_msgs/String")},
+        events={order: EventSource("/orders", "std_msgs/String")},
         tasks=Tasks(("orders",)),
         synchronisation=Synchronisation.PARTIAL if partial else Synchronisation.FULL,
         timing=Timing(evict_after=2.0, fence_after=1.0),
@@ -97,6 +106,9 @@ class _Story(World):
         super().__init__(plan, 0, Weather(0.005, 0.005))
         self.tell = tell
         self.goals: Dict[str, StartAction] = {}
+
+    def new_log_id(self, node: SimulatedNode) -> str:
+        return hashlib.sha256(super().new_log_id(node).encode()).hexdigest()[:32]
 
     def send(self, sender: str, to: str, message: interface.Message) -> None:
         if message["kind"] != "hello":
@@ -193,6 +205,11 @@ def _firing(firing: Dict[str, Any]) -> str:
     return firing["transition"] + (" (%s)" % moves if moves else "")
 
 
+def _of_a_large_team(*given: Any, **named: Any) -> Replica:
+    with mock.patch.object(config, "SMALL_TEAM", 1):
+        return Replica(*given, **named)
+
+
 class _Player:
     """Carries out the commands of one transcript."""
 
@@ -234,6 +251,8 @@ class _Player:
         plan = story_plan(int(robots), "partial" in words)
         self.story = _Story(plan, self._tell)
         self.story.fsync = "fsync" in words
+        if "large" in words:
+            self.story.replica_type = _of_a_large_team
 
     def _start(self, *names: str) -> None:
         for name in names or list(self.story.nodes):
@@ -263,8 +282,14 @@ class _Player:
     def _forget(self, name: str) -> None:
         self._node(name).lose_log()
 
+    def _shorten(self, name: str, lines: str) -> None:
+        self._node(name).cut_log(int(lines))
+
     def _cut(self, one: str, other: str) -> None:
         self.story.blocked |= {(one, other), (other, one)}
+
+    def _mute(self, one: str, other: str) -> None:
+        self.story.blocked.add((one, other))
 
     def _heal(self) -> None:
         self.story.blocked.clear()
@@ -283,6 +308,12 @@ class _Player:
             self._node(name).give(interface.ForceEvict("off %s" % words[0], words[0]))
         else:
             self.story.operator(self._entry_of(order, words), self._node(name))
+
+    def _task(self, name: str, task: str) -> None:
+        replica = self._node(name).replica
+        assert replica is not None
+        (transition,) = replica.ledger.game.plan.submissions
+        self._node(name).give(interface.TaskCame(log_entries.Submit(transition, task)))
 
     def _entry_of(self, order: str, words: Sequence[str]) -> log_entries.Entry:
         if order == "stage":

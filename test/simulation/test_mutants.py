@@ -78,7 +78,7 @@ QUICK = (
 )
 
 
-TARGETED = [m.name for m in MUTANTS if m.seeds]  # with schedules of their own
+TARGETED = [m.name for m in MUTANTS if m.seeds or m.transcript]  # with schedules of their own
 
 
 @pytest.mark.parametrize(

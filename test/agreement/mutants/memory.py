@@ -10,7 +10,6 @@ from agreement.mutants.mutant import (
     all_patched,
     wrap,
 )
-from gspn_framework_package.execution.agreement import config
 from gspn_framework_package.execution.agreement import membership as membership_module
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
@@ -264,7 +263,7 @@ def _counts_any_log() -> ContextManager[Any]:
     )
 
 
-def _lets_a_namesake_hush_it() -> ContextManager[Any]:
+def _is_hushed() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def knows(self: Membership, message: Envelope) -> bool:
             self.state.peers.get(message.sender).surprise = None
@@ -272,11 +271,7 @@ def _lets_a_namesake_hush_it() -> ContextManager[Any]:
 
         return knows
 
-    return all_patched(
-        wrap(Membership, "_knows", make),
-        # small teams answer each hello at once, and do not need the next one
-        mock.patch.object(config, "SMALL_TEAM", 2),
-    )
+    return wrap(Membership, "_knows", make)
 
 
 def _ballots_without_log() -> ContextManager[Any]:
@@ -533,8 +528,7 @@ MUTANTS: List[Mutant] = [
         "memory",
         "a robot whose place another log takes forgets the slots, also one that only it knows",
         _drops_its_slots,
-        robots=2,
-        kinds=("stand-in",),  # not found any more: a second process waits while the first is heard
+        transcript="another_log_let_in",
     ),
     Mutant(
         "believes the forgetful",
@@ -550,8 +544,7 @@ MUTANTS: List[Mutant] = [
         "membership",
         "who lost its log keeps to the process of a name that it hears first afterwards",
         _keeps_to_the_first_heard,
-        robots=2,
-        kinds=("double",),  # not found any more: a second process waits while the first is heard
+        transcript="first_heard",
     ),
     Mutant(
         "lost lives stand",
@@ -567,9 +560,7 @@ MUTANTS: List[Mutant] = [
         "membership",
         "a robot without its log takes part, though the team's log holds entries of it",
         _does_not_know_itself,
-        robots=2,
-        kinds=("stand-in", "double"),
-        # not found by its old schedule: a second process of a name waits now
+        transcript="entries_of_a_lost_log",
     ),
     Mutant(
         "sleep is delay",
@@ -586,18 +577,14 @@ MUTANTS: List[Mutant] = [
         "membership",
         "a robot that leaves ends when another process of a member knows, but not the member",
         _lets_another_process_know,
-        robots=2,
-        kinds=("spare",),
-        # not found by its old schedule: a second process of a name waits now
+        transcript="leave_beside_a_spare",
     ),
     Mutant(
         "hushed",
         "membership",
-        "in a large team, a process that counts keeps a second one of its name from hearing that",
-        _lets_a_namesake_hush_it,
-        robots=3,
-        kinds=("double",),
-        # not found by its old schedule: a second process of a name waits now
+        "in a large team, what a robot sends keeps it from hearing that its log lacks its end",
+        _is_hushed,
+        transcript="shortened_log",
     ),
     Mutant(
         "silent start",

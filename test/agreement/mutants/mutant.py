@@ -8,6 +8,7 @@ from typing import Any, Callable, ContextManager, Iterator, NamedTuple, Optional
 from unittest import mock
 
 from agreement.schedule import Schedule, run_schedule
+from agreement.transcript import FOLDER, played, read, text_of
 from agreement.world import ViolationError
 
 
@@ -27,11 +28,14 @@ class Mutant(NamedTuple):
     """The kinds of schedules in which it shows."""
     seeds: Sequence[str] = ()
     """Schedules that are run before others: random ones would find it late."""
+    transcript: str = ""
+    """The story, in ``test/agreement/transcripts``, that goes another way with it: no schedule
+    finds it."""
 
 
 class Caught(NamedTuple):
     """The outcome of a hunt: the number of schedules until the mutant was caught (None: not
-    caught), the schedule that caught it, and the message."""
+    caught), the schedule or transcript that caught it, and the message."""
 
     schedules: Optional[int]
     schedule: str
@@ -41,12 +45,14 @@ class Caught(NamedTuple):
 def hunt(
     mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)
 ) -> Caught:
-    """Run schedules with the mutant until one fails.
+    """Play the mutant's transcript, or run schedules with it until one fails.
 
     :param limit: the maximum number of schedules.
     :param first_seed: the seed of the first one; each further seed is one higher.
     :param sizes: team sizes to draw from, besides the mutant's own, which counts twice.
     """
+    if mutant.transcript:
+        return _hunt_in_transcript(mutant)
     with mutant.apply():
         for i in range(limit):
             if i < len(mutant.seeds):
@@ -62,6 +68,18 @@ def hunt(
                     raise  # it is the mutant that no longer fits the program
                 return Caught(i + 1, str(schedule), "%s: %s" % (type(error).__name__, error))
     return Caught(None, "", "not caught in %d schedules" % limit)
+
+
+def _hunt_in_transcript(mutant: Mutant) -> Caught:
+    written = read(FOLDER / (mutant.transcript + ".txt"))
+    with mutant.apply():
+        now = played(written)
+    lines = text_of(now).splitlines()
+    for line, expected in zip(lines, text_of(written).splitlines()):
+        if line != expected:
+            text = "'%s' where the transcript has '%s'" % (line, expected)
+            return Caught(1, mutant.transcript, text)
+    return Caught(None, "", "the transcript %s goes as it should" % mutant.transcript)
 
 
 def _random_schedule(mutant: Mutant, seed: int, sizes: Sequence[int]) -> Schedule:

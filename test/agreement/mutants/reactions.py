@@ -333,8 +333,7 @@ MUTANTS: List[Mutant] = [
         "reactions",
         "a robot that forgot its log drops tasks that came by a plan that it has yet to learn",
         _drops_tasks_of_later_plans,
-        kinds=("deploy-stand-in",),
-        # not found by its old schedule: a second process of a name waits now
+        transcript="task_of_a_later_plan",
     ),
     *(
         _reacting(
