@@ -830,7 +830,7 @@ def test_a_log_that_was_cut_is_noticed_and_its_robot_joins_anew(partial: bool) -
     world.nodes["r2"].cut_log(12)
     world.nodes["r2"].start()
     world.run(world.now + 3)
-    assert any("it is shorter than" in f for f in world.nodes["r2"].faults)
+    assert any("the log is shorter than" in f for f in world.nodes["r2"].faults)
     assert world.replica("r2").is_settled()
     all_agree(world)
 

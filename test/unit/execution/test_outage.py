@@ -154,7 +154,7 @@ def test_a_robot_without_its_log_has_no_word_in_what_all_decide() -> None:
     world.run(world.now + 2)
     assert world.replica("r1").is_stuck()
     assert "without a log: r3" in world.replica("r1").waits_for()
-    assert "switch off" in world.trust("r1").text
+    assert "switch them off" in world.trust("r1").text
     world.nodes["r3"].crash()
     world.run(world.now + 1)
     assert world.trust("r1").ok
