@@ -39,6 +39,7 @@ from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.turn import ASKS_POLICY
 from gspn_framework_package.model.errors import LogError, NetError
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind, Plan, Synchronisation
 from gspn_framework_package.model.plan_timing import why_blocked
 
@@ -367,7 +368,7 @@ class AttemptFollower:
         else:
             result = "" if entry.result in ASKS_POLICY else entry.result
             if self._is_bad(going.place, result):
-                result, failed = "", "bad result"
+                result, failed = "", Outcome.BAD_RESULT
         if entry.robot == self.robot:
             rule = self.plan.failure_rule(going.place)
             self._delay = rule.delay if failed and rule.kind is FailureKind.RETRY else 0.0

@@ -16,6 +16,7 @@ from gspn_framework_package.execution.actions import ActionContext, ActionFailed
 from gspn_framework_package.model.action import CommandAction
 from gspn_framework_package.model.data import VALUE_LIMIT, check_values, fill
 from gspn_framework_package.model.errors import DataError
+from gspn_framework_package.model.outcome import Outcome
 
 _LOOK_EVERY = 0.1
 """Seconds between two looks at a program that has closed its output, or whose children have it."""
@@ -81,9 +82,9 @@ class Command:
             raise ActionFailed("'%s' was cancelled" % words[0])
         outcomes = self._action.outcomes
         if process.returncode == 0:
-            return ActionResult(outcomes.get("succeeded", ""), self._data(output))
-        if "aborted" in outcomes:
-            return ActionResult(outcomes["aborted"], {})
+            return ActionResult(outcomes.get(Outcome.SUCCEEDED, ""), self._data(output))
+        if Outcome.ABORTED in outcomes:
+            return ActionResult(outcomes[Outcome.ABORTED], {})
         code = process.returncode
         how = "exit code %d" % code if code > 0 else "signal %d" % -code
         raise ActionFailed("'%s': %s%s" % (words[0], how, ": " + errors if errors else ""))

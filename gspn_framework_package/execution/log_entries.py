@@ -68,7 +68,7 @@ class Done(NamedTuple):
 
 class Failed(NamedTuple):
     """An attempt at the action of a visit did not succeed; ``reason`` is one of
-    :data:`FAILURES`."""
+    :data:`~gspn_framework_package.model.outcome.FAILURES`."""
 
     robot: str
     incarnation: int
@@ -76,18 +76,6 @@ class Failed(NamedTuple):
     attempt: int
     reason: str
     detail: str = ""
-
-
-FAILURES = (
-    "aborted",
-    "rejected",
-    "preempted",
-    "lost",
-    "timeout",
-    "no server",
-    "server died",
-    "bad result",
-)
 
 
 class Retry(NamedTuple):

@@ -77,6 +77,7 @@ from gspn_framework_package.model.errors import (
     RefusedError,
     UsageError,
 )
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
 
@@ -711,7 +712,9 @@ class StandaloneExecutor:
         try:
             self._pool.submit(lambda: self._execute(command, attempt, plan, actions))
         except RuntimeError as error:  # the system cannot create another thread
-            entry = self._failed(command, "aborted", "the action cannot be started: %s" % error)
+            entry = self._failed(
+                command, Outcome.ABORTED, "the action cannot be started: %s" % error
+            )
             self._queue.put(lambda: self._finished(command, attempt, entry))
         return []
 
@@ -740,10 +743,10 @@ class StandaloneExecutor:
                 result.data,
             )
         except (ActionFailed, DataError) as error:
-            entry = self._failed(command, "aborted", error_text(error))
+            entry = self._failed(command, Outcome.ABORTED, error_text(error))
         except BaseException as error:  # anything a user's function raises, even SystemExit
             entry = self._failed(
-                command, "aborted", "%s: %s" % (type(error).__name__, error_text(error))
+                command, Outcome.ABORTED, "%s: %s" % (type(error).__name__, error_text(error))
             )
         attempt.ended.set()
         self._queue.put(lambda: self._finished(command, attempt, entry))
@@ -766,9 +769,9 @@ class StandaloneExecutor:
             return []
         attempt.cancellation.cancel()
         del self._running[command.robot]
-        return [self._failed(command, "timeout", "no result within %g s" % timeout)]
+        return [self._failed(command, Outcome.TIMEOUT, "no result within %g s" % timeout)]
 
-    def _failed(self, command: StartAction, reason: str, detail: str) -> log_entries.Failed:
+    def _failed(self, command: StartAction, reason: Outcome, detail: str) -> log_entries.Failed:
         return log_entries.Failed(
             command.robot,
             command.incarnation,

@@ -25,6 +25,7 @@ from gspn_framework_package.execution.team_state import (
     TeamState,
 )
 from gspn_framework_package.model.data import NAMES_LIMIT, split
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind
 from gspn_framework_package.model.plan_timing import POLICY
 
@@ -414,7 +415,7 @@ class Turn:
             if t is None or t not in leaving:
                 self._failed(
                     robot,
-                    "bad result",
+                    Outcome.BAD_RESULT,
                     "'%.200s' does not leave %s" % (result, self._name(robot.place)),
                 )
                 return
@@ -428,7 +429,7 @@ class Turn:
         else:
             self._failed(
                 robot,
-                "bad result",
+                Outcome.BAD_RESULT,
                 "no transition was named, and %s has %d exponential ones"
                 % (self._name(robot.place), len(of_action)),
             )
@@ -441,11 +442,11 @@ class Turn:
             scope, name = split(full)
             store = stores[scope]
             if store is None:
-                self._failed(robot, "bad result", "'%s' was written without a task" % full)
+                self._failed(robot, Outcome.BAD_RESULT, "'%s' was written without a task" % full)
                 return False
             store[name] = value
             if len(store) > NAMES_LIMIT:
-                self._failed(robot, "bad result", "more than %d names of data" % NAMES_LIMIT)
+                self._failed(robot, Outcome.BAD_RESULT, "more than %d names of data" % NAMES_LIMIT)
                 return False
         robot.data, self.state.data = stores["robot"] or {}, stores["team"] or {}
         if robot.task is not None:

@@ -42,6 +42,7 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 
@@ -374,7 +375,7 @@ class VirtualRun:
         if timeout is not None and seconds > timeout:
             return timeout, timed_out(command, timeout)
         if timing.failure > 0 and self._random.random() < timing.failure:
-            return seconds, failed(command, "aborted", "a simulated failure")
+            return seconds, failed(command, Outcome.ABORTED, "a simulated failure")
         result = self._outcome(p, timing.outcomes)
         return seconds, log_entries.Done(command.robot, command.incarnation, command.visit, result)
 
@@ -419,7 +420,7 @@ class VirtualRun:
         )
 
 
-def failed(command: StartAction, reason: str, detail: str) -> log_entries.Failed:
+def failed(command: StartAction, reason: Outcome, detail: str) -> log_entries.Failed:
     """The entry of an attempt that failed."""
     return log_entries.Failed(
         command.robot, command.incarnation, command.visit, command.attempt, reason, detail
@@ -428,4 +429,4 @@ def failed(command: StartAction, reason: str, detail: str) -> log_entries.Failed
 
 def timed_out(command: StartAction, timeout: float) -> log_entries.Failed:
     """The entry of an attempt that took longer than ``timeout`` seconds."""
-    return failed(command, "timeout", "no result within %g s" % timeout)
+    return failed(command, Outcome.TIMEOUT, "no result within %g s" % timeout)

@@ -6,6 +6,7 @@ import re
 from typing import Any, Dict, Mapping
 
 from gspn_framework_package.making.site_map import MapEdge, MapNode
+from gspn_framework_package.model.outcome import Outcome
 
 
 def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
@@ -29,7 +30,7 @@ def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
         "type": "%s/%sAction" % (package, name),
         "server": edge.action,
         "goal": _stamped(goal),
-        "outcomes": {"succeeded": arrive},
+        "outcomes": {Outcome.SUCCEEDED: arrive},
     }
 
 

@@ -49,10 +49,11 @@ class ServerAction(NamedTuple):
     """An existing action server, ``server``, of the action type ``type`` (package/NameAction).
 
     An ``ExecGSPNAction`` names its transition itself. For any other type, ``goal`` holds the goal's
-    fields (nested maps, which may refer to data), and ``outcomes`` maps an outcome (``succeeded``,
-    ``aborted``, ``rejected``, ``preempted``) to a transition; "" lets the policy decide. An outcome
-    that is not listed is a failure, except that an unlisted success lets the policy decide.
-    ``keep`` maps names of data to fields of the result (``error.code``) that are written to them.
+    fields (nested maps, which may refer to data), and ``outcomes`` maps the outcomes that actionlib
+    has (:class:`~gspn_framework_package.model.outcome.Outcome`) to transitions; "" lets the policy
+    decide. An outcome that is not listed is a failure, except that an unlisted success lets the
+    policy decide. ``keep`` maps names of data to fields of the result (``error.code``) that are
+    written to them.
     """
 
     type: str

@@ -16,6 +16,7 @@ import rospy
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.errors import DataError, PlanError
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_connection import ActionConnection
 from gspn_framework_package.ros.action_targets import ActionTarget
@@ -47,12 +48,12 @@ MOST_GIVEN_UP = 20
 
 
 class ActionEnded(NamedTuple):
-    """How an attempt ended. If ``reason`` is "", it succeeded with ``result`` (a transition, or ""
-    to let the policy decide); otherwise ``reason`` is one of ``log_entries.FAILURES``."""
+    """How an attempt ended. If it succeeded, ``result`` is a transition, or "" to let the policy
+    decide."""
 
     identity: GoalIdentity
     result: str = ""
-    reason: str = ""
+    outcome: Outcome = Outcome.SUCCEEDED
     detail: str = ""
     data: Mapping[str, Any] = NOTHING
     """What the action wrote: name -> value."""
@@ -91,7 +92,7 @@ class _Goal:
         """When the action times out, by the caller's clock; None: never."""
         self.acknowledged_by = ""
         """Caller id of the server that acknowledged it."""
-        self.ended: Optional[Tuple[str, str]] = None
+        self.ended: Optional[Tuple[Outcome, str]] = None
         """(Outcome, text) as the server reported it; None if it has not."""
         self.result_by = 0.0
 
@@ -273,7 +274,7 @@ class ActionCaller:
             if self._clock.seconds() >= goal.cut_off_at:
                 self._fail(
                     goal,
-                    "timeout",
+                    Outcome.TIMEOUT,
                     "it took longer than %g s (timeout in the plan)"
                     % (self._timeout(goal.target.place) or 0),
                     cancel=True,
@@ -298,7 +299,7 @@ class ActionCaller:
             )
             if connection and connection.last_status:
                 detail += ": only some of its topics are connected"
-            self._fail(goal, "no server", detail)
+            self._fail(goal, Outcome.NO_SERVER, detail)
             return None
         if now >= goal.look_at_type:
             goal.look_at_type = math.inf
@@ -316,7 +317,7 @@ class ActionCaller:
 
     def _found_clash(self, goal: _Goal, clash: str) -> None:
         if goal is self._goal and goal.state is GoalState.CONNECTING:
-            self._fail(goal, "no server", clash)
+            self._fail(goal, Outcome.NO_SERVER, clash)
 
     def _send(self, goal: _Goal, connection: _AnyConnection, now: float) -> None:
         if goal.target.server in self._connections:
@@ -324,7 +325,7 @@ class ActionCaller:
         try:
             goal.message = goal.target.new_goal(goal.command.data)
         except (DataError, PlanError) as error:
-            self._fail(goal, "aborted", error.message)
+            self._fail(goal, Outcome.ABORTED, error.message)
             return
         goal.connection = connection
         goal.text = goal_text(goal.command) if goal.target.speaks_gspn else ""
@@ -344,7 +345,7 @@ class ActionCaller:
             seconds = _at_least(seconds, goal.connection.period(server))
         if now >= goal.sent_at + seconds:
             detail = "%s did not say within %g s that it has the goal (~acknowledgement_timeout)"
-            self._fail(goal, "lost", detail % (goal.target.server, seconds), cancel=True)
+            self._fail(goal, Outcome.LOST, detail % (goal.target.server, seconds), cancel=True)
             return None
         return min(goal.sent_at + seconds, now + 0.5)
 
@@ -359,7 +360,9 @@ class ActionCaller:
         limit = max(self._patience.status, MISSED * period)
         if silence >= limit:
             detail = "%s has sent no status for %.1f s (~status_timeout)"
-            self._fail(goal, "server died", detail % (goal.target.server, silence), cancel=True)
+            self._fail(
+                goal, Outcome.SERVER_DIED, detail % (goal.target.server, silence), cancel=True
+            )
             return None
         return now + min(0.5, limit - silence)
 
@@ -377,17 +380,17 @@ class ActionCaller:
             goal.become(GoalState.ACTIVE)
             return self._poll_goal(now)
         outcome, detail = goal.ended or (
-            "server died",
+            Outcome.SERVER_DIED,
             "%s closed its connections, and did not open them within %g s (~result_timeout)"
             % (goal.target.server, self._patience.result),
         )
-        if outcome in ("server died", "lost"):
+        if outcome in (Outcome.SERVER_DIED, Outcome.LOST):
             self._fail(goal, outcome, detail)
-        elif outcome == "succeeded" and (
+        elif outcome == Outcome.SUCCEEDED and (
             goal.target.keep or goal.target.transition_of(outcome, None) == ""
         ):
             detail = "%s ended the goal, and sent no result within %g s (~result_timeout)"
-            self._fail(goal, "lost", detail % (goal.target.server, self._patience.result))
+            self._fail(goal, Outcome.LOST, detail % (goal.target.server, self._patience.result))
         else:
             self._finish(goal, outcome, detail, None)
         return None
@@ -399,7 +402,8 @@ class ActionCaller:
         if goal is None or goal.id != goal_id or goal.connection is not connection:
             if what is GoalNews.RESULT and goal_id in self._given_up:
                 why = self._given_up.pop(goal_id)
-                if value[0] not in ("preempted", "lost"):  # else it ended because it was cancelled
+                # else it ended because it was cancelled
+                if value[0] not in (Outcome.PREEMPTED, Outcome.LOST):
                     text = "%s reports '%s' for a goal that was given up: %s"
                     self._fault(text % (connection.server, value[0], why))
             return
@@ -420,32 +424,36 @@ class ActionCaller:
         elif goal.state is GoalState.ACTIVE:  # the goal ended, or the server no longer knows it
             self._await_result(goal, time.monotonic())
             goal.ended = value or (
-                "server died",
+                Outcome.SERVER_DIED,
                 "%s does not know the goal any more" % connection.server,
             )
 
     def _finish(
-        self, goal: _Goal, outcome: str, text: str, result: Optional[genpy.Message]
+        self, goal: _Goal, outcome: Outcome, text: str, result: Optional[genpy.Message]
     ) -> None:
-        transition = None if outcome == "lost" else goal.target.transition_of(outcome, result)
+        transition = None if outcome == Outcome.LOST else goal.target.transition_of(outcome, result)
         if transition is None:
             self._fail(goal, outcome, text)
             return
         try:
             data = goal.target.data_of(outcome, text, result)
         except DataError as error:
-            self._fail(goal, "bad result", error.message)
+            self._fail(goal, Outcome.BAD_RESULT, error.message)
             return
         self._end(goal, ActionEnded(goal.identity, transition, data=data))
 
-    def _fail(self, goal: _Goal, reason: str, detail: str, cancel: bool = False) -> None:
-        if goal.connection is not None and reason in ("lost", "timeout", "server died"):
+    def _fail(self, goal: _Goal, reason: Outcome, detail: str, cancel: bool = False) -> None:
+        if goal.connection is not None and reason in (
+            Outcome.LOST,
+            Outcome.TIMEOUT,
+            Outcome.SERVER_DIED,
+        ):
             self._given_up[goal.id] = detail
             if len(self._given_up) > MOST_GIVEN_UP:
                 self._given_up.popitem(last=False)
         if cancel:
             self._abandon(goal)
-        if self._times_back and reason in ("preempted", "rejected"):
+        if self._times_back and reason in (Outcome.PREEMPTED, Outcome.REJECTED):
             detail += " (time went back during this run, by %.1f s)" % self._clock.back_by
         self._end(goal, ActionEnded(goal.identity, "", reason, detail))
 

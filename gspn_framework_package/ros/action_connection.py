@@ -11,20 +11,21 @@ import genpy
 import rospy
 from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.ros.goal_id import parse_goal_id
 from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.ros_clock import ROS_CLOCK
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, nearest_parameter
 
 ENDED = {
-    GoalStatus.SUCCEEDED: "succeeded",
-    GoalStatus.ABORTED: "aborted",
-    GoalStatus.REJECTED: "rejected",
-    GoalStatus.PREEMPTED: "preempted",
-    GoalStatus.RECALLED: "preempted",
-    GoalStatus.LOST: "lost",
+    GoalStatus.SUCCEEDED: Outcome.SUCCEEDED,
+    GoalStatus.ABORTED: Outcome.ABORTED,
+    GoalStatus.REJECTED: Outcome.REJECTED,
+    GoalStatus.PREEMPTED: Outcome.PREEMPTED,
+    GoalStatus.RECALLED: Outcome.PREEMPTED,
+    GoalStatus.LOST: Outcome.LOST,
 }
-"""The status of a goal that has ended -> the name of its outcome."""
+"""The status of a goal that has ended -> its outcome."""
 
 
 class ActionConnection:

@@ -25,6 +25,7 @@ from gspn_framework_package.model.action import (
 )
 from gspn_framework_package.model.errors import ExpressionError, PlanError
 from gspn_framework_package.model.message_condition import MessageCondition
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_targets import check_kept, filled, kept, target
 from gspn_framework_package.ros.message_fields import (
@@ -100,7 +101,7 @@ class ServiceJob(Job):
                 pass  # it may be about to start
             if time.monotonic() > give_up:
                 text = "%s did not answer within %g s (~server_timeout)"
-                return JobEnd("no server", text % (self._name, attempt.patience.server))
+                return JobEnd(Outcome.NO_SERVER, text % (self._name, attempt.patience.server))
             if attempt.is_cancelled.wait(_LOOK_EVERY):
                 return CANCELLED
         attempt.wait_for("")
@@ -115,8 +116,8 @@ class ServiceJob(Job):
         if getattr(response, "success", True) is False:
             text = getattr(response, "message", "")
             text = text if isinstance(text, str) and text else "%s answered no" % self._name
-            return JobEnd("aborted", text, data=data)
-        return JobEnd("succeeded", data=data)
+            return JobEnd(Outcome.ABORTED, text, data=data)
+        return JobEnd(Outcome.SUCCEEDED, data=data)
 
 
 class PublishJob(Job):
@@ -160,7 +161,7 @@ class PublishJob(Job):
             if attempt.is_cancelled.wait(_LOOK_EVERY):
                 return CANCELLED
         self._publisher.publish(prepared)
-        return JobEnd("succeeded")
+        return JobEnd(Outcome.SUCCEEDED)
 
     def _known_subscribers(self) -> int:
         try:
@@ -221,7 +222,9 @@ class WaitJob(Job):
             with self._lock:
                 if self._take is take:  # no later attempt has begun
                     self._take = None
-        return JobEnd("succeeded", data=kept(found[0], self.action.keep)) if found else CANCELLED
+        return (
+            JobEnd(Outcome.SUCCEEDED, data=kept(found[0], self.action.keep)) if found else CANCELLED
+        )
 
     def _what(self) -> str:
         return " with %s" % self.action.when if self.action.when else ""

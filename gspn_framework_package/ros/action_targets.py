@@ -13,6 +13,7 @@ from gspn_framework_package.model.action import EXEC_GSPN, FunctionAction, Serve
 from gspn_framework_package.model.data import check_values, fill, full_name
 from gspn_framework_package.model.errors import DataError, ExpressionError, PlanError
 from gspn_framework_package.model.message_condition import field_of, parse_field
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.goal_data import read_result_text
 from gspn_framework_package.ros.message_fields import (
@@ -88,7 +89,9 @@ class ActionTarget(NamedTuple):
         """Whether the action type is ExecGSPN, which can carry data of any name."""
         return getattr(self.action_type, "_type", "") == EXEC_GSPN
 
-    def data_of(self, outcome: str, text: str, result: Optional[genpy.Message]) -> Dict[str, Any]:
+    def data_of(
+        self, outcome: Outcome, text: str, result: Optional[genpy.Message]
+    ) -> Dict[str, Any]:
         """The data that an action wrote.
 
         :param text: the text of the goal's status.
@@ -96,22 +99,21 @@ class ActionTarget(NamedTuple):
         :raises DataError: it cannot be kept.
         """
         data = {} if result is None else kept(result, self.keep)
-        if self.speaks_gspn and outcome == "succeeded":
+        if self.speaks_gspn and outcome == Outcome.SUCCEEDED:
             data.update(check_values(read_result_text(text)))
         return data
 
-    def transition_of(self, outcome: str, result: Optional[genpy.Message]) -> Optional[str]:
+    def transition_of(self, outcome: Outcome, result: Optional[genpy.Message]) -> Optional[str]:
         """The transition that an outcome stands for, "" to let the policy decide; None for a
         failure.
 
-        :param outcome: the name of the outcome, e.g. "succeeded".
         :param result: the result message, if one arrived.
         """
         # a result of another type may happen to have a field of this name
         names_one = getattr(result, "_type", "") == EXEC_GSPN_RESULT
-        if outcome == "succeeded" and not self.outcomes and result is not None and names_one:
+        if outcome == Outcome.SUCCEEDED and not self.outcomes and result is not None and names_one:
             return str(result.transition)
-        return self.outcomes.get(outcome, "" if outcome == "succeeded" else None)
+        return self.outcomes.get(outcome, "" if outcome == Outcome.SUCCEEDED else None)
 
 
 def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTarget]:

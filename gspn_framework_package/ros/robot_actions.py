@@ -12,6 +12,7 @@ from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.local_kinds import refuse_commands
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros import action_kinds
 from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
@@ -165,8 +166,8 @@ class RobotActions:
 
     def _ended(self, ended: ActionEnded) -> None:
         attempt = ended.identity.age
-        if ended.reason:
-            self._told_end(AttemptFailed(*attempt, ended.reason, ended.detail))
+        if ended.outcome is not Outcome.SUCCEEDED:
+            self._told_end(AttemptFailed(*attempt, ended.outcome, ended.detail))
         else:
             self._told_end(ActionDone(*attempt, ended.result, ended.data))
 

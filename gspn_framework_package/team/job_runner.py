@@ -11,6 +11,7 @@ from gspn_framework_package.execution.agreement.interface import ActionDone, Att
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.errors import DataError, PlanError
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.clock import MACHINE_CLOCK, Clock
 from gspn_framework_package.team.jobs import Job, JobAttempt, JobEnd, attempt_job
@@ -130,7 +131,7 @@ class JobRunner:
             return self._clock.look_at(cut_off_at, now)
         self._stop(running)
         text = "the action took longer than %g s (timeout in the plan)"
-        self._report(running, JobEnd("timeout", text % seconds))
+        self._report(running, JobEnd(Outcome.TIMEOUT, text % seconds))
         return None
 
     def _poll_cancelled(self, now: float) -> Optional[float]:
@@ -149,7 +150,7 @@ class JobRunner:
         try:
             prepared = running.job.prepare(running.attempt.command.data)
         except (DataError, PlanError) as error:
-            self._report(running, JobEnd("aborted", error.message))
+            self._report(running, JobEnd(Outcome.ABORTED, error.message))
             return
         running.started = True
 
@@ -162,7 +163,9 @@ class JobRunner:
             self._pool.submit(run)
         except RuntimeError as error:  # the system cannot create another thread
             running.over = True
-            self._report(running, JobEnd("aborted", "the action cannot be started: %s" % error))
+            self._report(
+                running, JobEnd(Outcome.ABORTED, "the action cannot be started: %s" % error)
+            )
 
     def _stop(self, running: _Running) -> None:
         running.attempt.is_cancelled.cancel()

@@ -17,23 +17,23 @@ from gspn_framework_package.execution.local_kinds import LocalAction
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.errors import DataError
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.clock import MACHINE_CLOCK, Clock
 from gspn_framework_package.team.patience import Patience
 
 
 class JobEnd(NamedTuple):
-    """How an attempt ended: ``outcome`` is "succeeded" or one of ``log_entries.FAILURES``. An
-    ``outcome`` that the plan maps to a transition is not a failure."""
+    """How an attempt ended: an ``outcome`` that the plan maps to a transition is not a failure."""
 
-    outcome: str
+    outcome: Outcome
     text: str = ""
     transition: str = ""
     """The transition that the action named, if any."""
     data: Mapping[str, Any] = NOTHING
 
 
-CANCELLED = JobEnd("preempted", "cancelled")
+CANCELLED = JobEnd(Outcome.PREEMPTED, "cancelled")
 
 
 class JobAttempt:
@@ -111,9 +111,9 @@ class Job:
 
     def transition_of(self, end: JobEnd) -> Optional[str]:
         """The transition that an end selects; "" to let the policy decide, None for a failure."""
-        if end.outcome == "succeeded" and end.transition:
+        if end.outcome == Outcome.SUCCEEDED and end.transition:
             return end.transition
-        return self.outcomes.get(end.outcome, "" if end.outcome == "succeeded" else None)
+        return self.outcomes.get(end.outcome, "" if end.outcome == Outcome.SUCCEEDED else None)
 
 
 class LocalJob(Job):
@@ -140,7 +140,7 @@ class LocalJob(Job):
         context = ActionContext.of(attempt.command, self._feedback, attempt.is_cancelled)
         result = self._do(context)
         transition = self._plan.transition_meant(self.place, result.transition)
-        return JobEnd("succeeded", "", transition, result.data)
+        return JobEnd(Outcome.SUCCEEDED, "", transition, result.data)
 
 
 def attempt_job(work: Job, prepared: Any, attempt: JobAttempt) -> JobEnd:
@@ -148,8 +148,8 @@ def attempt_job(work: Job, prepared: Any, attempt: JobAttempt) -> JobEnd:
     try:
         return work.run(prepared, attempt)
     except ActionFailed as error:
-        return JobEnd("aborted", error_text(error) or "the action failed")
+        return JobEnd(Outcome.ABORTED, error_text(error) or "the action failed")
     except DataError as error:
-        return JobEnd("the action returned a bad result", error.message)
+        return JobEnd(Outcome.BAD_RESULT, error.message)
     except BaseException as error:
-        return JobEnd("aborted", "%s: %s" % (type(error).__name__, error_text(error)))
+        return JobEnd(Outcome.ABORTED, "%s: %s" % (type(error).__name__, error_text(error)))

@@ -36,6 +36,7 @@ from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import DataError, UsageError
+from gspn_framework_package.model.outcome import FAILURES, Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.testing.coverage import Coverage
 
@@ -93,7 +94,7 @@ class _Rule(NamedTuple):
     seconds: Union[None, float, Duration]
     result: Optional[str]
     data: Mapping[str, Any]
-    fails: Optional[str]
+    fails: Optional[Outcome]
     act: Optional[Act]
 
 
@@ -202,12 +203,13 @@ class Scenario:
         :raises NetError: there is no such place.
         """
         self.plan.net.place_number(place)
-        if fails is not None and fails not in log_entries.FAILURES:
+        if fails is not None and fails not in FAILURES:
             raise UsageError(
                 "'%s' is no reason of a failure" % fails,
-                hint="there are: %s" % ", ".join(log_entries.FAILURES),
+                hint="there are: %s" % ", ".join(FAILURES),
             )
-        rule = _Rule(place, robot, seconds, result, data, fails, act)
+        outcome = Outcome(fails) if fails is not None else None
+        rule = _Rule(place, robot, seconds, result, data, outcome, act)
         self._rules = [
             (other, left)
             for other, left in self._rules
@@ -600,7 +602,7 @@ class Scenario:
         try:
             result = read_result(act(self.attempts[-1]))
         except (ActionFailed, DataError) as error:
-            return self._failed(command, "aborted", str(error))
+            return self._failed(command, Outcome.ABORTED, str(error))
         return self._done(command, *result)
 
     def _call(self, command: StartAction) -> Optional[Tuple[float, log_entries.Entry]]:
@@ -626,12 +628,12 @@ class Scenario:
         except _NeverEnds:
             return self._in_time(command, math.inf, self._done(command, "", NOTHING))
         except (ActionFailed, DataError) as error:
-            entry = failed(command, "aborted", str(error))
+            entry = failed(command, Outcome.ABORTED, str(error))
         except Exception as error:  # as in a run
-            entry = failed(command, "aborted", "%s: %s" % (type(error).__name__, error))
+            entry = failed(command, Outcome.ABORTED, "%s: %s" % (type(error).__name__, error))
         return self._in_time(command, clock.seconds, entry)
 
-    def _failed(self, command: StartAction, reason: str, detail: str) -> log_entries.Entry:
+    def _failed(self, command: StartAction, reason: Outcome, detail: str) -> log_entries.Entry:
         """The end of an attempt that failed: as on ROS, a transition if the plan leads this outcome
         of its action to one."""
         action = self.plan.action(command.robot, command.place)

@@ -39,6 +39,7 @@ from gspn_framework_package.analysis.monitoring.monitor import (
     Stream,
 )
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS, AnalysisJobs
@@ -201,7 +202,8 @@ class RunFollower:
         self._monitor.begin(name, self._net.places[place].name, start)
 
     def _fail(self, name: str, told: Dict[str, Any], now: float) -> None:
-        reason = "timeout" if str(told.get("why", "")).startswith("timeout") else "aborted"
+        late = str(told.get("why", "")).startswith(Outcome.TIMEOUT)
+        reason = Outcome.TIMEOUT if late else Outcome.ABORTED
         self._monitor.end(name, now, failed=reason)
         self._going.pop(name, None)
 

@@ -51,6 +51,7 @@ from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation, Timing
 
 FOLDER = Path(__file__).parent / "transcripts"
@@ -270,7 +271,7 @@ class _Player:
     def _fail(self, name: str) -> None:
         goal = self.story.goals[name]
         self._node(name).give(
-            interface.AttemptFailed(goal.incarnation, goal.visit, goal.attempt, "aborted")
+            interface.AttemptFailed(goal.incarnation, goal.visit, goal.attempt, Outcome.ABORTED)
         )
 
     def _crash(self, name: str) -> None:

@@ -21,6 +21,7 @@ from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.verifier.merge import is_in_team_after
 from gspn_framework_package.model.compact_json import compact, compact_sorted
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
@@ -518,7 +519,7 @@ class World:
                 return
             key = (goal.incarnation, goal.visit, goal.attempt)
             if failed:
-                node.give(interface.AttemptFailed(*key, "aborted"))
+                node.give(interface.AttemptFailed(*key, Outcome.ABORTED))
             else:
                 node.give(interface.ActionDone(*key, result, data))
 

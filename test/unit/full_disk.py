@@ -26,4 +26,4 @@ def fill_the_disk(monkeypatch, after):
         file = open(path, mode, *args, **options)  # noqa: SIM115
         return _FullFile(file, after) if "a" in mode else file
 
-    monkeypatch.setattr("gspn_framework_package.execution.event_log.open", opened, raising=False)
+    monkeypatch.setattr("gspn_framework_package.execution.log_writer.open", opened, raising=False)

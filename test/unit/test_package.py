@@ -1,6 +1,7 @@
 """The package as a whole: its layers, its syntax, its manifest, its command line."""
 
 import ast
+import json
 import os
 import re
 import signal
@@ -17,6 +18,7 @@ from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.cli import main as dispatcher
 from gspn_framework_package.execution import turn
 from gspn_framework_package.model.errors import GspnError, InputError
+from gspn_framework_package.model.outcome import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "gspn_framework_package"
@@ -310,6 +312,27 @@ def test_no_public_name_is_bound_in_two_modules():
     twice = {name: places for name, places in homes.items() if len(places) > 1}
     assert {n: places for n, places in twice.items() if n not in BOUND_TWICE} == {}
     assert set(BOUND_TWICE) <= set(twice), "no longer bound twice"
+
+
+@pytest.mark.long
+def test_an_outcome_of_an_action_is_written_in_one_place():
+    words = {outcome.value for outcome in Outcome} - {
+        "lost",
+        "timeout",
+    }  # which other things are too
+    written = {
+        name_of(path)
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Constant) and node.value in words
+    }
+    assert written == {PACKAGE.name + ".model.outcome"}
+
+
+def test_the_schema_names_outcomes():
+    schema = json.loads((PACKAGE / "formats" / "plan.schema.json").read_text("utf-8"))
+    named = schema["definitions"]["outcomes"]["propertyNames"]["enum"]
+    assert set(named) <= {outcome.value for outcome in Outcome}
 
 
 def test_the_kernel_has_the_limit_of_a_run():

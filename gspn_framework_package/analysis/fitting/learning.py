@@ -33,6 +33,7 @@ from gspn_framework_package.analysis.fitting.testing import (
 )
 from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.duration import Duration, Evidence, Kind
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
 ENOUGH_ATTEMPTS = 5
@@ -54,8 +55,6 @@ _REFUTED = 0.01
 
 _SIGNIFICANT = 0.05
 """The level of all tests of one kind together, whose notes a person should read."""
-
-_TIMEOUT = "timeout"
 
 
 class AttemptLike(Protocol):
@@ -339,8 +338,8 @@ class _Learning:
 
     def _place(self, place: str, attempts: List[AttemptLike], generator: Any) -> PlaceFit:
         done = [a for a in attempts if a.completed and not a.failed]
-        failed = [a for a in attempts if a.completed and a.failed and a.failed != _TIMEOUT]
-        cut = [a for a in attempts if not a.completed or a.failed == _TIMEOUT]
+        failed = [a for a in attempts if a.completed and a.failed and a.failed != Outcome.TIMEOUT]
+        cut = [a for a in attempts if not a.completed or a.failed == Outcome.TIMEOUT]
         if not done:  # failures are all that is known, also of the time that an attempt takes
             failed += [a for a in cut if a.completed]
             cut = [a for a in cut if not a.completed]

@@ -18,6 +18,7 @@ from typing import Any, Deque, Dict, Iterable, List, Mapping, NamedTuple, Option
 from gspn_framework_package.analysis.monitoring.choices import ChoiceTest
 from gspn_framework_package.analysis.monitoring.cusum import ChanceChart, RateChart
 from gspn_framework_package.analysis.monitoring.hazard import Hazard
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 
@@ -41,7 +42,7 @@ SHORTEST_EXPECTED = 1e-3
 """Durations with a shorter mean (s) are not watched: what a log shows of them is mostly the time of
 the machine itself."""
 
-RAN_TO_THE_END = ("aborted", "bad result")
+RAN_TO_THE_END = (Outcome.ABORTED, Outcome.BAD_RESULT)
 """Failures that the action itself reported, after its duration. Other failures cut it off."""
 
 RECENT = 4096

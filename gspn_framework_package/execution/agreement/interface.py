@@ -43,6 +43,7 @@ from gspn_framework_package.execution.firing import (
     StartAction,
 )
 from gspn_framework_package.execution.log_entries import NOBODY, NOTHING, Entry, Giver, Submit
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
 Message = Dict[str, Any]
@@ -87,13 +88,12 @@ class ActionDone(NamedTuple):
 
 
 class AttemptFailed(NamedTuple):
-    """An attempt failed; ``reason`` is one of
-    :data:`~gspn_framework_package.execution.log_entries.FAILURES`."""
+    """An attempt failed."""
 
     incarnation: int
     visit: int
     attempt: int
-    reason: str
+    reason: Outcome
     detail: str = ""
 
 

@@ -29,6 +29,7 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
 _ActionCommand = Union[StartAction, CancelAction]
@@ -198,7 +199,7 @@ class LocalRobot:
         try:
             return log_entries.checked(done)
         except LogError as error:
-            return log_entries.Failed(self.config.name, *goal, "bad result", str(error))
+            return log_entries.Failed(self.config.name, *goal, Outcome.BAD_RESULT, str(error))
 
     def pause_at_breakpoint(self) -> None:
         """Order a pause of our robot, unless it is paused already."""

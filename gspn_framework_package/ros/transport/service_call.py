@@ -14,6 +14,7 @@ import genpy
 import rosgraph.network
 import rospy
 
+from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 
 RESPONSE_LIMIT = 1_000_000_000
@@ -21,9 +22,9 @@ RESPONSE_LIMIT = 1_000_000_000
 
 
 class ServiceFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
-    """A call failed; ``outcome`` is "rejected", "aborted" or "server died"."""
+    """A call failed; ``outcome`` is REJECTED, ABORTED or SERVER_DIED."""
 
-    def __init__(self, outcome: str, text: str) -> None:
+    def __init__(self, outcome: Outcome, text: str) -> None:
         super().__init__(text)
         self.outcome = outcome
 
@@ -58,7 +59,7 @@ class ServiceCall:
         header = {"md5sum": self._class._md5sum, "type": self._class._type}
         answer = _shake_hands(connection, self._name, header)
         if "error" in answer:
-            raise ServiceFailed("rejected", "%s: %s" % (self._name, answer["error"]))
+            raise ServiceFailed(Outcome.REJECTED, "%s: %s" % (self._name, answer["error"]))
         connection.settimeout(None)
 
     def ask(self, request: genpy.Message) -> Any:
@@ -74,18 +75,20 @@ class ServiceCall:
             self._socket.sendall(struct.pack("<I", len(data)) + data)
             ok, length = struct.unpack("<BI", self._read(5))
             if length > RESPONSE_LIMIT:
-                raise ServiceFailed("aborted", "%s answered with %d bytes" % (self._name, length))
+                raise ServiceFailed(
+                    Outcome.ABORTED, "%s answered with %d bytes" % (self._name, length)
+                )
             data = self._read(length)
         except OSError as error:
             text = "%s: %s" % (self._name, error.strerror or error)
-            raise ServiceFailed("server died", text) from None
+            raise ServiceFailed(Outcome.SERVER_DIED, text) from None
         if not ok:
-            raise ServiceFailed("aborted", data.decode(errors="replace"))
+            raise ServiceFailed(Outcome.ABORTED, data.decode(errors="replace"))
         try:
             return self._class._response_class().deserialize(data)
         except genpy.DeserializationError as error:
             text = "%s answered what is no response: %s" % (self._name, error)
-            raise ServiceFailed("aborted", text) from None
+            raise ServiceFailed(Outcome.ABORTED, text) from None
 
     def close(self) -> None:
         """Abandon the call, from any thread. The service may go on: it does not learn of it."""

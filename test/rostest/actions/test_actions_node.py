@@ -224,7 +224,7 @@ class ActionsTest(unittest.TestCase):
         wait_for(robot.is_under_way, what="the goal to be taken")
         servers.stop()
         wait_for(lambda: acts.ended == [(4, True)], what="its end")
-        self.assertEqual(robot.ended.get(timeout=20).reason, "server died")
+        self.assertEqual(robot.ended.get(timeout=20).outcome, "server died")
 
     def test_a_place_that_is_not_served_is_rejected(self):
         plan = plan_of(
@@ -242,7 +242,7 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual(robot.do("P2").result, "T_P2")
         other = self.robot(plan_of({"P3": ServerAction(EXEC, "both")}))
         ended = other.do("P3")
-        self.assertEqual((ended.reason, "P3" in ended.detail), ("rejected", True))
+        self.assertEqual((ended.outcome, "P3" in ended.detail), ("rejected", True))
 
     def test_a_client_of_the_thesis_works_against_a_place_server(self):
         _, servers = self.serve({"P1": "instant"})
@@ -284,7 +284,7 @@ class ActionsTest(unittest.TestCase):
         for own_servers in (servers.servers, None):
             robot = self.robot(plan, own_servers=own_servers)
             ended = robot.do("P1")
-            self.assertEqual(ended.reason, "aborted")
+            self.assertEqual(ended.outcome, "aborted")
             self.assertTrue(ended.detail.startswith("the value of 'thing' is not JSON"), ended)
 
     def test_servers_of_others_of_the_thesis_type_read_and_write_data_too(self):
@@ -296,9 +296,9 @@ class ActionsTest(unittest.TestCase):
             ExecGSPNActionGoal,
             lambda goal: texts.append(goal.header.frame_id),
         )
-        for text, given, data, reason in (
-            ('{"pose": [1, 2]}', {"data": {"robot.x": 1}}, {"pose": [1, 2]}, ""),
-            ("all is well", {}, {}, ""),
+        for text, given, data, outcome in (
+            ('{"pose": [1, 2]}', {"data": {"robot.x": 1}}, {"pose": [1, 2]}, "succeeded"),
+            ("all is well", {}, {}, "succeeded"),
             ('{"no name": 1}', {}, {}, "bad result"),
         ):
             robot.send("P1", **given)
@@ -306,7 +306,7 @@ class ActionsTest(unittest.TestCase):
             goal.set_accepted()
             goal.set_succeeded(ExecGSPNResult("T1"), text)
             ended = robot.ended.get(timeout=20)
-            self.assertEqual((ended.data, ended.reason), (data, reason))
+            self.assertEqual((ended.data, ended.outcome), (data, outcome))
         self.assertIn("no name", ended.detail)
         wait_for(lambda: len(texts) >= 3, what="the goals")
         self.assertEqual(json.loads(texts[0]), {"data": {"robot.x": 1}, "resumed_from": 0})
@@ -361,7 +361,7 @@ class ActionsTest(unittest.TestCase):
             ({"robot.number": "three"}, "its goal does not fit actionlib/TestGoal"),
         ):
             ended = robot.do("P2", data=data)
-            self.assertEqual(ended.reason, "aborted")
+            self.assertEqual(ended.outcome, "aborted")
             self.assertIn(detail, ended.detail)
         self.assertTrue(fibonacci.goals.empty())
 
@@ -376,7 +376,7 @@ class ActionsTest(unittest.TestCase):
         goal.set_accepted()
         server.server.publish_result = lambda status, result: None
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=20).reason, "lost")
+        self.assertEqual(robot.ended.get(timeout=20).outcome, "lost")
 
     # -- the end of cancelled goals ----------------------------------------------------------------
 
@@ -462,9 +462,9 @@ class ActionsTest(unittest.TestCase):
             lambda: any(status.status_list for status in statuses), what="a status with the goal"
         )
         self.acts().heard.set()
-        self.assertEqual(robot.do("P2").reason, "")
+        self.assertEqual(robot.do("P2").outcome, "succeeded")
         self.assertEqual([list(f.time_passed) for f in robot.feedback], [[1], [2, 3]])
-        self.assertEqual(robot.do("P3").reason, "aborted")
+        self.assertEqual(robot.do("P3").outcome, "aborted")
         self.assertEqual(robot.caller.connections, 0)
 
     def test_a_goal_for_an_own_server_can_be_cancelled(self):
@@ -490,7 +490,7 @@ class ActionsTest(unittest.TestCase):
         robot.send("P1")
         wait_for(lambda: "nobody" in robot.caller.doing(), what="what it waits for")
         ended = robot.ended.get(timeout=20)
-        self.assertEqual(ended.reason, "no server")
+        self.assertEqual(ended.outcome, "no server")
         self.assertIn(self.namespace + "/nobody", ended.detail)
 
     def test_a_server_that_comes_late_gets_the_goal(self):
@@ -525,7 +525,7 @@ class ActionsTest(unittest.TestCase):
             wait_for(robot.is_under_way, 20, "the server to take the goal")
             subprocess.check_call(["kill", "-" + signal, str(process.pid)])
             ended = robot.ended.get(timeout=20)
-            self.assertEqual(ended.reason, "server died", ended.detail)
+            self.assertEqual(ended.outcome, "server died", ended.detail)
             limit = "~result_timeout" if how == "killed" else "~status_timeout"
             self.assertIn(limit, ended.detail)
 
@@ -539,7 +539,7 @@ class ActionsTest(unittest.TestCase):
         wait_for(robot.is_under_way, what="the server to take the goal")
         server.server.status_list = []  # as after a restart
         ended = robot.ended.get(timeout=20)
-        self.assertEqual(ended.reason, "server died")
+        self.assertEqual(ended.outcome, "server died")
         self.assertIn("does not know the goal", ended.detail)
 
     def test_a_goal_is_sent_once_and_its_late_result_is_reported(self):
@@ -568,7 +568,7 @@ class ActionsTest(unittest.TestCase):
             fault=faults.append,
         )
         ended = robot.do("P1")
-        self.assertEqual(ended.reason, "lost")
+        self.assertEqual(ended.outcome, "lost")
         self.assertIn("within 0.9 s that it has the goal (~acknowledgement_timeout)", ended.detail)
         wait_for(lambda: cancelled, what="the request to cancel it")
         goal = goals.get(timeout=20)
@@ -596,7 +596,7 @@ class ActionsTest(unittest.TestCase):
         with self.assertRaisesRegex(ExecutionError, text):
             await_servers(targets, 20.0, Ending())
         ended = self.robot(plan).do("P1")  # the server that it began with was another one
-        self.assertEqual((ended.reason, ended.detail), ("no server", text))
+        self.assertEqual((ended.outcome, ended.detail), ("no server", text))
 
     def test_a_server_with_a_rare_status_is_not_dead(self):
         for name, parameter in (
@@ -663,7 +663,7 @@ class ActionsTest(unittest.TestCase):
         server.next().set_accepted()
         ended = robot.ended.get(timeout=20)
         self.assertEqual(
-            (ended.reason, ended.detail),
+            (ended.outcome, ended.detail),
             ("timeout", "the action took longer than 0.5 s (timeout in the plan)"),
         )
         wait_for(lambda: server.cancelled, what="the cancel request")

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 import gspn_framework_package
-from gspn_framework_package.execution.log_entries import FAILURES
 from gspn_framework_package.execution.phase import Phase, phases_to_json
 from gspn_framework_package.execution.team_state import RobotState, Task, TeamState, reported_phase
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.outcome import FAILURES
 
 PACKAGE = Path(gspn_framework_package.__file__).parent
 ROOT = Path(__file__).parents[3]

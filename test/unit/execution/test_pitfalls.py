@@ -24,6 +24,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import GspnError, PolicyError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.outcome import FAILURES
 from gspn_framework_package.model.policy import Policy
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -144,7 +145,7 @@ def test_10_a_wait_blocks_nobody_and_is_asked_again() -> None:
     assert run.done("b", "meet") == ["meet"]
 
 
-@pytest.mark.parametrize("reason", log_entries.FAILURES)
+@pytest.mark.parametrize("reason", FAILURES)
 def test_11_an_action_that_fails_stalls_nobody_silently(reason: str) -> None:
     run = Run(make_plan(tool_net(), ["idle"], resources=["tool"]))
     run.fail("a", reason)

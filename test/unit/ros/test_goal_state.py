@@ -171,7 +171,7 @@ def test_a_goal_goes_all_the_way(called):
     assert caller.caller.doing() == ""
     assert caller.hear(GoalNews.ENDED, ("succeeded", "")) is GoalState.RESULT_DUE
     assert caller.hear(GoalNews.RESULT, ("succeeded", "", object())) is GoalState.OVER
-    assert [(ended.result, ended.reason) for ended in caller.ended] == [("", "")]
+    assert [(ended.result, ended.outcome) for ended in caller.ended] == [("", "succeeded")]
     assert len(caller.server.sent) == 1 and not caller.server.cancelled
 
 
@@ -188,7 +188,7 @@ def test_a_server_that_is_connected_again_in_time_keeps_its_goal(called):
     caller.server.connected = False
     assert caller.poll(5.0) is GoalState.RESULT_DUE
     assert caller.poll(9.0) is GoalState.OVER
-    assert [ended.reason for ended in caller.ended] == ["server died"]
+    assert [ended.outcome for ended in caller.ended] == ["server died"]
 
 
 NEWS = {
