@@ -9,6 +9,7 @@ from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.team.orders import ORDERS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("give names or --clear, not both")
     if args.plan:
         return _of_plan(args)
-    argument = json.dumps(args.names) if args.names or args.clear else ""
+    names = args.names if args.names or args.clear else None
+    argument = ORDERS["breakpoints"].argument({"names": names})
     answers = team_client(args).breakpoints(argument, args.run_name)
     if args.json:
         told = {n: {"done": a.success, "message": a.message} if a else a for n, a in answers}

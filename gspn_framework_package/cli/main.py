@@ -1,8 +1,8 @@
 """The dispatcher of the command line: finds the module of the requested verb and runs it.
 
 A verb is a module with ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
-:data:`VERBS`. Only the module of the requested verb is imported, so that ``gspn --help`` and the
-light verbs start at once.
+:data:`VERB_GROUPS`, or an order to a team. Only the module of the requested verb is imported, so
+that ``gspn --help`` and the light verbs start at once.
 
 Exit codes: 0 the answer is yes, 1 the answer is no or a plan was refused, 2 the input or the usage
 is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has exited.
@@ -21,13 +21,26 @@ import signal
 import sys
 import textwrap
 import traceback
-from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Dict,
+    Mapping,
+    NamedTuple,
+    NoReturn,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from gspn_framework_package import __version__
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED_MESSAGE, Interrupts
-from gspn_framework_package.cli.orders import ORDERS, OrderVerb
 from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.model.errors import GspnError, missing_library
+
+if TYPE_CHECKING:
+    from gspn_framework_package.cli.orders import OrderVerb
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
@@ -54,7 +67,9 @@ class Verb(NamedTuple):
         return importlib.import_module(self.module, __package__)
 
 
-VERB_GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
+OPERATE = "operate a running team"
+
+VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
     "make a plan": {
         "new": Verb(
             ".new",
@@ -190,39 +205,27 @@ VERB_GROUPS: Dict[str, Dict[str, Union[Verb, OrderVerb]]] = {
             "mcp my_plans",
         ),
     },
-    "operate a running team": {
-        "status": Verb(
-            ".status", "show what every robot of a running team does and waits for", "status"
-        ),
-        "submit": Verb(
-            ".submit",
-            "give a task to a running team",
-            "submit order --data task.json --id o12",
-        ),
+    OPERATE: {
         "deploy": Verb(
             ".deploy",
             "put another plan into a running team, without stopping it",
             "deploy better.json",
         ),
-        "breakpoints": Verb(
-            ".breakpoints",
-            "stop a robot at a place or a transition, for debugging",
-            "breakpoints Door",
-        ),
-        "trust": Verb(
-            ".trust",
-            "go on without the robots that stay off after a loss of power",
-            "trust",
-        ),
-        **ORDERS,
     },
 }
-"""What verbs are for -> verb -> its module or order."""
+"""What verbs are for -> verb -> its module; orders to a team come to the last."""
 
-VERBS: Dict[str, Union[Verb, OrderVerb]] = {
+VERBS: Dict[str, Verb] = {
     name: verb for verbs in VERB_GROUPS.values() for name, verb in verbs.items()
 }
-"""Verb -> its module or order."""
+"""Verb -> its module."""
+
+
+def all_verbs() -> Dict[str, Union[Verb, OrderVerb]]:
+    """Verb -> its module or order."""
+    from gspn_framework_package.cli.orders import order_verbs
+
+    return {**VERBS, **order_verbs()}
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -310,7 +313,7 @@ class _Parser(argparse.ArgumentParser):
         """Print the usage and ``message``, and exit with 2."""
         unknown = re.match(r"argument VERB: invalid choice: '(.*)' \(choose", message)
         if unknown:
-            close = difflib.get_close_matches(unknown.group(1), list(VERBS), 2)
+            close = difflib.get_close_matches(unknown.group(1), list(all_verbs()), 2)
             hint = "did you mean %s?" % " or ".join(close) if close else "gspn --help lists them"
             self.exit(EXIT_USAGE, f"gspn: error: there is no verb '{unknown.group(1)}' ({hint})\n")
         self.print_usage(sys.stderr)
@@ -319,6 +322,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser(words: Sequence[str]) -> _Parser:
     """Return the parser for ``words``; it is complete only for the verb that they name."""
+    known = VERBS if words and words[0] in VERBS else all_verbs()
     common = _Parser(add_help=False)
     common.add_argument(
         "--debug",
@@ -331,7 +335,7 @@ def _parser(words: Sequence[str]) -> _Parser:
         usage="gspn [-h] [--debug] [--version] VERB ...",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Executes, simulates and analyses Generalized Stochastic Petri Net plans.\n\n"
-        + _verbs_text(),
+        + _verbs_text(known),
         epilog="Exit codes: 0 yes, 1 the plan or the answer is no, 2 wrong input or usage. "
         "'gspn VERB --help' explains a verb.",
         parents=[common],
@@ -342,7 +346,7 @@ def _parser(words: Sequence[str]) -> _Parser:
         prog="gspn", metavar="VERB", dest="verb", required=True, help=argparse.SUPPRESS
     )
     asked = next((word for word in words if not word.startswith("-")), None)
-    for name, entry in VERBS.items():
+    for name, entry in known.items():
         verb = verbs.add_parser(name, parents=[common], allow_abbrev=False)
         if name == asked:
             verb.description = entry.help
@@ -354,12 +358,17 @@ def _parser(words: Sequence[str]) -> _Parser:
     return parser
 
 
-def _verbs_text() -> str:
+def _verbs_text(known: Mapping[str, Union[Verb, OrderVerb]]) -> str:
     """The verbs by what they are for, a line or two each."""
     lines = []
     grouped = {name for verbs in VERB_GROUPS.values() for name in verbs}
+    orders = {name: verb for name, verb in known.items() if name not in VERBS}
     others = {name: verb for name, verb in VERBS.items() if name not in grouped}
-    for title, verbs in [*VERB_GROUPS.items(), *([("others", others)] if others else [])]:
+    groups: Dict[str, Mapping[str, Union[Verb, OrderVerb]]] = {**VERB_GROUPS}
+    groups[OPERATE] = {**orders, **VERB_GROUPS[OPERATE]}
+    if others:
+        groups["others"] = others
+    for title, verbs in groups.items():
         lines.append("%s:" % title)
         for name, verb in verbs.items():
             text = textwrap.wrap(verb.help, 64)

@@ -1,92 +1,131 @@
-"""The operator's orders to a running team: one row of :data:`ORDERS` per verb.
-
-To add an order, add a row here and its command to
-:mod:`~gspn_framework_package.execution.agreement.orders`."""
+"""The verbs for the orders of :data:`~gspn_framework_package.team.orders.ORDERS`."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
-from typing import Dict, NamedTuple, Tuple
+import sys
+from typing import Any, Dict, NamedTuple
+
+from gspn_framework_package.model.errors import DataError, InputError, UsageError
+from gspn_framework_package.team.orders import ORDERS, SUBMITTED, FieldKind, OrderField, OrderKind
+
+OWN_MODULES = ("status", "breakpoints", "trust")
+"""The orders whose verb shows or asks more, in the module of that name."""
 
 
 class OrderVerb(NamedTuple):
     """A verb that gives an order.
 
-    :ivar command: the ``command`` of the Command service.
-    :ivar help: what the verb does, in one line.
-    :ivar robot: ``ROBOT`` if the verb takes a robot, ``[ROBOT]`` if the robot is optional.
-    :ivar argument: the name and a description of the verb's argument; empty for none.
+    :ivar command: the name of the order.
+    :ivar order: its row of the table.
     """
 
     command: str
-    help: str
-    robot: str = ""
-    argument: Tuple[str, str] = ("", "")
+    order: OrderKind
+
+    @property
+    def help(self) -> str:
+        """What the verb does, in one line."""
+        return self.order.help
 
     @property
     def example(self) -> str:
         """The words of a command line."""
-        verb = self.command.replace("_", "-")
-        argument = {"set_place": " Door", "fire": " open_shop"}.get(self.command, "")
-        return verb + (" robot_2" if self.robot else "") + argument
+        return " ".join(filter(None, (verb_of(self.command), self.order.example)))
 
-    def load(self) -> OrderVerb:
-        """Return this object, which declares the verb's arguments and runs it."""
+    def load(self) -> Any:
+        """Return what declares the verb's arguments and runs it: a module of its own, or this."""
+        if self.command in OWN_MODULES:
+            return importlib.import_module("." + self.command, __package__)
         return self
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the arguments of the verb."""
+        """Declare the arguments of the verb: what is required is one, what is not an option."""
         from gspn_framework_package.cli.team_client import add_team_options
 
-        if self.robot:
-            parser.add_argument(
-                "robot",
-                metavar="ROBOT",
-                nargs="?" if self.robot.startswith("[") else None,
-                default="",
-                help="name of the robot" + ("; default: the team" if "[" in self.robot else ""),
-            )
-        metavar, meaning = self.argument
-        if metavar:
-            parser.add_argument("argument", metavar=metavar, help=meaning)
+        for field in self.order.fields:
+            is_object = field.kind is FieldKind.OBJECT
+            metavar = "FILE|JSON" if is_object else field.name.upper()
+            words: Dict[str, Any] = {"metavar": metavar, "help": field.help}
+            if field.required:
+                parser.add_argument(field.name, **words)
+            elif field.kind is FieldKind.ROBOT:
+                parser.add_argument(field.name, nargs="?", default="", **words)
+            else:
+                default = "{}" if is_object else ""
+                parser.add_argument("--" + field.name, default=default, **words)
         add_team_options(parser)
+        parser.epilog = self.order.note or None
 
     def run(self, args: argparse.Namespace) -> int:
         """Give the order; return 0 if the team carried it out, else 1."""
         from gspn_framework_package.cli.team_client import team_client
 
-        robot, argument = getattr(args, "robot", ""), getattr(args, "argument", "")
-        done, message = team_client(args).order(self.command, robot or "", argument, args.run_name)
+        given = {field.name: _given(field, args) for field in self.order.fields}
+        values = self.order.values(given, SUBMITTED)
+        if self.order.entry is not None:
+            self.order.entry(**values)  # which checks the rest
+        done, message = team_client(args).order(
+            self.command, values.get("robot", ""), self.order.argument(values), args.run_name
+        )
+        made = {f.name: values[f.name] for f in self.order.fields if f.kind is FieldKind.ID}
         if args.json:
-            print(json.dumps({"order": self.command, "done": done, "message": message}))
+            print(json.dumps({"order": self.command, "done": done, "message": message, **made}))
         else:
-            print("%s: %s" % ("done" if done else "not done", message))
+            about = "".join("%s %s: " % (self.order.noun, name) for name in made.values())
+            print("%s: %s%s" % ("done" if done else "not done", about, message))
         return 0 if done else 1
 
 
-ORDERS: Dict[str, OrderVerb] = {
-    "pause": OrderVerb(
-        "pause", "stop all firing until resume, or the firings of one robot", "[ROBOT]"
-    ),
-    "resume": OrderVerb("resume", "end a pause of the team, or of one robot", "[ROBOT]"),
-    "set-place": OrderVerb(
-        "set_place",
-        "put a robot into a place; its action there starts",
-        "ROBOT",
-        ("PLACE", "the place"),
-    ),
-    "retry": OrderVerb("retry", "try the failed action of a robot again", "ROBOT"),
-    "fire": OrderVerb(
-        "fire", "fire a transition of the environment", argument=("TRANSITION", "the transition")
-    ),
-    "evict": OrderVerb("evict", "remove a robot from the team as lost", "ROBOT"),
-    "force-evict": OrderVerb(
-        "force_evict",
-        "the same without a quorum: you assert that the robot is switched off",
-        "ROBOT",
-    ),
-    "leave": OrderVerb("leave", "make a robot leave the team, with its token", "ROBOT"),
-    "stop": OrderVerb("stop", "end the run of a team"),
-}
-"""Verb -> order."""
+def verb_of(command: str) -> str:
+    """The verb for an order."""
+    return command.replace("_", "-")
+
+
+def order_verbs() -> Dict[str, OrderVerb]:
+    """Verb -> order, for those that have a verb."""
+    return {
+        verb_of(command): OrderVerb(command, order)
+        for command, order in ORDERS.items()
+        if order.example is not None
+    }
+
+
+def _given(field: OrderField, args: argparse.Namespace) -> Any:
+    text = getattr(args, field.name)
+    return read_data(text) if field.kind is FieldKind.OBJECT else text
+
+
+def read_data(text: str) -> Dict[str, Any]:
+    """The JSON object in an argument: itself, or in the file that it names ("-": the input).
+
+    :raises UsageError: it cannot be read.
+    :raises DataError: it is not a JSON object.
+    """
+    from gspn_framework_package.formats.json_file import TOO_DEEP, is_too_deep
+    from gspn_framework_package.formats.source import read_text
+
+    where = "--data"
+    if text == "-":
+        text = sys.stdin.read()
+    elif not text.lstrip().startswith("{"):
+        where = text
+        try:
+            text = read_text(text)
+        except InputError as error:
+            raise UsageError(
+                error.message,
+                file=where,
+                hint="--data is a JSON object, or a file that holds one",
+            ) from None
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DataError("is not JSON: %s" % error, file=where) from None
+    if is_too_deep(data):
+        raise DataError(TOO_DEEP, file=where)
+    if not isinstance(data, dict):
+        raise DataError("is not a JSON object, but %.100r" % (data,), file=where)
+    return data

@@ -7,18 +7,16 @@ import argparse
 import sys
 from typing import Any, Dict, List, Mapping
 
-from gspn_framework_package.cli.orders import OrderVerb
+from gspn_framework_package.cli.orders import order_verbs
 from gspn_framework_package.cli.status import print_table
 from gspn_framework_package.cli.team_client import label_of, team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team.addressing import robots_of_run
 
-_ORDER = OrderVerb("trust", "")
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    _ORDER.add_arguments(parser)
+    order_verbs()["trust"].add_arguments(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask")
     parser.epilog = (
         "Exit codes: 0 the order is in the log, and the team goes on; 1 it was refused, or you "
@@ -39,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         if answer.strip().lower() not in ("y", "yes"):
             print("not done")
             return 1
-    return _ORDER.run(args)
+    return order_verbs()["trust"].run(args)
 
 
 def given_up(statuses: Mapping[Any, Dict[str, Any]]) -> List[str]:

@@ -8,8 +8,8 @@ from typing import List, Mapping, Optional, Tuple
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.team.carrier import NotTaken, Operator, OperatorRequest, sender_of
-from gspn_framework_package.team.commands import is_question
 from gspn_framework_package.team.message_filter import LARGEST_MESSAGE, MessageFilter, json_object
+from gspn_framework_package.team.orders import is_question
 from gspn_framework_package.team.seal import ORDER, SEALED, NotSealedError, Seal, is_sealed
 
 BRAKE = 0.05

@@ -21,7 +21,7 @@ from gspn_framework_package.team.addressing import (
     robots_of_run,
     whom_to_order,
 )
-from gspn_framework_package.team.commands import ADOPT_TIME, order_time
+from gspn_framework_package.team.orders import ADOPT_TIME, ORDERS
 from gspn_framework_package.team.seal import TeamKey
 
 
@@ -52,7 +52,7 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
 
 def ask_node(namespace: str, request: CommandRequest) -> Optional[CommandResponse]:
     """The answer of the execution node in a namespace; None if there is no node, or it does not
-    answer within ``PATIENCE``. For questions: an order would need the key of the team.
+    answer within ``SILENCE_PATIENCE``. For questions: an order would need the key of the team.
 
     :raises OSError: or another of ``MASTER_ERRORS``, no master answers.
     """
@@ -190,7 +190,7 @@ class OperatorClient:
         request = self._orders.request(asked["robot"], command, robot, argument, asked["run"])
         self._send(node, request, answers)
         try:
-            answer = answers.get(timeout=order_time(command) + SILENCE_PATIENCE)
+            answer = answers.get(timeout=ORDERS[command].seconds + SILENCE_PATIENCE)
         except queue.Empty:
             raise ExecutionError("%s does not answer" % node.namespace) from None
         return answer.success, answer.message

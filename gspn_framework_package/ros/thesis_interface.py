@@ -37,7 +37,7 @@ from gspn_framework_package.srv import (
     SetPlace,
     SetPlaceRequest,
 )
-from gspn_framework_package.team.commands import ORDER_TIME
+from gspn_framework_package.team.orders import ORDER_TIME
 
 _TOPIC = "/TRANSITIONS_FIRED"
 

@@ -6,14 +6,12 @@ from typing import Any, Dict, Mapping, Optional, TypeVar
 
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team.message_filter import json_object
+from gspn_framework_package.team.orders import ORDERS
 
 Address = TypeVar("Address")
 
 SILENCE_PATIENCE = 2.0
 """Seconds within which a robot must answer a plain question."""
-
-PLAIN_QUESTIONS = ("status", "plan")
-"""Commands that change nothing; robots answer them for everybody who may watch."""
 
 _STATUS_FIELDS = {
     "robot",
@@ -60,9 +58,9 @@ def robots_of_run(
 
 
 def whom_to_order(there: Mapping[Address, Dict[str, Any]], command: str, robot: str) -> Address:
-    """The address to send an order to: preferably the robot's own node (unless the order evicts
-    that robot), otherwise a node that has a vote."""
-    own_last = command in ("evict", "force_evict")
+    """The address to send an order to: preferably the robot's own node (unless the order is
+    against that robot), otherwise a node that has a vote."""
+    own_last = ORDERS[command].against_robot
     return min(
         there,
         key=lambda at: (

@@ -7,7 +7,7 @@ import time
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.log_entries import StagePlan
-from gspn_framework_package.model.compact_json import compact
+from gspn_framework_package.team.orders import ORDERS
 
 POLL = 0.2
 """Seconds between two queries of the votes."""
@@ -54,8 +54,8 @@ class DeployTeam:
         :param entry: the log entry that stages the plan.
         :param stage_only: leave the plan staged, without adopting it.
         """
-        argument = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
-        done, message = self._order("stage", compact(argument))
+        staged = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
+        done, message = self._order("stage", ORDERS["stage"].argument(staged))
         if not done:
             return DeployOutcome(False, message)
         stage, votes, message = self._wait_for_votes(entry.digest)

@@ -16,7 +16,6 @@ from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.breakpoints import (
     BreakpointFile,
     Breakpoints,
-    read_names,
 )
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
@@ -566,10 +565,10 @@ class ReplicaHost(Worker):
         attempt, progress = (self._attempt, self._progress) if begun else (1, [])
         return self._report.activity(self.plan.hash(), attempt, progress)
 
-    def breakpoints(self, argument: str) -> str:
+    def breakpoints(self, names: Optional[List[str]]) -> str:
         """See :class:`Worker`."""
-        if argument:
-            found = Breakpoints.of_names(read_names(argument), self.plan)
+        if names is not None:
+            found = Breakpoints.of_names(names, self.plan)
             self._replica.break_at(found)
             self._breakpoints.write(found)
         return "stops at: %s" % self._breakpoints.breakpoints.in_words

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, NamedTuple, Optional, TypeVar
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, TypeVar
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
@@ -65,12 +65,11 @@ class Worker:
         worker thread."""
         raise NotImplementedError
 
-    def breakpoints(self, argument: str) -> str:
+    def breakpoints(self, names: Optional[List[str]]) -> str:
         """The breakpoints of the host's robot, for people; call this on the worker thread.
 
-        :param argument: a JSON list of names to set, "" for none.
-        :raises GspnError: the argument is not a list of names in the plan, or the file cannot be
-            written.
+        :param names: the places and transitions to set, None to leave them as they are.
+        :raises GspnError: they are not of the plan, or cannot be kept in the file.
         """
         raise NotImplementedError
 

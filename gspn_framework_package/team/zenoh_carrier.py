@@ -22,6 +22,7 @@ from gspn_framework_package.team.carrier import (
 )
 from gspn_framework_package.team.lanes import Lanes
 from gspn_framework_package.team.message_filter import LARGEST_MESSAGE, MessageFilter, json_object
+from gspn_framework_package.team.orders import is_open
 from gspn_framework_package.team.tcp_patience import SilenceLimit, ports_of
 from gspn_framework_package.team.zenoh_body import is_compressed, unwrapped, wrapped
 from gspn_framework_package.team.zenoh_session import (
@@ -257,7 +258,8 @@ class ZenohCarrier:
 
     def _on_status(self, query: zenoh.Query) -> None:
         given = self._read(query)
-        command = "plan" if given.get("command") == "plan" else "status"
+        command = str(given.get("command", ""))
+        command = command if is_open(command) else "status"
         argument = str(given.get("argument", ""))
         self._answer(query, OperatorRequest(command, "", argument, self.run), "status")
 

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optiona
 
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team.addressing import (
-    PLAIN_QUESTIONS,
     SILENCE_PATIENCE,
     read_status,
     robots_of_run,
     whom_to_order,
 )
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.commands import order_time
 from gspn_framework_package.team.message_filter import json_object
+from gspn_framework_package.team.orders import ORDERS, is_open
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
@@ -134,12 +133,12 @@ class ZenohOperator:
             )
         request = {"command": command, "robot": robot, "argument": argument}
         return self._ask(
-            self._key(at, command), request, order_time(command) + SILENCE_PATIENCE
+            self._key(at, command), request, ORDERS[command].seconds + SILENCE_PATIENCE
         ).get(at)
 
     def _key(self, at: RobotAddress, command: str) -> str:
         """The key under which a robot answers a question or an order."""
-        if command in PLAIN_QUESTIONS:
+        if is_open(command):
             return key_of(at.run, at.robot, "status")
         return key_of(at.run, at.robot, "orders", self.name)
 

@@ -6,7 +6,7 @@ raises a :class:`~gspn_framework_package.model.errors.GspnError`, which the page
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, Mapping, Optional
+from typing import Any, Callable, Dict, Mapping, Optional
 
 from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.model.errors import RefusedError, UsageError
@@ -102,14 +102,3 @@ def text_field(fields: RequestFields, key: str, default: Optional[str] = None) -
     if not isinstance(value, str):
         raise UsageError("'%s' is missing" % key)
     return value
-
-
-def names_field(fields: RequestFields) -> List[str]:
-    """Return the list of names in the field ``names`` of a command.
-
-    :raises UsageError: it is missing, or not a list of texts.
-    """
-    names = fields.get("names")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise UsageError("'names' is a list of names")
-    return names

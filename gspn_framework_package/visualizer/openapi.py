@@ -142,6 +142,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         answer={
             "version": TEXT,
             "role": {**TEXT, "enum": ["operator", "viewer"]},
+            "orders": OBJECT,
             "first": _or_null(TEXT),
             "files": _list({"path": TEXT, "kind": TEXT}),
         },
@@ -173,8 +174,9 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ("POST", "/api/do"): ApiOperation(
         "command",
         "Give an order: to the simulation, the run or the team. Which there are, the field 'info' "
-        "of the first answer of /api/poll says; further fields depend on the command. With 'run' "
-        "it is refused if another run is shown.",
+        "of the first answer of /api/poll says; further fields depend on the command, and for "
+        "orders to a team they are in the 'orders' of /api/hello. With 'run' it is refused if "
+        "another run is shown.",
         ("id",),
         {"command": TEXT, "run?": TEXT},
         {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import queue
 from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, Mapping, Protocol, Tuple
 
@@ -14,14 +13,9 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
+from gspn_framework_package.team.orders import ORDERS, PAGE, OrderKind
 from gspn_framework_package.team.verdict import obey
-from gspn_framework_package.visualizer.activity import (
-    Handler,
-    RequestFields,
-    names_field,
-    text_field,
-)
-from gspn_framework_package.visualizer.submissions import submission
+from gspn_framework_package.visualizer.activity import Handler, RequestFields
 from gspn_framework_package.visualizer.team_connection import (
     LONGEST_ORDER_TIME,
     STATUS_TIME,
@@ -83,18 +77,9 @@ class PageOrders:
         self._team, self._connection = team, connection
         self._line = connection.line(LONGEST_ORDER_TIME)
         self.commands: Dict[str, Handler] = {
-            "stop": self._ordered(
-                lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")
-            ),
-            "pause": self._ordered(lambda f: ("pause", text_field(f, "robot", ""), "")),
-            "resume": self._ordered(lambda f: ("resume", text_field(f, "robot", ""), "")),
-            "retry": self._ordered(lambda f: ("retry", text_field(f, "robot"), "")),
-            "evict": self._ordered(lambda f: ("evict", text_field(f, "robot"), "")),
-            "leave": self._ordered(lambda f: ("leave", text_field(f, "robot"), "")),
-            "set_place": self._ordered(self._set_place),
-            "fire": self._ordered(self._fire),
-            "submit": self._ordered(self._submit),
-            "breakpoints": self._set_breakpoints,
+            command: self._handler(command, kind)
+            for command, kind in ORDERS.items()
+            if kind.form is not None
         }
 
     def close(self) -> None:
@@ -125,25 +110,17 @@ class PageOrders:
         finally:
             line.close()
 
-    def _ordered(self, order_from: Callable[[RequestFields], PageOrder]) -> Handler:
+    def _handler(self, command: str, kind: OrderKind) -> Handler:
+        """What carries out an order with the fields that the page gives."""
+
         def run(fields: RequestFields) -> Dict[str, Any]:
-            return self._order(order_from(fields))
+            values = kind.values(fields, PAGE, self._team.plan)
+            if kind.entry is None:
+                return self._set_breakpoints(values["names"])
+            kind.entry(**values)  # which checks the rest
+            return self._order((command, values.get("robot", ""), kind.argument(values)))
 
         return run
-
-    def _set_place(self, fields: RequestFields) -> PageOrder:
-        place = text_field(fields, "place")
-        self._team.plan.net.place_number(place)
-        return "set_place", text_field(fields, "robot"), place
-
-    def _fire(self, fields: RequestFields) -> PageOrder:
-        name = text_field(fields, "transition")
-        self._team.plan.net.transition_number(name)
-        return "fire", "", name
-
-    def _submit(self, fields: RequestFields) -> PageOrder:
-        task = submission(self._team.plan, fields)
-        return "submit", "", json.dumps(task._asdict())
 
     def _order(self, order: PageOrder) -> Dict[str, Any]:
         """Send an order to the robots of the run in turn, until one answers.
@@ -175,14 +152,14 @@ class PageOrders:
             else "no robot of the run has been heard of yet"
         )
 
-    def _set_breakpoints(self, fields: RequestFields) -> Dict[str, Any]:
+    def _set_breakpoints(self, names: List[str]) -> Dict[str, Any]:
         """Have every robot of the run stop at these places and transitions.
 
         :raises RefusedError: a robot did not take them.
         """
-        found = Breakpoints.of_names(names_field(fields), self._team.plan)
-        names = json.dumps([*found.places, *found.transitions])
-        request = OperatorRequest("breakpoints", "", names, self._team.run)
+        found = Breakpoints.of_names(names, self._team.plan)
+        argument = ORDERS["breakpoints"].argument({"names": [*found.places, *found.transitions]})
+        request = OperatorRequest("breakpoints", "", argument, self._team.run)
         answers: Replies = queue.SimpleQueue()
         try:
             known = sorted(n for n, name in self._team.names.items() if name not in self._team.gone)
@@ -210,5 +187,5 @@ class PageOrders:
         """The addresses of the run's robots, in the order to try them: first the robot concerned
         (last, if the order is to cast it out), and at the end those that are gone."""
         names, gone = self._team.names, self._team.gone
-        own_last = command == "evict"
+        own_last = ORDERS[command].against_robot
         return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))

@@ -11,6 +11,7 @@ from gspn_framework_package.execution.phase import phases_to_json
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.robot_colours import PALETTE
+from gspn_framework_package.team.orders import described
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
 from gspn_framework_package.visualizer.documents import Document, Folder
@@ -93,6 +94,7 @@ class Project:
             "server": self._server,
             "robot_colours": list(PALETTE),
             "phases": phases_to_json(),
+            "orders": described(),
             "first": self._first,
             "can_open": self._folder is not None,
             "history": self.fleet is not None,

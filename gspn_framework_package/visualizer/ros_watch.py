@@ -20,8 +20,8 @@ from gspn_framework_package.ros.transport.registration import (
 )
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
-from gspn_framework_package.team.addressing import PLAIN_QUESTIONS
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.orders import is_open
 from gspn_framework_package.team.seal import TeamKey
 from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.ros_prediction import RosPrediction
@@ -145,7 +145,7 @@ class RosLine:
         def reply(response: CommandResponse) -> None:
             answered(OperatorAnswer(response.success, response.message))
 
-        if request.command in PLAIN_QUESTIONS:
+        if is_open(request.command):
             written = CommandRequest(*request)
         else:
             written = self._orders.request(robot, *request)

@@ -23,25 +23,19 @@ from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
-from gspn_framework_package.execution.team_state import RobotState, TeamState
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.model.errors import ExecutionError, GspnError, LogError, RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
+from gspn_framework_package.team.orders import ORDERS, PAGE
 from gspn_framework_package.team.verdict import obey, verdict
-from gspn_framework_package.visualizer.activity import (
-    Activity,
-    Handler,
-    RequestFields,
-    names_field,
-    text_field,
-)
+from gspn_framework_package.visualizer.activity import Activity, Handler, RequestFields
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.feedback import FeedbackStream
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import LiveComparison
 from gspn_framework_package.visualizer.run_marks import RunMark
-from gspn_framework_package.visualizer.submissions import submission
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 RUNS = "runs"
@@ -55,6 +49,17 @@ STOP_SECONDS = 5.0
 
 LAST_SECONDS = 2.0
 """The same while the page's server shuts down."""
+
+ANSWERS = {
+    "pause": "{whom} is paused",
+    "resume": "{whom} goes on",
+    "retry": "{whom} tries again",
+    "leave": "{whom} leaves",
+    "set_place": "{whom} is put into {place}",
+    "fire": "{transition} is fired",
+    "submit": "task {id} comes in by {transition}",
+}
+"""The orders that become an entry of the log -> the answer to the page."""
 
 
 class StandaloneRun(Activity, Listener):
@@ -90,23 +95,8 @@ class StandaloneRun(Activity, Listener):
         self._changed_plan = False
         self.commands = {
             "stop": self._stop,
-            "pause": self._order("{whom} is paused", lambda f: log_entries.Pause(self._whom(f))),
-            "resume": self._order("{whom} goes on", lambda f: log_entries.Resume(self._whom(f))),
-            "retry": self._order(
-                "{whom} tries again", lambda f: log_entries.Retry(self._failed(f))
-            ),
-            "leave": self._order("{whom} leaves", lambda f: log_entries.Leave(self._agent(f))),
-            "set_place": self._order(
-                "{whom} is put into {place}",
-                lambda f: log_entries.SetPlace(self._agent(f), self._place(f)),
-            ),
-            "fire": self._order(
-                "{transition} is fired", lambda f: log_entries.Fire(self._transition(f))
-            ),
             "breakpoints": self._set_breakpoints,
-            "submit": self._order(
-                "task {id} comes in by {transition}", lambda f: submission(self._plan, f)
-            ),
+            **{command: self._order(command, says) for command, says in ANSWERS.items()},
         }
 
     def plan_of(self, number: int) -> Optional[Plan]:
@@ -179,7 +169,7 @@ class StandaloneRun(Activity, Listener):
         """End the run; it is over when this returns."""
         if self._told_end:
             raise RefusedError("the run is over")
-        reason = str(fields.get("reason") or "").strip()[:200] or "stopped on the page"
+        reason = ORDERS["stop"].values(fields, PAGE)["reason"]
         self._stop_it(reason, STOP_SECONDS)
         return {"message": "the run is over"}
 
@@ -191,22 +181,36 @@ class StandaloneRun(Activity, Listener):
             text = "it did not react to the order to stop (%s) within %g s, and was given up"
             self._gave_way(text % (reason, seconds))
 
-    def _order(self, message: str, entry: Callable[[RequestFields], log_entries.Entry]) -> Handler:
-        """The handler of a command that becomes an entry of the log; ``message`` is the template of
-        the reply, filled in with the fields of the entry."""
+    def _order(self, command: str, answer: str) -> Handler:
+        """The handler of an order that becomes an entry of the log; ``answer`` is filled in with
+        the fields of the order."""
 
         def run(fields: RequestFields) -> Dict[str, Any]:
             if self._told_end:
                 raise RefusedError("the run is over")
-            made = entry(fields)
-            self._executor.order(made)
-            named = {**made._asdict(), "whom": getattr(made, "robot", "") or "the team"}
-            return {"message": message.format(**named)}
+            kind = ORDERS[command]
+            values = kind.values(fields, PAGE, self._plan)
+            self._look_at(command, values)
+            assert kind.entry is not None
+            self._executor.order(kind.entry(**values))
+            return {"message": answer.format(**values, whom=values.get("robot") or "the team")}
 
         return run
 
+    def _look_at(self, command: str, values: Mapping[str, Any]) -> None:
+        """:raises RefusedError: the order makes no sense now."""
+        name = values.get("robot", "")
+        robot = self._executor.state.robots.get(name)
+        if name and (robot is None or robot.phase.gone):
+            raise RefusedError("there is no agent '%s' in the run" % name[:80])
+        if command == "retry" and robot is not None and robot.phase is not Phase.FAILED:
+            raise RefusedError("the action of %s has not failed" % name)
+        if values.get("place") in self._plan.resource_places:
+            raise RefusedError("'%s' is a resource place: no agent can be in it" % values["place"])
+
     def _set_breakpoints(self, fields: RequestFields) -> Dict[str, Any]:
-        found = Breakpoints.of_names(names_field(fields), self._plan)
+        names = ORDERS["breakpoints"].values(fields, PAGE)["names"]
+        found = Breakpoints.of_names(names, self._plan)
         try:
             self._breakpoints.write(found)
         finally:
@@ -218,38 +222,6 @@ class StandaloneRun(Activity, Listener):
         names = [*self._breakpoints.breakpoints.places, *self._breakpoints.breakpoints.transitions]
         if self._hub.info.get("breakpoints", []) != names:
             self._hub.change_info(breakpoints=names)
-
-    def _agent(self, fields: RequestFields) -> str:
-        return self._robot(fields).name
-
-    def _robot(self, fields: RequestFields) -> RobotState:
-        name = text_field(fields, "robot")
-        robot = self._executor.state.robots.get(name)
-        if robot is None or robot.phase.gone:
-            raise RefusedError("there is no agent '%s' in the run" % name[:80])
-        return robot
-
-    def _whom(self, fields: RequestFields) -> str:
-        """The agent that a command is for, "" for all."""
-        return self._agent(fields) if fields.get("robot") else ""
-
-    def _failed(self, fields: RequestFields) -> str:
-        robot = self._robot(fields)
-        if robot.phase is not Phase.FAILED:
-            raise RefusedError("the action of %s has not failed" % robot.name)
-        return robot.name
-
-    def _place(self, fields: RequestFields) -> str:
-        name = text_field(fields, "place")
-        self._plan.net.place_number(name)
-        if name in self._plan.resource_places:
-            raise RefusedError("'%s' is a resource place: no agent can be in it" % name)
-        return name
-
-    def _transition(self, fields: RequestFields) -> str:
-        name = text_field(fields, "transition")
-        self._plan.net.transition_number(name)
-        return name
 
     # -- events of the executor --------------------------------------------------------------------
 

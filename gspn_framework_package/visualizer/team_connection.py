@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Callable, Optional, Protocol, Set, Tuple
 
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.commands import ADOPT_TIME
+from gspn_framework_package.team.orders import ADOPT_TIME
 from gspn_framework_package.visualizer.live_comparison import Departures
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class RobotLine(Protocol):
         """Ask the robot at an address; return whether an answer may come.
 
         :param robot: its name; a question (see
-            :data:`~gspn_framework_package.team.addressing.PLAIN_QUESTIONS`) may go without.
+            :func:`~gspn_framework_package.team.orders.is_open`) may go without.
         :param answered: is called with the answer on any thread, once or not at all; None: there
             will be none.
         :raises UnreachableError: nobody can be asked.

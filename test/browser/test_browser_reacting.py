@@ -5,7 +5,7 @@ from reported_run import ReportedRun
 from shop_plan import SLOTS, shop
 
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.visualizer.submissions import submission
+from gspn_framework_package.team.orders import ORDERS, PAGE
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 
@@ -29,7 +29,8 @@ class Shop(ReportedRun):
         return {"message": "robots stop there"}
 
     def _submit(self, fields):
-        task = submission(self.plan, fields)
+        kind = ORDERS["submit"]
+        task = kind.entry(**kind.values(fields, PAGE, self.plan))
         self.feed(task)
         return {"message": "task %s comes in" % task.id}
 
@@ -49,11 +50,11 @@ def test_tasks_data_and_causes_are_shown_and_tasks_are_submitted(run, open_page,
     page.wait_for_selector("#inspector button:has-text('Submit a task'):enabled")
     page.click("#inspector button:has-text('Submit a task')")
     page.wait_for_selector("dialog[open] h2:has-text('order')")
-    page.fill("#task-id", "o1")
-    page.fill("#task-data", '{"pose": [1, 0]')
+    page.fill("#order-id", "o1")
+    page.fill("#order-data", '{"pose": [1, 0]')
     page.click("dialog button:has-text('Submit')")
     page.wait_for_selector("dialog .wrong:has-text('the data is not JSON')")
-    page.fill("#task-data", '{"pose": [1, 0]}')
+    page.fill("#order-data", '{"pose": [1, 0]}')
     page.click("dialog button:has-text('Submit')")
     page.wait_for_selector("#toast:has-text('task o1 comes in')")
 

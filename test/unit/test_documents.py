@@ -30,7 +30,8 @@ from terminal import Terminal
 from test_project_files import apt_packages
 
 import gspn_framework_package
-from gspn_framework_package.cli.main import VERBS, _parser
+from gspn_framework_package.cli.main import _parser, all_verbs
+from gspn_framework_package.team.orders import ORDERS, FieldKind
 
 NOT_RUN = (
     (r"source /opt/ros/noetic/setup\.bash", "another distribution"),
@@ -476,7 +477,27 @@ def test_every_verb_is_documented():
     tables = re.findall(r"^\| verb \|.*?\n\n", _text("commands.md"), re.MULTILINE | re.DOTALL)
     rows = re.findall(r"^\| (`[^|]*)\|", "".join(tables), re.MULTILINE)
     table = {verb for row in rows for verb in re.findall(r"`([\w-]+)", row)}
-    assert table == set(VERBS)
+    assert table == set(all_verbs())
+
+
+def test_every_order_is_documented_where_it_is_called():
+    section = re.search(r"^### Commands\n(.*?)^### ", _text("ros_interface.md"), re.M | re.S).group(
+        1
+    )
+    rows = re.findall(r"^\| (`[^|]*)\|([^|]*)\|([^|]*)\|", section, re.MULTILINE)
+    documented = {
+        name: (robot.strip(), argument.strip())
+        for names, robot, argument in rows
+        for name in re.findall(r"`(\w+)`", names)
+    }
+    service = (ROOT / "srv/Command.srv").read_text(encoding="utf-8")
+    listed = re.search(r"^string command((.|\n)*?); sealed", service, re.M).group(1)
+    assert set(documented) - {"sealed"} == set(ORDERS) == set(re.findall(r"\w+", listed))
+    for name, kind in ORDERS.items():
+        robot, argument = documented[name]
+        kinds = [field.kind for field in kind.fields]
+        assert bool(robot) == (FieldKind.ROBOT in kinds), name
+        assert bool(argument) == bool(set(kinds) - {FieldKind.ROBOT}), name
 
 
 def test_every_key_of_a_plan_is_documented():

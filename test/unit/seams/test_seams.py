@@ -6,6 +6,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,13 +18,18 @@ from gspn_framework_package.execution.actions import (
     load_actions,
     no_feedback,
 )
+from gspn_framework_package.execution.agreement.interface import OrderResult
+from gspn_framework_package.execution.log_entries import Giver
 from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.formats import FORMATS, read_net, register, write_net
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import NetError, PlanError, UsageError
+from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.commands import Commands
 from gspn_framework_package.team.jobs import LocalJob
+from gspn_framework_package.team.orders import ORDERS
 
 
 @pytest.fixture(autouse=True)
@@ -94,6 +100,82 @@ def test_a_verb_is_found_by_its_row(monkeypatch, capsys):
     assert capsys.readouterr().out == "2\n"
     assert dispatcher.main(["--help"]) == 0
     assert "count words" in capsys.readouterr().out
+
+
+# -- an order of the operator
+
+
+class Host:
+    """A robot whose replica takes every order."""
+
+    robot, run = "robot_1", "monday"
+
+    def __init__(self):
+        self.entries = []
+
+    def enqueue(self, function, *arguments):
+        function(*arguments)
+
+    def note_order(self, request, operator):
+        pass
+
+    def order(self, entry, answer):
+        self.entries.append(entry)
+        answer(OrderResult("", True, "it is so"))
+
+
+@pytest.fixture
+def toy_order(monkeypatch):
+    from toys import toy_order
+
+    monkeypatch.setitem(ORDERS, "greet", toy_order.GREET)
+    return toy_order
+
+
+def test_an_order_is_a_verb_with_its_arguments(toy_order, monkeypatch, capsys):
+    given = []
+
+    class Client:
+        def order(self, *order):
+            given.append(order)
+            return True, "it is so"
+
+    monkeypatch.setattr("gspn_framework_package.cli.team_client.team_client", lambda _: Client())
+    assert dispatcher.main(["--help"]) == 0
+    assert "greet        have a robot greet somebody" in capsys.readouterr().out
+    assert dispatcher.main(["greet", "robot_2", "--whom", "ann", "--run", "monday"]) == 0
+    assert given == [("greet", "robot_2", "ann", "monday")]
+    assert dispatcher.main(["greet"]) == 2
+
+
+def test_a_robot_takes_the_order(toy_order):
+    host = Host()
+    request = OperatorRequest("greet", "robot_2", "ann", "monday")
+    assert Commands(host).answer(request, Operator("bob")).success
+    assert host.entries == [toy_order.greeting("robot_2", "ann")._replace(by=Giver("bob"))]
+    refused = Commands(host).answer(OperatorRequest("greet", "robot_2", "x" * 300))
+    assert refused == (False, "not a greeting: nobody has so long a name")
+    assert "greet" in Commands(host).answer(OperatorRequest("sing")).message
+
+
+def test_the_page_describes_the_order_and_gives_it(toy_order):
+    from gspn_framework_package.visualizer.page_orders import PageOrders
+    from gspn_framework_package.visualizer.project import Project
+
+    described = Project(None).to_json()["orders"]["greet"]
+    assert (described["where"], described["label"]) == ("more", "Greet")
+    assert [field["name"] for field in described["fields"]] == ["robot", "whom"]
+    asked, team = [], Mock(names={"/r2": "robot_2"}, gone=frozenset(), run="monday")
+
+    def call(address, robot, request, answered):
+        asked.append(request)
+        answered(OperatorAnswer(True, "it is so"))
+        return True
+
+    orders = PageOrders(team, Mock(**{"line.return_value.call": call}))
+    answer = orders.commands["greet"]({"robot": "robot_2", "whom": "ann"})
+    assert answer == {"message": "it is so"}
+    assert asked == [OperatorRequest("greet", "robot_2", "ann", "monday")]
 
 
 # -- a measure

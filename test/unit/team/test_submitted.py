@@ -7,19 +7,24 @@ import pytest
 pytest.importorskip("gspn_framework_package.srv")
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.cli.submit import read_data
+from gspn_framework_package.cli.orders import read_data
 from gspn_framework_package.execution.log_entries import Submit
 from gspn_framework_package.model.errors import DataError, GspnError
-from gspn_framework_package.team.commands import order_entry
+from gspn_framework_package.team.orders import ORDERS
+
+
+def submitted(argument):
+    kind = ORDERS["submit"]
+    return kind.entry(**kind.read("", argument, "robot_1"))
 
 
 def test_the_command_takes_a_task():
     argument = json.dumps({"transition": "order", "id": "o1", "data": {"pose": [1, 2]}})
-    assert order_entry("submit", "", "robot_1", argument) == Submit("order", "o1", {"pose": [1, 2]})
+    assert submitted(argument) == Submit("order", "o1", {"pose": [1, 2]})
 
 
 def test_a_task_without_an_id_gets_a_new_one():
-    first, second = (order_entry("submit", "", "a", '{"transition": "order"}') for _ in range(2))
+    first, second = (submitted('{"transition": "order"}') for _ in range(2))
     assert first.id and first.id != second.id
     assert first.data == {}
 
@@ -44,7 +49,7 @@ def test_a_task_without_an_id_gets_a_new_one():
 )
 def test_what_is_no_task_is_refused(argument):
     with pytest.raises(DataError):
-        order_entry("submit", "", "robot_1", argument)
+        submitted(argument)
 
 
 def test_data_are_json_or_the_name_of_a_file(tmp_path, monkeypatch, capsys):

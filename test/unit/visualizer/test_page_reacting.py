@@ -23,12 +23,12 @@ from gspn_framework_package.execution.event_log import LogFile, header
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.model.errors import DataError, RefusedError, UsageError
+from gspn_framework_package.model.errors import DataError, RefusedError
 from gspn_framework_package.model.event import Tasks
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.orders import ORDERS, PAGE
 from gspn_framework_package.visualizer import recording
 from gspn_framework_package.visualizer.board import Board
-from gspn_framework_package.visualizer.submissions import submission
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 
@@ -123,6 +123,11 @@ def test_a_board_without_data_is_read_as_before():
     assert Board.from_json(Board(0, [1]).to_json()).data == {}
 
 
+def submission(plan, fields):
+    kind = ORDERS["submit"]
+    return kind.entry(**kind.values(fields, PAGE, plan))
+
+
 def test_a_task_of_the_page_is_checked():
     task = submission(shop(), {"transition": "order", "id": " o9 ", "data": {"pose": [1, 2]}})
     assert task == log_entries.Submit("order", "o9", {"pose": [1, 2]})
@@ -134,8 +139,8 @@ def test_a_task_of_the_page_is_checked():
     "fields, error",
     [
         ({"transition": "delivered"}, RefusedError),
-        ({}, UsageError),
-        ({"transition": "order", "id": 7}, UsageError),
+        ({}, DataError),
+        ({"transition": "order", "id": True}, DataError),
         ({"transition": "order", "id": "x" * 201}, DataError),
         ({"transition": "order", "data": [1]}, DataError),
         ({"transition": "order", "data": {"no name": 1}}, DataError),

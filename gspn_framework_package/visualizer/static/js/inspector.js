@@ -1,7 +1,7 @@
 // The inspector describes the selected node. A place: its tokens and robots, since when, and what they do.
 // A transition: kind, rate or weight, number of firings, why it is not enabled.
 
-import { h, $, attempt, facts, isPressed, toast, seconds, plural, number } from "./dom.js";
+import { h, $, facts, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { reportOf } from "./phases.js";
 import { queueOf, taskLine, waitingFor } from "./reacting.js";
@@ -235,23 +235,10 @@ export class Inspector extends EventTarget {
         : transition.servers > 1
           ? `, ${transition.servers} servers`
           : "";
-    const order =
-      transition.environment &&
-      this.orders.button(
-        "Fire for the environment",
-        "fire",
-        () => this.orders.give("fire", { transition: transition.name }, `Fire ${transition.name}`),
-        { title: "On behalf of the environment: no robot takes part" },
-      );
-    if (order && !enabled) order.disabled = true;
-    const submit =
-      transition.submits &&
-      this.orders.button(
-        "Submit a task …",
-        "submit",
-        () => attempt(() => this.orders.submit(transition.name)),
-        { title: "A task comes in by this transition, with an id and data" },
-      );
+    const fields = { transition: transition.name };
+    const fires = transition.environment ? this.orders.buttons("transition", fields) : [];
+    for (const button of fires) button.disabled ||= !enabled;
+    const submits = transition.submits ? this.orders.buttons("entrance", fields) : [];
     const breakpoint = this.orders.breakpoint(transition);
     const waiting = waitingFor(board, transition.name);
     const mine = info.probabilities?.[String(index)];
@@ -331,7 +318,8 @@ export class Inspector extends EventTarget {
           }),
         ),
       ],
-      (order || submit || breakpoint) && h("div.buttons", order, submit, breakpoint),
+      (fires.length > 0 || submits.length > 0 || breakpoint) &&
+        h("div.buttons", fires, submits, breakpoint),
       around("Inputs", 1),
       around("Outputs", 0),
     ];

@@ -529,7 +529,7 @@ class Page {
       };
     }
     $("start").onclick = () => this.start();
-    $("stop").onclick = () => this.orders.stop();
+    $("stop").onclick = () => this.orders.order("stop");
     $("pause-team").onclick = () => {
       const { paused } = this.model.head.status;
       this.orders.give(

@@ -1,4 +1,5 @@
-// The operator's orders to a running team. Each order names the run shown; its result is shown and stored.
+// The operator's orders to a running team. Each order names the run shown; its result is shown and stored. Which
+// orders there are, with their fields, words and dialogs, the server says (team/orders.py explains the forms).
 
 import { h, ask, announce, toast } from "./dom.js";
 import { post } from "./api.js";
@@ -6,7 +7,6 @@ import { reportOf } from "./phases.js";
 
 export const ONLY_LOOK = "the viewer's token is read-only";
 const KEPT = 6;
-const RARE = ["set_place", "leave", "evict"]; // behind "More ..."
 
 /** The JSON object in a text; an error that says what is wrong with it. */
 function jsonObject(text) {
@@ -21,12 +21,23 @@ function jsonObject(text) {
   return value;
 }
 
+/** The values of fields that were given in elements: name -> value. */
+function valuesOf(inputs) {
+  return Object.fromEntries(
+    inputs.map(({ field, element }) => [
+      field.name,
+      field.kind === "object" ? jsonObject(element.value) : element.value.trim(),
+    ]),
+  );
+}
+
 /** Fires "given" when an order has been answered. */
 export class Orders extends EventTarget {
   /** `page` knows the model and the role. */
   constructor(page) {
     super();
     this.page = page;
+    this.table = page.hello.orders; // command -> its form
     this.given = []; // the latest first: {time, says, answer, good}
   }
 
@@ -52,18 +63,32 @@ export class Orders extends EventTarget {
     return "";
   }
 
+  /** The orders that this run accepts and whose form stands there. */
+  at(where) {
+    return Object.keys(this.table).filter(
+      (command) => this.table[command].where === where && this.offers(command),
+    );
+  }
+
+  /** The buttons of the orders whose form stands there, with these fields. */
+  buttons(where, fields) {
+    return this.at(where).map((command) =>
+      this.button(command, Object.values(fields).join(" "), () => this.order(command, fields)),
+    );
+  }
+
   /** A button that calls `act`, or shows why it is disabled; none if the run does not accept `command`. */
-  button(label, command, act, { about = "", kind = "", title = "" } = {}) {
+  button(command, about, act, form = this.table[command]) {
     if (!this.offers(command)) return null;
     const refusal =
       this.refusal || (this.model.following ? "" : "the view is paused: go back to live first");
     return h("button", {
-      text: label,
-      class: kind,
+      text: form.label,
+      class: form.style || "",
       "data-order": command,
       "data-focus": `${command} ${about}`,
       disabled: Boolean(refusal),
-      title: refusal || title,
+      title: refusal || form.about,
       onclick: act,
     });
   }
@@ -121,47 +146,86 @@ export class Orders extends EventTarget {
     return this.listed;
   }
 
-  // -- orders with a confirmation --------------------------------------------------------------------
+  // -- orders and their dialogs ----------------------------------------------------------------------
 
   get runName() {
     return this.model.head.status.run || this.model.scene.plan?.name || this.model.scene.name;
   }
 
-  async stop() {
+  /** Give an order with these fields; ask first for the others, or whether it is meant, if its form has a dialog. */
+  async order(command, fields = {}) {
     const { model } = this;
-    const robots = [...model.board.robots.values()]
-      .filter(({ phase }) => !reportOf(phase).gone)
-      .map(({ name }) => name);
-    const known = robots.join(", ") || "no robot is known";
-    const team = robots.length > 12 ? `${robots.length} robots` : known;
-    const reason = h("input", {
-      type: "text",
-      id: "stop-reason",
-      placeholder: "stopped on the page",
-      maxlength: 200,
-      autocomplete: "off",
-    });
-    const answer = await ask(
-      `Stop the run “${this.runName}”?`,
+    const form = this.table[command];
+    const inputs = this.inputs(command, fields);
+    const text = (template) => this.words(template, fields);
+    const give = () => {
+      const whole = { ...fields, ...valuesOf(inputs) };
+      return this.give(command, whole, this.words(form.says, whole));
+    };
+    if (!form.title) {
+      await give();
+      return;
+    }
+    await ask(
+      text(form.title),
       [
-        h("p", {
-          text: `The run ends for the whole team: ${team}. Running actions are cancelled. This cannot be undone.`,
-        }),
-        h(
-          "div",
-          { class: "form" },
-          h("label", { for: "stop-reason", text: "Reason, for the log" }),
-          reason,
+        h("p", text(form.text)),
+        inputs.map(({ field, element }) =>
+          h("div.form", h("label", { for: element.id }, field.label), element),
         ),
       ],
       [
-        ["Cancel", ""],
-        ["Stop the run", "stop", "danger primary"],
+        ["Cancel", "", form.style.includes("primary") ? "" : "primary"],
+        [text(form.confirm), command, form.style],
       ],
+      async () => {
+        if (this.model === model && !(await give()) && inputs.length)
+          throw new Error(this.given[0].answer);
+      },
     );
-    if (answer !== "stop" || this.model !== model) return;
-    const fields = { reason: reason.value.trim() || "stopped on the page" };
-    await this.give("stop", fields, `Stop ${this.runName}`);
+  }
+
+  /** A template of a form, filled in with fields and what the page knows. */
+  words(template, fields) {
+    const { board, scene } = this.model;
+    const robot = board.robots.get(fields.robot);
+    const place = scene.places[robot?.place]?.name;
+    const { word } = reportOf(robot?.phase);
+    const team = [...board.robots.values()]
+      .filter(({ phase }) => !reportOf(phase).gone)
+      .map(({ name }) => name);
+    const known = {
+      run: this.runName,
+      state: `${fields.robot}${place ? ` is in ${place}` : ""}${word ? `: it ${word}` : ""}.`,
+      team: team.length > 12 ? `${team.length} robots` : team.join(", ") || "no robot is known",
+      ...fields,
+    };
+    return template.replace(/\{(\w+)\}/g, (_, name) => known[name] ?? "");
+  }
+
+  /** The elements in which the fields are given that `fields` does not have: [{field, element}, ...]. */
+  inputs(command, fields) {
+    return this.table[command].fields
+      .filter(({ name }) => !(name in fields))
+      .map((field) => ({ field, element: this.input(field, fields) }));
+  }
+
+  input({ name, kind, label, placeholder }, { robot }) {
+    const about = { id: `order-${name}`, "aria-label": label };
+    if (kind === "place") {
+      const { scene, board } = this.model;
+      const present = scene.places[board.robots.get(robot)?.place]?.name;
+      const places = scene.places.filter((place) => place.kind === "action");
+      const option = (place) =>
+        h("option", { value: place.name, text: place.name, selected: place.name === present });
+      return h("select", about, places.map(option));
+    }
+    if (kind === "object") {
+      const element = h("textarea", { ...about, rows: 5, spellcheck: "false" });
+      element.value = "{}";
+      return element;
+    }
+    return h("input", { ...about, type: "text", placeholder, maxlength: 200, autocomplete: "off" });
   }
 
   /** The names of the places and transitions at which a robot stops. */
@@ -179,174 +243,55 @@ export class Orders extends EventTarget {
       : [...breakpoints, node.name];
     const says = `${has ? "Remove" : "Set"} breakpoint`;
     return this.button(
-      says,
       "breakpoints",
+      node.name,
       () => this.give("breakpoints", { names }, `${says} at ${node.name}`),
-      { about: node.name, title: "A robot that comes here stops until it is resumed" },
-    );
-  }
-
-  /** Let a task in by a transition of the environment. */
-  async submit(transition) {
-    const { model } = this;
-    const field = (id, label, element) =>
-      h("div", { class: "form" }, h("label", { for: id, text: label }), element);
-    const id = h("input", {
-      type: "text",
-      id: "task-id",
-      maxlength: 200,
-      autocomplete: "off",
-      placeholder: "made up by the server",
-    });
-    const data = h("textarea", { id: "task-data", rows: 5, spellcheck: "false" });
-    data.value = "{}";
-    await ask(
-      `Submit a task by “${transition}”`,
-      [
-        h("p", {
-          text: "Of several tasks with one id, the first counts. Actions read the data as task.NAME.",
-        }),
-        field("task-id", "Id", id),
-        field("task-data", "Data, a JSON object", data),
-      ],
-      [
-        ["Cancel", ""],
-        ["Submit", "submit", "primary"],
-      ],
-      async () => {
-        const fields = { transition, id: id.value.trim(), data: jsonObject(data.value) };
-        if (this.model === model && !(await this.give("submit", fields, `Submit ${transition}`)))
-          throw new Error(this.given[0].answer);
-      },
+      { label: says, about: "A robot that comes here stops until it is resumed" },
     );
   }
 
   /** The rarer orders for one robot, each with its description. */
   async more(robot) {
-    const { scene } = this.model;
-    const places = scene.places.filter(({ kind }) => kind === "action");
-    const present = scene.places[robot.place]?.name;
-    const place = h(
-      "select",
-      { "aria-label": "Place" },
-      places.map(({ name }) =>
-        h("option", { value: name, text: name, selected: name === present }),
-      ),
-    );
-    const row = (command, label, does, kind, ...fields) =>
-      this.offers(command) &&
+    const fields = { robot: robot.name };
+    const inputs = new Map(this.at("more").map((each) => [each, this.inputs(each, fields)]));
+    const row = ([command, given]) =>
       h(
-        "div",
-        { class: "choice" },
-        h("p", {}, does),
+        "div.choice",
+        h("p", this.table[command].about),
         h(
-          "div",
-          { class: "buttons" },
-          fields,
+          "div.buttons",
+          given.map(({ element }) => element),
           h("button", {
-            text: label,
-            class: kind,
+            text: this.table[command].label,
+            class: this.table[command].style,
             value: command,
             onclick: (event) => event.target.closest("dialog").close(command),
           }),
         ),
       );
+    const present = this.model.scene.places[robot.place]?.name || "no place";
+    const text = `Run “${this.runName}”; ${robot.name} is in ${present}.`;
     const answer = await ask(
       `Orders for ${robot.name}`,
-      [
-        h("p", {
-          class: "muted",
-          text: `Run “${this.runName}”; ${robot.name} is in ${present || "no place"}.`,
-        }),
-        row(
-          "set_place",
-          "Set place",
-          "Set its place, for example after somebody carried it. The action there starts.",
-          "",
-          place,
-        ),
-        row(
-          "leave",
-          "Leave the team",
-          "It leaves the team voluntarily and takes its token along.",
-          "",
-        ),
-        row(
-          "evict",
-          "Evict",
-          "Remove it from the team as lost, if it will not come back by itself.",
-          "danger",
-        ),
-      ],
+      [h("p.muted", text), [...inputs].map(row)],
       [["Cancel", ""]],
     );
-    if (answer === "set_place")
-      await this.give(
-        "set_place",
-        { robot: robot.name, place: place.value },
-        `Move ${robot.name} to ${place.value}`,
-      );
-    if (answer === "leave")
-      await this.give("leave", { robot: robot.name }, `Make ${robot.name} leave`);
-    if (answer === "evict") await this.evict(robot.name);
-  }
-
-  /** Evict a robot; of one that acts, ask first. */
-  async evict(name) {
-    const { model } = this;
-    const robot = model.board.robots.get(name);
-    const place = model.scene.places[robot?.place]?.name;
-    const { word } = reportOf(robot?.phase);
-    const sure = await ask(
-      `Evict ${name} from the run “${this.runName}”?`,
-      h("p", {
-        text: [
-          `${name}${place ? ` is in ${place}` : ""}${word ? `: it ${word}` : ""}.`,
-          "The team goes on without it, and its token is taken out of the net.",
-          "What it is doing is cancelled once it hears of that.",
-        ].join(" "),
-      }),
-      [
-        ["Cancel", "", "primary"],
-        [`Evict ${name}`, "evict", "danger"],
-      ],
-    );
-    if (sure === "evict" && this.model === model)
-      await this.give("evict", { robot: name }, `Evict ${name}`);
+    if (answer) await this.order(answer, { ...fields, ...valuesOf(inputs.get(answer)) });
   }
 
   /** The buttons on the card of a robot. */
   ofRobot(robot) {
     const is = reportOf(robot.phase);
     if (is.gone || is.at_rest) return [];
-    const { name } = robot;
-    const simple = (label, command, title, says = `${label} ${name}`, kind = "") =>
-      this.button(label, command, () => this.give(command, { robot: name }, says), {
-        about: name,
-        kind,
-        title,
-      });
-    const rare = RARE.find((command) => this.offers(command));
+    const fields = { robot: robot.name };
+    const rare = this.at("more");
     return [
-      is.failed &&
-        simple(
-          "Try again",
-          "retry",
-          "Start its action again",
-          `Retry the action of ${name}`,
-          "primary",
-        ),
-      robot.paused
-        ? simple("Resume", "resume", "")
-        : simple(
-            "Pause",
-            "pause",
-            "It takes part in no firing until it is resumed; its action continues",
-          ),
-      rare &&
-        this.button("More …", rare, () => this.more(robot), {
-          about: name,
-          title: "Set its place, make it leave, evict it",
+      ...(is.failed ? this.buttons("failed", fields) : []),
+      ...this.buttons(robot.paused ? "paused" : "running", fields),
+      rare.length > 0 &&
+        this.button(rare[0], robot.name, () => this.more(robot), {
+          label: "More …",
+          about: rare.map((command) => this.table[command].label).join(", "),
         }),
     ].filter(Boolean);
   }
