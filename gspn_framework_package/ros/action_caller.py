@@ -275,7 +275,7 @@ class ActionCaller:
                 self._fail(
                     goal,
                     Outcome.TIMEOUT,
-                    "it took longer than %g s (timeout in the plan)"
+                    "the action took longer than %g s (timeout in the plan)"
                     % (self._timeout(goal.target.place) or 0),
                     cancel=True,
                 )

@@ -148,8 +148,8 @@ class ActionsTest(unittest.TestCase):
     def test_a_result_names_the_transition(self):
         plan, _ = self.serve({"P1": "instant", "P2": "instant"})
         robot = self.robot(plan)
-        self.assertEqual(robot.do("P1")[1:4], ("T_P1", "", ""))
-        self.assertEqual(robot.do("P2")[1:4], ("T_P2", "", ""))
+        self.assertEqual(robot.do("P1")[1:4], ("T_P1", "succeeded", ""))
+        self.assertEqual(robot.do("P2")[1:4], ("T_P2", "succeeded", ""))
 
     def test_an_action_is_reported_who_asks_and_tells_how_far_it_is(self):
         plan, _ = self.serve({"P1": "tell"})
@@ -162,7 +162,7 @@ class ActionsTest(unittest.TestCase):
 
         acts.heard.clear()
         threading.Thread(target=listen, daemon=True).start()
-        self.assertEqual(robot.do("P1", visit=7, attempt=3)[1:4], ("", "", ""))
+        self.assertEqual(robot.do("P1", visit=7, attempt=3)[1:4], ("", "succeeded", ""))
         self.assertEqual(acts.seen, [("P1", "robot_1", 7, 3)])
         self.assertEqual([f.time_passed for f in robot.feedback], [(1,), (2, 3)])
 
@@ -273,7 +273,7 @@ class ActionsTest(unittest.TestCase):
         for own_servers in (servers.servers, None):  # in the process, or over topics
             robot = self.robot(plan, own_servers=own_servers)
             ended = robot.do("P1", data={"robot.count": 41, "task.where": "Küche"}, resumed_from=7)
-            self.assertEqual(ended[1:4], ("T_P1", "", ""))
+            self.assertEqual(ended[1:4], ("T_P1", "succeeded", ""))
             self.assertEqual(
                 ended.data, {"count": 42, "team.note": ["Küche", 7], "robot.long": "x" * 60000}
             )
@@ -452,7 +452,7 @@ class ActionsTest(unittest.TestCase):
         )
         robot = self.robot(plan, own_servers=servers.servers)
         ended = robot.do("P1")
-        self.assertEqual(ended[1:4], ("T_P1", "", ""))
+        self.assertEqual(ended[1:4], ("T_P1", "succeeded", ""))
         wait_for(lambda: results, what="the result")
         self.assertEqual(
             (results[0].status.goal_id.id, results[0].result.transition),
@@ -708,10 +708,10 @@ class ActionsTest(unittest.TestCase):
         self.assertGreater(target.header.stamp.to_sec(), 0)
         goal.set_accepted()
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=20)[1:4], ("T_there", "", ""))
+        self.assertEqual(robot.ended.get(timeout=20)[1:4], ("T_there", "succeeded", ""))
         for place, how, expected in (
-            ("P1", "set_aborted", ("T_blocked", "", "")),
-            ("P2", "set_succeeded", ("", "", "")),
+            ("P1", "set_aborted", ("T_blocked", "succeeded", "")),
+            ("P2", "set_succeeded", ("", "succeeded", "")),
             ("P2", "set_aborted", ("", "aborted", "no way")),
             ("P2", "set_canceled", ("", "preempted", "no way")),
         ):

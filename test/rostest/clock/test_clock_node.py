@@ -102,13 +102,13 @@ class ClockTest(unittest.TestCase):
         wait_for(lambda: rospy.get_time() < 900.0, what="the clock to go back")
         wait_for(lambda: rospy.get_time() > 501.5, what="longer than the server may be silent")
         self.release.set()
-        self.assertEqual(self.ended.get(timeout=20).reason, "")
+        self.assertEqual(self.ended.get(timeout=20).outcome, "succeeded")
         self.release.clear()
         self.send(2)
         wait_for(self.is_under_way, what="the server to take the next goal")
         wait_for(lambda: rospy.get_time() > 503.0, what="longer than the server may be silent")
         self.release.set()
-        self.assertEqual(self.ended.get(timeout=20).reason, "")
+        self.assertEqual(self.ended.get(timeout=20).outcome, "succeeded")
         self.assertEqual(len(self.faults), 1, self.faults)
         self.assertRegex(self.faults[0], r"time went back by \d{3}\.\d s \(/clock\)")
 
@@ -117,7 +117,7 @@ class ClockTest(unittest.TestCase):
         self.send(1)
         wait_for(self.is_under_way, what="the server to take the goal")
         self.clock.rate = 100.0
-        self.assertEqual(self.ended.get(timeout=15).reason, "timeout")
+        self.assertEqual(self.ended.get(timeout=15).outcome, "timeout")
 
     def test_a_paused_simulation_is_neither_silence_nor_the_time_of_an_action(self):
         self.robot(timeouts={"P1": 0.6}, status=0.3)
@@ -128,14 +128,14 @@ class ClockTest(unittest.TestCase):
         wait_for(lambda: time.monotonic() > paused + 1.0, what="longer than the action may take")
         self.assertTrue(self.ended.empty())
         self.clock.rate = 1.0
-        self.assertEqual(self.ended.get(timeout=20).reason, "timeout")
+        self.assertEqual(self.ended.get(timeout=20).outcome, "timeout")
 
     def test_the_delay_of_an_attempt_passes_by_simulated_time(self):
         self.robot()
         self.release.set()
         self.clock.rate = 100.0
         self.send(1, delay=30.0)
-        self.assertEqual(self.ended.get(timeout=15).reason, "")
+        self.assertEqual(self.ended.get(timeout=15).outcome, "succeeded")
 
 
 if __name__ == "__main__":

@@ -74,5 +74,5 @@ def test_a_job_waits_and_times_out_by_its_clock(simulated):
         assert time.monotonic() < deadline
     simulated(1040.0)
     runner.poll(now)
-    assert [end.outcome for end in ended] == ["timeout"]
+    assert [end.reason for end in ended] == ["timeout"]
     runner.close()
