@@ -27,7 +27,26 @@ again. The commands:
 ==========================  ======================================================================
 
 What is shown: every message but the greetings (``hello``), every decided slot with its firings, the
-start of every action, and what a robot answers its operator. To write the answers of the transcripts
+start of every action, and what a robot answers its operator. An entry is shown with its main fields:
+``done(robot_2, 1)`` is the end of the action of robot_2 in its visit 1, ``join(robot_2, A)`` begins
+another incarnation of robot_2, which keeps its place if it has one. To whoever knows Raft:
+
+=========================  =========================================================================
+here                       in Raft
+=========================  =========================================================================
+slot, ballot 1.robot_2     index and term; ballots of one number are ordered by the robot's name
+propose                    a client's command, passed on to the leader
+prepare, promise           RequestVote and a vote, for one slot
+accept, accepted           AppendEntries and its success; ``accepted`` also goes to the robots whose
+                           proposals are in the batch, and carries what waits at its sender
+nack                       AppendEntries or RequestVote refused, because of a higher term
+learn                      the entry is committed: with a ballot, the one accepted under it; else the
+                           message holds the entries
+pull                       a request for committed entries that the sender has missed
+appends                    has learned that the slot is decided, and applies it
+=========================  =========================================================================
+
+To write the answers of the transcripts
 anew, look at the difference, and commit it with the change that explains it::
 
     PYTHONPATH=.:test python3 -m agreement.transcript
@@ -139,11 +158,11 @@ class _Story(World):
         if kind == "slot":
             entries = ", ".join(_entry(entry) for entry in record["entries"])
             fired = "; fires ".join(["", *(_firing(firing) for firing in record["firings"])])
-            self.tell("%s has slot %d: %s%s" % (node.key, record["slot"], entries, fired))
+            self.tell("%s appends slot %d: %s%s" % (node.key, record["slot"], entries, fired))
         elif kind == "private":
             self.tell("%s moves on its own: %s" % (node.key, _firing(record["firing"])))
         elif kind in ("reset", "snapshot"):
-            what = "forgets its log: %s" % record["why"] if kind == "reset" else "takes a snapshot"
+            what = "drops its log: %s" % record["why"] if kind == "reset" else "takes a snapshot"
             self.tell("%s %s" % (node.key, what))
 
     def on_halted(self, node: SimulatedNode) -> None:
@@ -153,13 +172,14 @@ class _Story(World):
         """Report what operators were answered since the last time."""
         for node in self.nodes.values():
             for result in node.results.values():
-                done = "done" if result.ok else "not done"
-                self.tell("%s answers the operator: %s: %s" % (node.key, done, result.text))
+                done = "" if result.ok else "refused: "
+                self.tell("%s answers the operator: %s%s" % (node.key, done, result.text))
             node.results.clear()
 
 
 def _message(message: interface.Message) -> str:
-    words = [message["kind"]]
+    proposes = message["kind"] == "event"  # as it is called on the wire
+    words = ["propose" if proposes else message["kind"]]
     if "slot" in message:
         words.append("slot %d" % message["slot"])
     if message.get("ballot"):
@@ -171,9 +191,10 @@ def _message(message: interface.Message) -> str:
     accepted = message.get("accepted")
     if isinstance(accepted, list) and accepted:
         words.append("had accepted %s" % _items(accepted[1]))
-    items = message.get("batch") or message.get("items")
-    if items:
-        words.append(_items(items))
+    if message.get("batch"):
+        words.append(_items(message["batch"]))
+    elif message.get("items"):
+        words.append(("" if proposes else "proposes ") + _items(message["items"]))
     chosen = message.get("chosen")
     if chosen:
         words.append(
@@ -181,7 +202,8 @@ def _message(message: interface.Message) -> str:
         )
     if message.get("slots"):
         first = message.get("at", 0)
-        words.append("slots %d to %d" % (first, first + len(message["slots"]) - 1))
+        last = first + len(message["slots"]) - 1
+        words.append("slots %d to %d" % (first, last) if last > first else "slot %d" % first)
     return ", ".join(words)
 
 
@@ -194,7 +216,9 @@ def _items(items: Sequence[Any]) -> str:
 def _entry(entry: Dict[str, Any]) -> str:
     left_out = ("entry", "incarnation", "by", "plan", "digest", "seed", "log", "mapping", "folder")
     values = [
-        value for key, value in entry.items() if key not in left_out and value not in ("", {})
+        key if value is True else value
+        for key, value in entry.items()
+        if key not in left_out and value not in ("", {}) and value is not False
     ]
     if "roster" in entry:
         values = [robot for robot, *_ in entry["roster"]]
@@ -209,6 +233,24 @@ def _firing(firing: Dict[str, Any]) -> str:
 def _of_a_large_team(*given: Any, **named: Any) -> Replica:
     with mock.patch.object(config, "SMALL_TEAM", 1):
         return Replica(*given, **named)
+
+
+def _folded(lines: Sequence[str]) -> List[str]:
+    """The lines, with a count in place of pairs of lines that are repeated more than once."""
+    folded: List[str] = []
+    at = 0
+    while at < len(lines):
+        pair = list(lines[at : at + 2])
+        end = at + 2
+        while len(pair) == 2 and list(lines[end : end + 2]) == pair:
+            end += 2
+        if end > at + 4:
+            folded += [*pair, "(these two x%d)" % ((end - at) // 2)]
+            at = end
+        else:
+            folded.append(lines[at])
+            at += 1
+    return folded
 
 
 class _Player:
@@ -226,7 +268,7 @@ class _Player:
             getattr(self, "_" + verb)(*words)
         if self.story is not None:
             self.story.answers()
-        return self.told
+        return _folded(self.told)
 
     def _tell(self, line: str) -> None:
         """Note a line. Receivers of one message are named together, and what is repeated is
