@@ -22,8 +22,9 @@ import numpy as np
 
 from benchmarks.machine import describe_machine, machine_line, table
 from gspn_framework_package.analysis.monitoring.cusum import RateChart
-from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, RATIOS, Monitor
+from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, Monitor
 from gspn_framework_package.analysis.monitoring.playing import play_to_monitor
+from gspn_framework_package.analysis.monitoring.streams import RATIOS
 from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.execution.virtual_time import Slowness, VirtualRun

@@ -19,7 +19,7 @@ from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from benchmarks.machine import machine_line, table
 from gspn_framework_package.analysis.fitting import FitReport, fit_plan
-from gspn_framework_package.execution.attempts import gather
+from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder

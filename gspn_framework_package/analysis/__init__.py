@@ -1,8 +1,9 @@
 """Analysis: structure, state space, Markov chains, simulation. Model in, result objects out; no
 ROS, no files.
 
-``analyse`` is the entry point: it answers every question about one net or plan. ``report`` and
-``drawing`` turn the answers into text and pictures, ``chain_export`` into files for other tools.
+``analyse`` is the entry point: it answers every question about one net or plan. ``report``, with
+the measures listed in ``report_measures``, and ``drawing`` turn the answers into text and pictures,
+``chain_export`` into files for other tools.
 Behind it, each folder builds on those before it:
 
 - ``structure``: properties of the arcs alone: invariants, siphons, traps, classes, conflicts;

@@ -10,7 +10,8 @@ from typing import Any, List, Union
 
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.simulation.against import BATCH_SECONDS, Against, compare_plans
+from gspn_framework_package.analysis.simulation.against import BATCH_SECONDS, compare_plans
+from gspn_framework_package.analysis.simulation.against_result import Against
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of
 from gspn_framework_package.cli.net_input import print_notes

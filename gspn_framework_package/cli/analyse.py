@@ -16,14 +16,13 @@ from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.on_disk.answers import report_within
 from gspn_framework_package.analysis.plan.reading import READINGS
 from gspn_framework_package.analysis.report import (
-    Part,
     Questions,
     asked_conditions,
-    keys_of,
     open_questions,
     report,
     rows,
 )
+from gspn_framework_package.analysis.report_measures import Part, keys_of
 from gspn_framework_package.analysis.state_space import ENGINES
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.analysis_text import analysis_text

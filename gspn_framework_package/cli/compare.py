@@ -15,12 +15,7 @@ from gspn_framework_package.analysis.monitoring.comparison import (
     RunComparison,
     compare,
 )
-from gspn_framework_package.analysis.monitoring.monitor import (
-    ALARM_EVERY,
-    DAY,
-    PACES,
-    Monitor,
-)
+from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Monitor
 from gspn_framework_package.analysis.monitoring.playing import play_to_monitor
 from gspn_framework_package.analysis.monitoring.prediction import (
     PREDICTION_REPLICATIONS,
@@ -28,13 +23,15 @@ from gspn_framework_package.analysis.monitoring.prediction import (
     expected_paces,
     predict,
 )
+from gspn_framework_package.analysis.monitoring.streams import PACES
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.execution.attempts import Attempt, AttemptFollower, gather
+from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile, log_files
+from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import LogError

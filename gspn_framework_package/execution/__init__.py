@@ -4,8 +4,9 @@ here imports ROS.
 Modules: ``actions``, ``agreement``, ``attempts``, ``breakpoints``, ``chance``, ``commands``,
 ``control_socket``, ``displayed_data``, ``enabled_set``, ``environment``, ``event_functions``,
 ``event_log``, ``event_watch``, ``firing``, ``function_source``, ``ledger``, ``local_kinds``,
-``log_damage``, ``log_entries``, ``log_writer``, ``observation``, ``parent_death``, ``phase``,
-``plan_change``, ``plan_modules``, ``recorded_messages``, ``replayer``, ``rules``, ``simulator``,
-``standalone``, ``stored_policy``, ``team_messages``, ``team_state``, ``token_game``, ``turn``,
-``verifier``, ``virtual_time``, ``worker_pool``.
+``log_damage``, ``log_entries``, ``log_writer``, ``logged_attempts``, ``net_difference``,
+``observation``, ``parent_death``, ``phase``, ``plan_change``, ``plan_modules``,
+``recorded_messages``, ``replayer``, ``rules``, ``seen_firings``, ``simulator``, ``standalone``,
+``stored_policy``, ``team_messages``, ``team_state``, ``token_game``, ``turn``, ``verifier``,
+``virtual_time``, ``worker_pool``.
 """

@@ -6,6 +6,8 @@ token game determines what follows. Listeners are notified of the phases of the 
 4.1.2, Figure 4.5); the log alone determines the state.
 """
 
+# In one piece: one thread owns the state that all of it reads and changes
+
 from __future__ import annotations
 
 import contextlib

@@ -13,7 +13,6 @@ import os
 import time
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution.attempts import ReadingProgress
 from gspn_framework_package.execution.event_log import (
     LogClock,
     LogFile,
@@ -21,6 +20,7 @@ from gspn_framework_package.execution.event_log import (
     Record,
     log_files,
 )
+from gspn_framework_package.execution.logged_attempts import ReadingProgress
 from gspn_framework_package.fleet.stay_follower import StayFollower
 from gspn_framework_package.fleet.store import Manifest, RowWriter, Store, file_stem
 from gspn_framework_package.model.errors import GspnError, LogError

@@ -1,5 +1,5 @@
 """New plans: from templates, and from maps.
 
-Modules: ``plan_folder``, ``restrictions``, ``site_drawing``, ``site_goals``, ``site_map``,
-``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``, ``templates``.
+Modules: ``map_definitions``, ``plan_folder``, ``restrictions``, ``site_drawing``, ``site_goals``,
+``site_map``, ``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``, ``templates``.
 """

@@ -11,6 +11,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set
 from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.yaml_file import YamlDocument
+from gspn_framework_package.making.map_definitions import MapDefinitions
 from gspn_framework_package.making.restrictions import Restriction
 from gspn_framework_package.model.errors import ExpressionError, InputError
 
@@ -197,7 +198,7 @@ class _Reader:
         self._closed: List[str] = []
         self._while_driving: Dict[str, int] = {}
         self._pointsets: Dict[str, None] = {}
-        self._definitions = _Definitions({})
+        self._definitions = MapDefinitions({})
         self._untyped: Dict[str, int] = {}
         self._groups: Any = {}
         self._itself = 0
@@ -206,7 +207,7 @@ class _Reader:
     # -- topological_navigation
 
     def define(self, data: Mapping[str, Any]) -> None:
-        self._definitions = _Definitions(data)
+        self._definitions = MapDefinitions(data)
 
     def read_topological(self, entries: List[Any], at: List[KeyOrIndex]) -> None:
         listed: List[Tuple[str, List[Any], List[KeyOrIndex]]] = []
@@ -584,48 +585,3 @@ def read_groups(
                 "A_B is the edge between A and B",
             ) from None
     return found
-
-
-class _Definitions:
-    """What a map of topological_navigation for ROS 2 says once for all of its edges: actions, and
-    what ``${...}`` stands for."""
-
-    _WORD = re.compile(r"\$\{([\w.]+)\}")
-
-    def __init__(self, data: Mapping[str, Any]) -> None:
-        self._data = data
-        frame = self._find("transformation.topo_frame_id")
-        self.frame = frame if isinstance(frame, str) else "map"
-
-    def _find(self, path: str) -> Any:
-        found: Any = self._data
-        for step in path.split("."):
-            found = found.get(step) if isinstance(found, dict) else None
-        return found
-
-    def filled(self, value: Any) -> Any:
-        """Replace what the map defines; ``${node...}`` becomes ``$node...``, for later."""
-        if isinstance(value, dict):
-            return {str(key): self.filled(part) for key, part in value.items()}
-        if isinstance(value, list):
-            return [self.filled(part) for part in value]
-        word = self._WORD.fullmatch(value) if isinstance(value, str) else None
-        if word is None:
-            return value
-        if word.group(1).startswith("node."):
-            return "$" + word.group(1).replace("node.nav_frame", "node.parent_frame")
-        found = self._find(word.group(1))
-        return value if found is None else found
-
-    def action(self, name: str) -> Tuple[str, Optional[str], Optional[Mapping[str, Any]]]:
-        """The server, the type and the goal of an action."""
-        actions = self._data.get("actions")
-        given = actions.get(name) if isinstance(actions, dict) else None
-        if not isinstance(given, dict):
-            return name, None, None
-        goal = self.filled(given.get("action_goal_template"))
-        return (
-            str(given.get("action_server") or name),
-            str(given["action_type"]) if given.get("action_type") else None,
-            goal if isinstance(goal, dict) and goal else None,
-        )

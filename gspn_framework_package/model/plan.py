@@ -4,6 +4,8 @@
 it. ``docs/semantics.md`` defines what its parts mean at run time.
 """
 
+# In one piece: a plan is one value; the checks of its fields stand beside them
+
 from __future__ import annotations
 
 import enum

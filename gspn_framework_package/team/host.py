@@ -1,6 +1,8 @@
 """The host of a replica: connects one robot's replica of the team's log to a carrier, the robot's
 actions and its events (thesis 4.3, Algorithm 1). Independent of ROS."""
 
+# In one piece: one thread owns the state that all of it reads and changes
+
 from __future__ import annotations
 
 import itertools

@@ -18,10 +18,11 @@
 
 ``docs/testing_plans.md`` has the whole.
 
-Modules: ``coverage``, ``scenario``.
+Modules: ``coverage``, ``outcomes``, ``scenario``, ``seen``, ``virtual_wait``.
 """
 
 from gspn_framework_package.testing.coverage import Coverage
-from gspn_framework_package.testing.scenario import ActionAttempt, FiredAt, Scenario
+from gspn_framework_package.testing.scenario import Scenario
+from gspn_framework_package.testing.seen import ActionAttempt, FiredAt
 
 __all__ = ["ActionAttempt", "Coverage", "FiredAt", "Scenario"]

@@ -6,96 +6,35 @@ import heapq
 import itertools
 import math
 import os
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.actions import (
-    ActionContext,
-    ActionFailed,
-    Cancellation,
-    PythonAction,
-    load_actions,
-    no_feedback,
-    read_result,
-)
 from gspn_framework_package.execution.event_watch import EventWatch, Visit
 from gspn_framework_package.execution.firing import (
     Ended,
     Fault,
-    Firing,
-    Move,
     StartAction,
-    TaskMove,
 )
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import Step
-from gspn_framework_package.execution.virtual_time import VirtualRun, failed, timed_out
+from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.errors import DataError, UsageError
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.outcome import FAILURES, Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.testing.coverage import Coverage
+from gspn_framework_package.testing.outcomes import Outcomes
+from gspn_framework_package.testing.seen import Act, ActionAttempt, FiredAt, Rule, fired_at
 
 STEPS_WITHOUT_TIME = 10_000
 """So many steps at one moment are taken for a plan that runs for ever without time."""
 
-LONGEST = 30 * 24 * 3600.0
-"""A function of the plan that waits for longer than this (s) is taken for one that never ends."""
-
-CALLS_AT_ONCE = 100_000
-"""The same for one that asks so often whether it should end, without waiting."""
 
 _SHOWN = 20
 """So many firings are listed in the message of a check that failed."""
-
-
-class ActionAttempt(NamedTuple):
-    """An attempt at an action: when it began (``at``, s), whose it is, and what it may read."""
-
-    at: float
-    robot: str
-    place: str
-    visit: int
-    attempt: int
-    data: Mapping[str, Any]
-    resumed_from: int
-
-
-class FiredAt(NamedTuple):
-    """A firing: when (``at``, s), which transition, the robot that asked for it ("" if none did),
-    the ``cause`` of its event, and how robots and tasks moved."""
-
-    at: float
-    transition: str
-    robot: str
-    cause: Mapping[str, Any]
-    moves: Tuple[Move, ...]
-    tasks: Tuple[TaskMove, ...]
-
-    def __str__(self) -> str:
-        moves = ["%s: %s -> %s" % (m.robot, m.source, m.target) for m in self.moves]
-        moves += ["task %s: %s -> %s" % (m.id, m.source or "in", m.target) for m in self.tasks]
-        return "%10.3f s  %s  %s" % (self.at, self.transition, ", ".join(moves))
-
-
-Act = Callable[[ActionAttempt], Any]
-"""An action of a test: returns what a Python action returns."""
-
-
-class _Rule(NamedTuple):
-    """What a test says of the next attempts in a place."""
-
-    place: str
-    robot: str
-    seconds: Union[None, float, Duration]
-    result: Optional[str]
-    data: Mapping[str, Any]
-    fails: Optional[Outcome]
-    act: Optional[Act]
 
 
 class Scenario:
@@ -147,16 +86,13 @@ class Scenario:
         """Task -> where it is: "place NAME", "robot NAME", "done", "dropped"; "" while it waits to
         come in."""
         self._drawn = drawn
-        self._rules: List[Tuple[_Rule, List[int]]] = []
+        self._rules: List[Tuple[Rule, List[int]]] = []
         self._agenda: List[Tuple[float, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
         self._task_numbers = itertools.count(1)
         self._watches: Dict[str, EventWatch] = {}
         self._pending: List[log_entries.Interrupt] = []
-        self._functions: Optional[Dict[str, Dict[str, PythonAction]]] = None
-        if functions:
-            names = ["", *(r.name for r in plan.robots if r.actions)]
-            self._functions = {name: load_actions(plan, name) for name in names}
+        self._outcomes = Outcomes(plan, functions)
         self._begun = False
         self._writer = self._run.record_in(log, plan.name, "test") if log is not None else None
 
@@ -209,7 +145,7 @@ class Scenario:
                 hint="there are: %s" % ", ".join(FAILURES),
             )
         outcome = Outcome(fails) if fails is not None else None
-        rule = _Rule(place, robot, seconds, result, data, outcome, act)
+        rule = Rule(place, robot, seconds, result, data, outcome, act)
         self._rules = [
             (other, left)
             for other, left in self._rules
@@ -575,84 +511,28 @@ class Scenario:
             )
         )
         rule = self._rule(command)
-        if rule is None or rule == _Rule(*rule[:2], None, None, NOTHING, None, None):
-            return self._call(command) if self._functions is not None else None
+        if rule is None or rule == Rule(*rule[:2], None, None, NOTHING, None, None):
+            return self._outcomes.called(command)
         seconds, entry = self._run.drawn(command)
         if rule.seconds is not None:
             seconds = self._run.sample(rule.seconds)
         if rule.act is not None:
-            entry = self._acted(command, rule.act)
+            entry = self._outcomes.acted(command, rule.act, self.attempts[-1])
         elif rule.fails is not None:
-            entry = self._failed(command, rule.fails, "as the test says")
+            entry = self._outcomes.failed(command, rule.fails, "as the test says")
         elif rule.result is not None or rule.data:
             result = rule.result
             if result is None:
                 result = entry.result if isinstance(entry, log_entries.Done) else ""
-            entry = self._done(command, result, rule.data)
-        return self._in_time(command, seconds, entry)
+            entry = self._outcomes.done(command, result, rule.data)
+        return self._outcomes.in_time(command, seconds, entry)
 
-    def _rule(self, command: StartAction) -> Optional[_Rule]:
+    def _rule(self, command: StartAction) -> Optional[Rule]:
         for rule, left in self._rules:
             if left[0] and rule.place == command.place and rule.robot in ("", command.robot):
                 left[0] -= 1
                 return rule
         return None
-
-    def _acted(self, command: StartAction, act: Act) -> log_entries.Entry:
-        try:
-            result = read_result(act(self.attempts[-1]))
-        except (ActionFailed, DataError) as error:
-            return self._failed(command, Outcome.ABORTED, str(error))
-        return self._done(command, *result)
-
-    def _call(self, command: StartAction) -> Optional[Tuple[float, log_entries.Entry]]:
-        """Call the function of the plan."""
-        assert self._functions is not None
-        own = self._functions.get(command.robot) or self._functions[""]
-        function = own.get(command.place)
-        if function is None:
-            return None
-        clock = _VirtualWait(self.plan.timeout(command.place))
-        context = ActionContext(
-            command.place,
-            command.robot,
-            no_feedback,
-            clock,
-            command.visit,
-            command.attempt,
-            command.data,
-            command.resumed_from,
-        )
-        try:
-            entry: log_entries.Entry = self._done(command, *function(context))
-        except _NeverEnds:
-            return self._in_time(command, math.inf, self._done(command, "", NOTHING))
-        except (ActionFailed, DataError) as error:
-            entry = failed(command, Outcome.ABORTED, str(error))
-        except Exception as error:  # as in a run
-            entry = failed(command, Outcome.ABORTED, "%s: %s" % (type(error).__name__, error))
-        return self._in_time(command, clock.seconds, entry)
-
-    def _failed(self, command: StartAction, reason: Outcome, detail: str) -> log_entries.Entry:
-        """The end of an attempt that failed: as on ROS, a transition if the plan leads this outcome
-        of its action to one."""
-        action = self.plan.action(command.robot, command.place)
-        transition = outcomes_of(action).get(reason)
-        if transition is None:
-            return failed(command, reason, detail)
-        return self._done(command, transition, NOTHING)
-
-    def _done(self, command: StartAction, result: str, data: Mapping[str, Any]) -> log_entries.Done:
-        meant = self.plan.transition_meant(command.place, result)
-        return log_entries.Done(command.robot, command.incarnation, command.visit, meant, data)
-
-    def _in_time(
-        self, command: StartAction, seconds: float, entry: log_entries.Entry
-    ) -> Tuple[float, log_entries.Entry]:
-        timeout = self.plan.timeout(command.place)
-        if timeout is not None and seconds > timeout:
-            return timeout, timed_out(command, timeout)
-        return seconds, entry
 
     def stepped(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
@@ -662,7 +542,7 @@ class Scenario:
             if isinstance(entry, log_entries.Submit):
                 self.tasks.setdefault(entry.id, "")
         for firing in step.firings:
-            self.firings.append(_fired(self.now, firing))
+            self.firings.append(fired_at(self.now, firing))
             self.tasks.update((move.id, move.target) for move in firing.tasks)
         for command in step.commands:
             if isinstance(command, Fault):
@@ -703,36 +583,3 @@ class _ScriptedRun(VirtualRun):
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
         self._owner.stepped(entries, step, before)
-
-
-class _NeverEnds(BaseException):
-    """Ends a function that waits for ever. Not an Exception: the function must not catch it."""
-
-
-class _VirtualWait(Cancellation):
-    """The ``is_cancelled`` of a function whose time is virtual: to wait takes no time.
-
-    :ivar seconds: for how long the function has waited.
-    """
-
-    def __init__(self, timeout: Optional[float]) -> None:
-        super().__init__()
-        self._most = LONGEST if timeout is None else min(timeout, LONGEST)
-        self._calls = 0
-        self.seconds = 0.0
-
-    def __call__(self) -> bool:
-        self._calls += 1
-        if self._calls > CALLS_AT_ONCE:
-            raise _NeverEnds
-        return False
-
-    def wait(self, seconds: Optional[float] = None) -> bool:
-        self.seconds += math.inf if seconds is None else max(seconds, 0.0)
-        if self.seconds > self._most:
-            raise _NeverEnds
-        return self()
-
-
-def _fired(now: float, firing: Firing) -> FiredAt:
-    return FiredAt(now, firing.transition, firing.robot, firing.cause, firing.moves, firing.tasks)

@@ -21,7 +21,8 @@ import numpy as np
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.subnets import TITLES
-from gspn_framework_package.analysis.report import INFINITE, Questions, report
+from gspn_framework_package.analysis.report import Questions, report
+from gspn_framework_package.analysis.report_measures import INFINITE
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_short_json
 from gspn_framework_package.model.errors import GspnError, UsageError

@@ -31,13 +31,8 @@ import threading
 from dataclasses import replace
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.analysis.monitoring.monitor import (
-    ALARM_EVERY,
-    PACES,
-    Alarm,
-    Monitor,
-    Stream,
-)
+from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, Monitor
+from gspn_framework_package.analysis.monitoring.streams import PACES, Alarm, Stream
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec

@@ -7,7 +7,8 @@ from typing import Sequence
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
-from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
+from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY
+from gspn_framework_package.analysis.monitoring.streams import Alarm
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Prediction
 from gspn_framework_package.ros.diagnostics import diagnostic_array

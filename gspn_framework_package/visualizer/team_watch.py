@@ -5,6 +5,8 @@ does a second thread, which asks the team for its state, since an answer may tak
 team is reached, on ROS or over Zenoh, is for the :class:`TeamConnection` to know.
 """
 
+# In one piece: one thread owns the state that all of it reads and changes
+
 from __future__ import annotations
 
 import contextlib

@@ -261,6 +261,7 @@ class Built(NamedTuple):
     rated: Indices
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def build_automaton(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
     """Build the automaton of all states.
 

@@ -14,6 +14,8 @@ they would decide differently, the marking's decision is improved for all of the
 with the weight of how often it is visited; the value of the result is then computed by itself.
 """
 
+# In one piece: the decisions of all places are improved together, on the same arrays
+
 from __future__ import annotations
 
 import itertools
@@ -32,7 +34,7 @@ from gspn_framework_package.analysis.decisions.run_net import Stage
 from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
-from gspn_framework_package.analysis.decisions.solving.optima import Solved
+from gspn_framework_package.analysis.decisions.solving.solved import Solved
 from gspn_framework_package.analysis.plan.markings import distinct_rows
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError

@@ -8,6 +8,8 @@ transition. The states are those of the *untimed closure*, also after losses of 
 marking in which a run may ask the policy.
 """
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field

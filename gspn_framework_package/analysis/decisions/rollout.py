@@ -36,13 +36,10 @@ from gspn_framework_package.analysis.decisions.who_decides import who_decides
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.plan.structure import only_written
-from gspn_framework_package.analysis.simulation.against import (
-    Against,
-    Measured,
-    compare_plans,
-    paired_mean,
-)
+from gspn_framework_package.analysis.simulation.against import compare_plans
+from gspn_framework_package.analysis.simulation.against_result import Against
 from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
+from gspn_framework_package.analysis.simulation.paired_estimates import Measured, paired_mean
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import LimitError, RefusedError

@@ -1,9 +1,9 @@
 """What runs teach about a plan: how long its actions take, and how they end.
 
-Modules: ``durations``, ``learning``, ``testing``.
+Modules: ``durations``, ``learning``, ``sample``, ``testing``.
 """
 
-from gspn_framework_package.analysis.fitting.durations import DurationFit, Sample, fit_duration
+from gspn_framework_package.analysis.fitting.durations import DurationFit, fit_duration
 from gspn_framework_package.analysis.fitting.learning import (
     EventFit,
     FamilyChoice,
@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.fitting.learning import (
     PlaceFit,
     fit_plan,
 )
+from gspn_framework_package.analysis.fitting.sample import Sample
 
 __all__ = [
     "FamilyChoice",

@@ -21,7 +21,8 @@ from typing import (
 import numpy as np
 
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
-from gspn_framework_package.analysis.fitting.durations import DurationFit, Sample, fit_duration
+from gspn_framework_package.analysis.fitting.durations import DurationFit, fit_duration
+from gspn_framework_package.analysis.fitting.sample import Sample
 from gspn_framework_package.analysis.fitting.testing import (
     SAMPLES,
     FitTest,

@@ -20,11 +20,11 @@ from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.fitting.durations import (
     CONFIDENCE,
     DurationFit,
-    Sample,
     kaplan_meier,
     likelihood,
     most_likely,
 )
+from gspn_framework_package.analysis.fitting.sample import Sample
 from gspn_framework_package.model.duration import Duration, Kind
 
 SAMPLES = 299

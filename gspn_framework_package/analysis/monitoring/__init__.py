@@ -2,5 +2,5 @@
 else.
 
 Modules: ``choices``, ``comparison``, ``cusum``, ``hazard``, ``monitor``, ``playing``,
-``prediction``.
+``prediction``, ``streams``.
 """

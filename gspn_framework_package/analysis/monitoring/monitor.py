@@ -18,6 +18,23 @@ from typing import Any, Deque, Dict, Iterable, List, Mapping, NamedTuple, Option
 from gspn_framework_package.analysis.monitoring.choices import ChoiceTest
 from gspn_framework_package.analysis.monitoring.cusum import ChanceChart, RateChart
 from gspn_framework_package.analysis.monitoring.hazard import Hazard
+from gspn_framework_package.analysis.monitoring.streams import (
+    CHOICE,
+    FAILURE,
+    ODDS,
+    OUTCOME,
+    PACES,
+    PLACE,
+    RATIOS,
+    ROBOT,
+    TEAM,
+    Alarm,
+    ChoiceStream,
+    PaceStream,
+    ShareStream,
+    SidedSum,
+    Stream,
+)
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
@@ -27,12 +44,6 @@ DAY = 86_400.0
 ALARM_EVERY = 30 * DAY
 """Default mean time between false alarms of all streams together, in seconds."""
 
-RATIOS = (0.8, 0.67, 1.25, 1.5)
-"""Factors of the pace that a stream looks for. Small changes need long, and large ones are found
-sooner by a sum of their own."""
-
-ODDS = (2.0, 0.5)
-"""Factors of the odds of an outcome that a stream looks for."""
 
 IMPOSSIBLE = 1e-3
 """An outcome or failure that the plan rules out is taken to have this probability, so that a single
@@ -47,229 +58,6 @@ RAN_TO_THE_END = (Outcome.ABORTED, Outcome.BAD_RESULT)
 
 RECENT = 4096
 """How many finished attempts are kept, to say by how much and where a run departs."""
-
-_PLACE, ROBOT, TEAM, OUTCOME, _FAILURE, CHOICE = (
-    "place",
-    "robot",
-    "team",
-    "outcome",
-    "failure",
-    "choice",
-)
-
-PACES = (_PLACE, ROBOT, TEAM)
-"""The kinds of streams that watch how fast something goes."""
-
-
-class Alarm(NamedTuple):
-    """An alarm.
-
-    :ivar kind: what the stream watches: ``place``, ``robot`` or ``team`` (their pace), ``outcome``,
-        ``failure`` or ``choice``.
-    :ivar place: the place that departs most; "" if it is all of them.
-    :ivar robot: the robot that departs; "" if it is all of them.
-    :ivar transition: the outcome or choice; "" for others.
-    :ivar at: when it was raised (s).
-    :ivar since: when the sum last left 0 (s): about when the change began.
-    :ivar direction: ``slower``, ``faster``, ``more often`` or ``less often``.
-    :ivar observed: the mean duration (s) or the share since then; None if there is none yet.
-    :ivar expected: the same by the plan.
-    """
-
-    kind: str
-    place: str
-    robot: str
-    transition: str
-    at: float
-    since: float
-    direction: str
-    observed: Optional[float]
-    expected: Optional[float]
-
-    @property
-    def change(self) -> Optional[float]:
-        """By how much the observed value exceeds the expected one, as a share of it (-0.3: 30 %
-        less); None if that is not known."""
-        if self.observed is None or not self.expected:
-            return None
-        return self.observed / self.expected - 1
-
-    def describe(self) -> str:
-        """The alarm in a sentence, for people."""
-        whose = self.robot or ("all robots together" if not self.place else "")
-        where = ", ".join(part for part in (self.place, whose) if part)
-        if self.kind in PACES:
-            text = "%s: %s than planned" % (where, self.direction)
-            if self.observed is None:
-                return text + ": an action that should have ended goes on"
-            assert self.expected is not None
-            text += ": %.3g s instead of %.3g s" % (self.observed, self.expected)
-            if self.change is not None:
-                text += " (%+.0f %%)" % (100 * self.change)
-            return text
-        what = {OUTCOME: "the outcome %s", CHOICE: "the choice of %s", _FAILURE: "failure%s"}
-        text = "%s: %s %s than planned" % (
-            where,
-            what[self.kind] % self.transition,
-            self.direction,
-        )
-        if self.observed is not None and self.expected is not None:
-            text += ": %.3g %% instead of %.3g %%" % (100 * self.observed, 100 * self.expected)
-        return text
-
-    def to_json(self) -> Dict[str, Any]:
-        """The alarm as a JSON object."""
-        return {**self._asdict(), "change": self.change, "text": self.describe()}
-
-
-class _Sum:
-    """One cumulative sum of a stream: its value, and the stream's totals when it was last 0."""
-
-    __slots__ = ("value", "threshold", "on", "since", "totals")
-
-    def __init__(self, threshold: float) -> None:
-        self.value = 0.0
-        self.threshold = threshold
-        self.on = False
-        self.since = 0.0
-        self.totals: Tuple[float, ...] = (0.0, 0.0)
-
-
-class Stream:
-    """What is watched, and its sums.
-
-    :ivar kind: see :class:`Alarm`, also for ``place``, ``robot`` and ``transition``.
-    :ivar alarms: the alarms that it has raised. An alarm lasts until its sum has fallen to half of
-        its threshold.
-    """
-
-    def __init__(self, kind: str, place: str, robot: str = "", transition: str = "") -> None:
-        self.kind, self.place, self.robot, self.transition = kind, place, robot, transition
-        self.alarms: List[Alarm] = []
-        self.sums: List[_Sum] = []
-
-    @property
-    def on(self) -> bool:
-        """Whether an alarm lasts."""
-        return any(s.on for s in self.sums)
-
-    def nearest(self) -> _Sum:
-        """The sum that is nearest to its threshold."""
-        return max(self.sums, key=lambda s: s.value / s.threshold)
-
-    def to_json(self) -> Dict[str, Any]:
-        """The stream as a JSON object."""
-        nearest = self.nearest()
-        return {
-            "kind": self.kind,
-            "place": self.place,
-            "robot": self.robot,
-            "transition": self.transition,
-            "cusum": round(nearest.value, 4),
-            "threshold": round(nearest.threshold, 4),
-            "alarm_at": round(self.alarms[0].at, 3) if self.alarms else None,
-            "alarms": len(self.alarms),
-            "direction": self.alarms[0].direction if self.alarms else "",
-            "change": self.alarms[0].change if self.alarms else None,
-            "on": self.on,
-        }
-
-
-class _Pace(Stream):
-    """The pace of a place, of a robot or of the team."""
-
-    def __init__(self, kind: str, place: str, robot: str, thresholds: Sequence[float]) -> None:
-        super().__init__(kind, place, robot)
-        self.sums = [_Sum(h) for h in thresholds]
-        self._slow = [
-            (s, 1 - ratio, -math.log(ratio)) for s, ratio in zip(self.sums, RATIOS) if ratio < 1
-        ]
-        self._fast = [
-            (s, ratio - 1, math.log(ratio)) for s, ratio in zip(self.sums, RATIOS) if ratio > 1
-        ]
-
-    def elapse(self, slow: float, fast: float, now: float) -> List[Tuple[_Sum, str]]:
-        """Let time pass: ``slow`` and ``fast`` ends of actions were expected in it, if the plan's
-        durations are at the upper and lower ends of their intervals. Returns the sums that raise
-        the alarm."""
-        raised = []
-        for s, slope, _ in self._slow:
-            if s.value == 0.0:
-                s.since = now
-            s.value += slope * slow
-            if s.value >= s.threshold:
-                s.value = s.threshold
-                if not s.on:
-                    if not any(other.on for other, _, _ in self._slow):
-                        raised.append((s, "slower"))
-                    s.on = True
-        for s, slope, _ in self._fast:
-            if s.value > 0.0:
-                s.value = max(s.value - slope * fast, 0.0)
-                s.on = s.on and s.value > s.threshold / 2
-        return raised
-
-    def count(self, now: float) -> List[Tuple[_Sum, str]]:
-        """Count the end of an action; returns the sums that raise the alarm."""
-        raised = []
-        for s, _, step in self._slow:
-            s.value = max(s.value - step, 0.0)
-            s.on = s.on and s.value > s.threshold / 2
-        for s, _, step in self._fast:
-            if s.value == 0.0:
-                s.since = now
-            s.value += step
-            if s.value >= s.threshold:
-                s.value = s.threshold
-                if not s.on:
-                    if not any(other.on for other, _, _ in self._fast):
-                        raised.append((s, "faster"))
-                    s.on = True
-        return raised
-
-
-class _Share(Stream):
-    """How often something happens: an outcome, or a failure."""
-
-    def __init__(
-        self, kind: str, place: str, transition: str, charts: Sequence[ChanceChart], events: float
-    ) -> None:
-        super().__init__(kind, place, "", transition)
-        self.chance = charts[0].chance
-        self._charts = charts
-        self.sums = [_Sum(chart.threshold(events)) for chart in charts]
-        self._hits = self._trials = 0
-
-    def count(self, hit: bool, now: float) -> List[Alarm]:
-        """Count a trial; returns the alarms that it raises."""
-        self._trials += 1
-        self._hits += hit
-        raised = []
-        for s, chart in zip(self.sums, self._charts):
-            if s.value == 0.0:
-                s.since = now
-                s.totals = (self._hits - hit, self._trials - 1)
-            s.value = max(s.value + (chart.hit if hit else chart.miss), 0.0)
-            s.on = s.on and s.value > s.threshold / 2
-            if s.value >= s.threshold:
-                s.value = s.threshold
-                if not s.on:
-                    s.on = True
-                    hits, trials = s.totals
-                    alarm = Alarm(
-                        self.kind,
-                        self.place,
-                        "",
-                        self.transition,
-                        now,
-                        s.since,
-                        "more often" if chart.odds > 1 else "less often",
-                        (self._hits - hits) / (self._trials - trials),
-                        self.chance,
-                    )
-                    self.alarms.append(alarm)
-                    raised.append(alarm)
-        return raised
 
 
 class _Running:
@@ -349,24 +137,26 @@ class Monitor:
         def thresholds(rate: float) -> List[float]:
             return [RateChart(ratio).threshold(events(rate)) for ratio in RATIOS]
 
-        self._places = {name: _Pace(_PLACE, name, "", thresholds(pace[name])) for name in pace}
-        self._robots: Dict[str, _Pace] = {}
-        self._team: Optional[_Pace] = None
+        self._places = {name: PaceStream(PLACE, name, "", thresholds(pace[name])) for name in pace}
+        self._robots: Dict[str, PaceStream] = {}
+        self._team: Optional[PaceStream] = None
         if each_robot and pace:
             common = thresholds(whole / len(names))
-            self._robots = {name: _Pace(ROBOT, "", name, common) for name in names}
+            self._robots = {name: PaceStream(ROBOT, "", name, common) for name in names}
         if team:
-            self._team = _Pace(TEAM, "", "", thresholds(whole))
-        self._shares: Dict[Tuple[str, str], List[_Share]] = {}
+            self._team = PaceStream(TEAM, "", "", thresholds(whole))
+        self._shares: Dict[Tuple[str, str], List[ShareStream]] = {}
         for kind, name, transition, chance in shares:
             odds = ODDS if kind == OUTCOME else ODDS[:1]
             charts = [ChanceChart(_possible(chance), ratio) for ratio in odds]
-            stream = _Share(kind, name, transition, charts, events(pace[name]))
+            stream = ShareStream(kind, name, transition, charts, events(pace[name]))
             self._shares.setdefault((kind, name), []).append(stream)
         self._choices: Dict[str, ChoiceTest] = {
             name: ChoiceTest(1.0 / (alarm_every * count)) for name in deciding
         }
-        self._choice_streams = {name: _Choice(name, test) for name, test in self._choices.items()}
+        self._choice_streams = {
+            name: ChoiceStream(name, test) for name, test in self._choices.items()
+        }
         self.streams: List[Stream] = [
             *self._places.values(),
             *self._robots.values(),
@@ -452,7 +242,7 @@ class Monitor:
             for s, direction in stream.count(now):
                 raised.append(self._alarm(stream, s, direction, now))
         found = []
-        for share in self._shares.get((_FAILURE, place), ()):
+        for share in self._shares.get((FAILURE, place), ()):
             found += share.count(bool(failed), now)
         self.alarms += found
         if not failed and result is not None:
@@ -526,12 +316,12 @@ class Monitor:
         return raised
 
     def _elapse(
-        self, stream: _Pace, slow: float, fast: float, now: float, raised: List[Alarm]
+        self, stream: PaceStream, slow: float, fast: float, now: float, raised: List[Alarm]
     ) -> None:
         for s, direction in stream.elapse(slow, fast, now):
             raised.append(self._alarm(stream, s, direction, now))
 
-    def _streams_of(self, attempt: _Running) -> List[_Pace]:
+    def _streams_of(self, attempt: _Running) -> List[PaceStream]:
         found = [self._places[attempt.place]]
         robot = self._robots.get(attempt.robot)
         if robot is not None:
@@ -540,7 +330,7 @@ class Monitor:
             found.append(self._team)
         return found
 
-    def _alarm(self, stream: _Pace, s: _Sum, direction: str, now: float) -> Alarm:
+    def _alarm(self, stream: PaceStream, s: SidedSum, direction: str, now: float) -> Alarm:
         """Raise the alarm of a pace: by how much, and where most."""
         seen = [
             f
@@ -581,25 +371,6 @@ class Monitor:
         return alarm
 
 
-class _Choice(Stream):
-    """The policy's choices in a place; its test is the only sum."""
-
-    def __init__(self, place: str, test: ChoiceTest) -> None:
-        super().__init__(CHOICE, place)
-        self._test = test
-
-    @property
-    def on(self) -> bool:
-        """Whether the last full block of choices departed."""
-        return self._test.on
-
-    def nearest(self) -> _Sum:
-        """The statistic of the block so far, against its critical value."""
-        now = _Sum(self._test.critical)
-        now.value = self._test.statistic
-        return now
-
-
 def _explains(one: Alarm, other: Alarm) -> bool:
     """Whether an alarm is a consequence of another one: the pace of a place or of the team of that
     of one robot, and the pace of a robot or of the team of that of a place for all robots."""
@@ -607,9 +378,7 @@ def _explains(one: Alarm, other: Alarm) -> bool:
         return False
     if one.kind == ROBOT:
         return other.kind != ROBOT and other.robot == one.robot
-    return (
-        one.kind == _PLACE and not one.robot and other.kind != _PLACE and other.place == one.place
-    )
+    return one.kind == PLACE and not one.robot and other.kind != PLACE and other.place == one.place
 
 
 def _outstanding(seen: Sequence[_Finished], direction: str, key: Any) -> str:
@@ -635,7 +404,7 @@ def _shares(
     if len(names) == 2:
         names = names[:1]  # the other one says the same
     found = [(OUTCOME, name, chance) for name, chance in names if chance < 1]
-    return [*found, (_FAILURE, "", failure)]
+    return [*found, (FAILURE, "", failure)]
 
 
 def _possible(chance: float) -> float:

@@ -14,13 +14,12 @@ from gspn_framework_package.analysis.on_disk.search import OnDiskSpace, search
 from gspn_framework_package.analysis.on_disk.steady import steady_state_on_disk
 from gspn_framework_package.analysis.plan.reading import NET, TimingNotes
 from gspn_framework_package.analysis.report import (
-    MEASURES,
     ON_DISK,
-    Part,
     Questions,
     ReportWork,
     report,
 )
+from gspn_framework_package.analysis.report_measures import MEASURES, Part
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.net import Net
 

@@ -42,6 +42,8 @@ Rates and probabilities leave a state accordingly: phases end at their rates, th
 action is drawn when it is done, and the environment races at its own rates.
 """
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
+
 from __future__ import annotations
 
 import itertools
@@ -362,6 +364,7 @@ class RunRules:
         )
         return columns, width
 
+    # In one piece: a net with clocks, compiled from the plan, is to replace it
     def _prepare(self) -> None:
         """Tables for the steps."""
         net = self.net

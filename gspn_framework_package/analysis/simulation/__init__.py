@@ -5,7 +5,7 @@ the inner loops, which ``machine`` has in two forms, compiled and plain; ``kerne
 ``plan_tables`` makes arrays of a plan for ``plan_run``; ``race_run`` does both for a net. A plan
 that is read like a net needs the policy in every marking: ``marking_table``.
 
-Also here: ``against``, ``aimed_run``, ``pairs``.
+Also here: ``against``, ``against_result``, ``aimed_run``, ``paired_estimates``, ``pairs``.
 """
 
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation

@@ -28,18 +28,26 @@ from __future__ import annotations
 import dataclasses
 import math
 import time as clock
-from dataclasses import dataclass, field
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Optional, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis import quantiles
-from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
-from gspn_framework_package.analysis.fitting.testing import wilson
-from gspn_framework_package.analysis.simulation import estimates, machine
+from gspn_framework_package.analysis.simulation import machine
+from gspn_framework_package.analysis.simulation.against_result import Against, sentence
 from gspn_framework_package.analysis.simulation.aimed_run import worth_compiling
+from gspn_framework_package.analysis.simulation.paired_estimates import (
+    POWER,
+    Measured,
+    correlation_of,
+    paired_mean,
+    paired_share,
+    paired_shares,
+    pairs_needed,
+    truncation,
+)
 from gspn_framework_package.analysis.simulation.pairs import (
     Contest,
     PairPlayer,
@@ -59,9 +67,6 @@ the values of a run are skewed."""
 
 MOST_PAIRS = 1_000_000
 
-POWER = 0.8
-"""Probability with which a difference of the stated size would be noticed, in what is said about
-the number of runs that this takes."""
 
 _WINDOWS = 20
 """Parts of a first run in which the warm-up is looked for."""
@@ -79,90 +84,6 @@ _LOOKS = (20, 60, 200, 600)
 
 _LONGEST = 20.0
 """A run that may not reach a condition lasts so many times as long as a first look at it."""
-
-
-class Measured(NamedTuple):
-    """A mean with its confidence interval; ``why`` says why there is none (``mean`` None)."""
-
-    mean: Optional[float]
-    low: Optional[float] = None
-    high: Optional[float] = None
-    why: str = ""
-
-    def to_json(self) -> Dict[str, Any]:
-        """As plain JSON values; an infinite bound is null."""
-        data: Dict[str, Any] = {
-            key: value if value is None or math.isfinite(value) else None
-            for key, value in (("mean", self.mean), ("low", self.low), ("high", self.high))
-        }
-        return {**data, "why": self.why} if self.why else data
-
-    def __str__(self) -> str:
-        if self.mean is None:
-            return "not known (%s)" % self.why
-        if self.low == self.high:
-            return "%.6g in every run" % self.mean
-        return "%.6g (%.6g to %.6g)" % (self.mean, self.low or 0.0, self.high or 0.0)
-
-
-@dataclass
-class Against:
-    """Two plans, simulated as they run.
-
-    :ivar objective: what was compared.
-    :ivar old: the value of the old plan; ``new``: that of the new one.
-    :ivar difference: new minus old.
-    :ivar significant: whether the interval of the difference excludes 0.
-    :ivar better: whether the new plan is better; None unless the difference is significant.
-    :ivar text: the result in words.
-    :ivar pairs: number of pairs of runs.
-    :ivar correlation: how much the runs of a pair have in common; None if nothing varies.
-    :ivar seconds: length of a run (s); None if it ends by itself.
-    :ivar warmup: time (s) at the start of a run that is left out.
-    :ivar needed: pairs of runs, and seconds of this machine, that it takes to notice a difference
-        of the ``size`` given, with the probability :data:`POWER`; None if it is significant.
-    :ivar confidence: level of the intervals.
-    :ivar seed: seed of the random numbers.
-    :ivar firings: number of firings in all runs.
-    :ivar notes: what the reader of the numbers should know.
-    """
-
-    objective: Objective
-    old: Measured
-    new: Measured
-    difference: Measured
-    significant: bool
-    text: str
-    pairs: int
-    better: Optional[bool] = None
-    correlation: Optional[float] = None
-    seconds: Optional[float] = None
-    warmup: float = 0.0
-    needed: Optional[Dict[str, float]] = None
-    confidence: float = 0.95
-    seed: int = 0
-    firings: int = 0
-    notes: List[str] = field(default_factory=list)
-
-    def to_json(self) -> Dict[str, Any]:
-        """As plain JSON values."""
-        return {
-            "old": self.old.to_json(),
-            "new": self.new.to_json(),
-            "difference": self.difference.to_json(),
-            "significant": self.significant,
-            "better": self.better,
-            "text": self.text,
-            "pairs": self.pairs,
-            "correlation": self.correlation,
-            "time": self.seconds,
-            "warmup": self.warmup,
-            "needed": self.needed,
-            "confidence": self.confidence,
-            "seed": self.seed,
-            "firings": self.firings,
-            "notes": list(self.notes),
-        }
 
 
 def compare_plans(
@@ -500,7 +421,7 @@ class _Comparison:
             better = (difference.mean or 0.0) > 0 if self.objective.maximise else (high or 0.0) < 0
         correlation, needed = None, None
         if difference.mean is not None:
-            correlation = _correlation(*self._values)
+            correlation = correlation_of(*self._values)
             size = abs(difference.mean if expected is None else expected)
             if not significant and size > 0:
                 needed = self._needed(size, confidence, spent)
@@ -524,7 +445,7 @@ class _Comparison:
             self._player.firings + self._firings,
             self.notes,
         )
-        found.text = _sentence(found)
+        found.text = sentence(found)
         return found
 
     def _measured(self, which: int, values: Floats, confidence: float) -> Measured:
@@ -595,124 +516,4 @@ class _Comparison:
 # -- statistics ------------------------------------------------------------------------------------
 
 
-def truncation(values: Floats) -> int:
-    """How many of the first values to leave out so that the mean of the others has the smallest
-    marginal standard error; the number of all values if that is more than half of them."""
-    count = len(values)
-    best, least = 0, math.inf
-    for start in range(count - 4):
-        rest = values[start:]
-        error = float(rest.var()) / len(rest)
-        if error < least * (1 - 1e-9):
-            best, least = start, error
-    return best if 2 * best <= count else count
-
-
-def paired_mean(values: Floats, confidence: float) -> Measured:
-    """The mean of independent values, with Student's interval."""
-    found = estimates.mean(values, confidence)
-    return Measured(found.mean, found.mean - found.half_width, found.mean + found.half_width)
-
-
-def paired_share(values: Booleans, confidence: float) -> Measured:
-    """A share, with Wilson's interval."""
-    return Measured(float(values.mean()), *wilson(int(values.sum()), len(values), confidence))
-
-
-def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
-    """The difference of two shares that were seen in pairs, by D. G. Bonett and R. M. Price,
-    *Adjusted Wald confidence interval for a difference of binomial proportions based on paired
-    data* (J. Educ. Behav. Stat., 2012)."""
-    count = len(old)
-    gained, lost = int((new & ~old).sum()), int((old & ~new).sum())
-    up, down = (gained + 1) / (count + 2), (lost + 1) / (count + 2)
-    z = quantiles.normal_quantile(0.5 + confidence / 2)
-    half = z * math.sqrt((up + down - (up - down) ** 2) / (count + 2))
-    low, high = max(up - down - half, -1.0), min(up - down + half, 1.0)
-    return Measured((gained - lost) / count, low, high)
-
-
-def pairs_needed(spread: float, size: float, confidence: float) -> int:
-    """How many pairs it takes to notice a mean difference of ``size``, if differences have the
-    standard deviation ``spread``, with the probability :data:`POWER`."""
-    z = quantiles.normal_quantile(0.5 + confidence / 2) + quantiles.normal_quantile(POWER)
-    return max(2, math.ceil((z * spread / size) ** 2))
-
-
-def _correlation(old: Sequence[float], new: Sequence[float]) -> Optional[float]:
-    if len(old) < 3 or np.std(old) == 0 or np.std(new) == 0:
-        return None
-    return float(np.corrcoef(old, new)[0, 1])
-
-
 # -- words -----------------------------------------------------------------------------------------
-
-
-def _sentence(found: Against) -> str:
-    unit = " " + found.objective.unit if found.objective.unit else ""
-    difference = found.difference
-    runs = "%s pairs of runs" % format(found.pairs, ",")
-    if difference.mean is None and found.old.why == found.new.why:
-        return "not decided (%s): %s" % (runs, difference.why)
-    if difference.mean is None:
-        sides = [
-            "the %s plan: %s" % (name, side)
-            for name, side in (("old", found.old), ("new", found.new))
-        ]
-        return "not decided (%s): %s" % (runs, "; ".join(sides))
-    level = "%g %%" % (100 * found.confidence)
-    interval = "%+.4g%s (%s interval: %+.4g to %+.4g)" % (
-        difference.mean,
-        unit,
-        level,
-        difference.low or 0.0,
-        difference.high or 0.0,
-    )
-    change = ""
-    if found.old.mean:
-        change = ", %+.3g %%" % (100 * difference.mean / abs(found.old.mean))
-    values = "%.5g%s instead of %.5g%s" % (
-        found.new.mean or 0.0,
-        unit,
-        found.old.mean or 0.0,
-        unit,
-    )
-    if found.significant:
-        word = "better" if found.better else "worse"
-        return "the new plan is %s than the old one: %s, a difference of %s%s, in %s" % (
-            word,
-            values,
-            interval,
-            change,
-            runs,
-        )
-    if difference.low == difference.high == 0:
-        return "no difference at all: the two plans did the same (%.5g%s) in each of %s" % (
-            found.new.mean or 0.0,
-            unit,
-            runs,
-        )
-    text = "the difference is not significant: %s, a difference of %s%s, in %s" % (
-        values,
-        interval,
-        change,
-        runs,
-    )
-    if found.needed is not None:
-        text += "; to notice a difference of %.4g%s takes about %s pairs (%s)" % (
-            found.needed["size"],
-            unit,
-            format(int(found.needed["pairs"]), ","),
-            _duration(found.needed["seconds"]),
-        )
-    return text
-
-
-def _duration(seconds: float) -> str:
-    for size, name in ((86_400.0, "days"), (3_600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return "%.2g %s on this machine" % (seconds / size, name)
-    return "%.2g s on this machine" % seconds
-
-
-__all__ = ["Against", "Measured", "compare_plans"]

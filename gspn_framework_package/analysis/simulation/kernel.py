@@ -18,6 +18,8 @@ are what is looked at again: group ``t`` are all robots that named transition ``
 transitions test: the marking, then the length of every list, then a zero.
 """
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
+
 from __future__ import annotations
 
 import math
@@ -402,6 +404,7 @@ def fits(t: int, level: Indices, test_from: Indices, tests: Indices) -> bool:
     return True
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def holds(
     operations: Indices, arguments: Floats, level: Indices, label: float, stack: Floats
 ) -> bool:
@@ -592,6 +595,7 @@ def find_entry(
     return best
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def weigh(
     place: int,
     version: int,
@@ -1026,6 +1030,7 @@ class PlanState(NamedTuple):
     """Events that fire as soon as they can, if the visit is still the one with that tag."""
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     """Play the token game until the clock reaches ``stop`` or this many events have happened;
     returns why.
@@ -1906,6 +1911,7 @@ class RaceState(NamedTuple):
     stack: Any
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def race(r: Any, s: Any, stop: float, budget: int) -> int:
     """Let the enabled transitions race until the clock reaches ``stop`` or this many have fired;
     returns why.

@@ -231,6 +231,7 @@ class PlanRun(KernelRun):
         )
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def _new_state(tables: PlanTables) -> kernel.PlanState:
     """The state before the robots enter their first places."""
     net = tables.net

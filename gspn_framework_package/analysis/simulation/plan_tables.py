@@ -1,5 +1,7 @@
 """A plan as the arrays of the kernel."""
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
+
 from __future__ import annotations
 
 import math
@@ -93,6 +95,7 @@ class PlanTables:
 
     # -- rules -------------------------------------------------------------------------------------
 
+    # In one piece: a net with clocks, compiled from the plan, is to replace it
     def _rules(
         self, timing: PlanTiming, policy_reads: Sequence[Set[int]], always: bool
     ) -> kernel.PlanArrays:
@@ -439,6 +442,7 @@ class _Mask(NamedTuple):
     entries: List[int]
 
 
+# In one piece: a net with clocks, compiled from the plan, is to replace it
 def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
     """The policy as arrays; for each place, the places whose counts its choices depend on; whether
     some row of every scope matches every marking."""

@@ -9,6 +9,8 @@ evictions, has the proposer give up its attempts, the local robot stop or act, a
 over.
 """
 
+# In one piece: who is in the team and who may vote depend on the same fields
+
 from __future__ import annotations
 
 import hashlib

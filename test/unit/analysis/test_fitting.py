@@ -34,9 +34,9 @@ from gspn_framework_package.analysis.fitting.testing import (
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.plot import fit_figure
-from gspn_framework_package.execution.attempts import gather
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.formats.plan_file import read_plan

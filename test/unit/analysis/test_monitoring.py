@@ -20,12 +20,13 @@ from gspn_framework_package.analysis.monitoring.comparison import (
 )
 from gspn_framework_package.analysis.monitoring.cusum import ChanceChart, RateChart
 from gspn_framework_package.analysis.monitoring.hazard import Hazard
-from gspn_framework_package.analysis.monitoring.monitor import Alarm, Monitor
+from gspn_framework_package.analysis.monitoring.monitor import Monitor
 from gspn_framework_package.analysis.monitoring.prediction import (
     RunSample,
     draw_parameters,
     growth,
 )
+from gspn_framework_package.analysis.monitoring.streams import Alarm
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Evidence

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
-from gspn_framework_package.analysis.simulation import against, kernel, pairs
+from gspn_framework_package.analysis.simulation import against, kernel, paired_estimates, pairs
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
@@ -142,7 +142,7 @@ def test_intervals_of_paired_shares_cover_what_they_should():
         for _ in range(1000):
             u = generator.random(60)
             old, new = u < common, u < common + odd
-            found = against.paired_shares(old, new, 0.95)
+            found = paired_estimates.paired_shares(old, new, 0.95)
             hits += found.low <= odd <= found.high
         assert 0.93 <= hits / 1000
 
@@ -342,13 +342,13 @@ def test_other_durations_are_pointed_out():
 def test_the_rule_for_the_warm_up():
     generator = np.random.default_rng(1)
     settled = generator.normal(5.0, 1.0, 40)
-    assert against.truncation(settled) < 10
+    assert paired_estimates.truncation(settled) < 10
     falling = settled + 100.0 * np.exp(-np.arange(40) / 2.0)
-    assert 6 <= against.truncation(falling) <= 20
-    assert against.truncation(np.arange(40.0)) == 40  # it never settles
+    assert 6 <= paired_estimates.truncation(falling) <= 20
+    assert paired_estimates.truncation(np.arange(40.0)) == 40  # it never settles
 
 
 def test_the_pairs_that_are_needed():
     # (1.96 + 0.84)^2 for a difference of one standard deviation
-    assert against.pairs_needed(1.0, 1.0, 0.95) == math.ceil(7.849)
+    assert paired_estimates.pairs_needed(1.0, 1.0, 0.95) == math.ceil(7.849)
     assert Objective.long_run({}).aim is Aim.LONG_RUN and kernel.MORE == 0

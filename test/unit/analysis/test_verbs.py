@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.report import Part, keys_of
+from gspn_framework_package.analysis.report_measures import Part, keys_of
 from gspn_framework_package.cli import analyse
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.plot import alike

@@ -14,9 +14,9 @@ import pytest
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.attempts import gather
 from gspn_framework_package.execution.event_log import LogFile, header, log_files, read_log
 from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify

@@ -17,12 +17,7 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.verifier.slot_check import SlotCheck
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
-    LostKind,
-    LostRule,
-)
+from gspn_framework_package.model.plan import FailureKind, FailureRule, LostKind, LostRule
 from gspn_framework_package.model.policy import Policy
 
 

@@ -182,12 +182,14 @@ def test_the_page_describes_the_order_and_gives_it(toy_order):
 
 
 @pytest.fixture
-def toy_measures(monkeypatch):
+def toy_measures():
     from toys import toy_measure
 
-    from gspn_framework_package.analysis import report
+    from gspn_framework_package.analysis.report_measures import MEASURES
 
-    monkeypatch.setattr(report, "MEASURES", report.MEASURES + toy_measure.MEASURES)
+    MEASURES.extend(toy_measure.MEASURES)
+    yield
+    del MEASURES[-len(toy_measure.MEASURES) :]
 
 
 def machine(folder):

@@ -24,7 +24,8 @@ from gspn_framework_package.analysis.decisions.solving.evaluation import (
 )
 from gspn_framework_package.analysis.decisions.solving.graphs import end_components, staying
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
-from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
+from gspn_framework_package.analysis.decisions.solving.solved import Solved
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
 

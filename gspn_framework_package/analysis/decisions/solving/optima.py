@@ -13,7 +13,7 @@ one solution (de Alfaro, *Computing Minimum and Maximum Reachability Times*, CON
 from __future__ import annotations
 
 import math
-from typing import Callable, List, NamedTuple, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 
@@ -21,15 +21,22 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST, Aim
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.analysis.decisions.solving import layers
-from gspn_framework_package.analysis.decisions.solving.fixed_point import (
-    Found,
-    drift_range,
-    solve_model,
+from gspn_framework_package.analysis.decisions.solving.bounded import (
+    _TIE,
+    Bounded,
+    is_narrow,
+    steady,
+    surely_ends,
 )
+from gspn_framework_package.analysis.decisions.solving.end_classes import (
+    EndClasses,
+    spoil,
+    with_exits,
+    without_cost,
+)
+from gspn_framework_package.analysis.decisions.solving.fixed_point import Found, solve_model
 from gspn_framework_package.analysis.decisions.solving.graphs import (
-    Arrows,
     EndComponents,
-    any_of_row,
     any_of_state,
     avoiding,
     end_components,
@@ -46,45 +53,9 @@ from gspn_framework_package.analysis.decisions.solving.layers import (
     merge_components,
 )
 from gspn_framework_package.analysis.decisions.solving.model import Model
-from gspn_framework_package.analysis.graph import flat_ranges
+from gspn_framework_package.analysis.decisions.solving.solved import Solved, row_values_of
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
-
-_TIE = 1e-9
-"""Rows whose values differ by less than this share of the largest value are equally good."""
-
-_FLOOR = 1e-13
-"""A width of this share of what flows through the equations counts as zero: it is rounding."""
-
-
-class Solved(NamedTuple):
-    """The best policy.
-
-    :ivar lower: certified lower bound of the best value from the automaton's initial states, and
-      upper one: ``upper``. If it is maximised, the policy itself has at least the value ``lower``;
-      if it is minimised, at most ``upper``.
-    :ivar row_of: int array: the row that each state takes: the first of those that are equally good
-      (within 1e-9 of the largest value); -1 where no row is allowed, in goals, and where the
-      goal is not reached surely though it should be.
-    :ivar values: float array: for each state its probability, cost, time or discounted reward, or,
-      in the long run, its bias: what beginning there earns beyond the gain. NaN where no row is
-      allowed; infinite where the goal is not reached surely.
-    :ivar row_values: float array: for each row the value of its state if it takes this row now and
-      the best ones later. NaN for rows that are not allowed; infinitely bad for rows that spoil the
-      gain of the long run for ever, or after which the goal is not reached surely.
-    :ivar gains: float array: the best gain per second from each state; None but in the long run.
-    :ivar method: how it was found.
-    :ivar rounds: how many sweeps or rounds of policy iteration that took.
-    """
-
-    lower: float
-    upper: float
-    row_of: Indices
-    values: Floats
-    row_values: Floats
-    gains: Optional[Floats]
-    method: str
-    rounds: int
 
 
 def optimum(
@@ -160,6 +131,7 @@ class _Work:
         self._allowed = allowed
         self._start_values = start_values
         self._watch = watch
+        self._asked = width, watch
         self._starts = np.array([s for s, _ in automaton.initial], dtype=np.int64)
         self._shares = np.array([p for _, p in automaton.initial])
 
@@ -201,10 +173,6 @@ class _Work:
         """The mean over the start distribution of one value per state of the automaton."""
         return float(values[self._starts] @ self._shares)
 
-    def _narrow(self, low: float, high: float, scale: float) -> bool:
-        largest = max(abs(low), abs(high))
-        return high - low <= max(0.45 * self._width * largest, _FLOOR * scale)
-
     def _solved(
         self,
         low: float,
@@ -219,7 +187,7 @@ class _Work:
         """The result, with the signs that the caller sees."""
         sign = self._sign
         known = np.abs(values[np.isfinite(values)])
-        if not self._narrow(0.45 * low, 0.45 * high, float(known.max(initial=0.0))):
+        if not is_narrow(self._width, 0.45 * low, 0.45 * high, float(known.max(initial=0.0))):
             raise LimitError(
                 "the bounds came to %.12g and %.12g only" % (sign * low, sign * high),
                 hint="ask for a wider interval",
@@ -236,46 +204,6 @@ class _Work:
             rounds,
         )
 
-    def _steady(
-        self,
-        model: Model,
-        values: Floats,
-        gain: float,
-        good: Callable[[Indices, float], bool],
-        chosen: Indices,
-        matters: Booleans,
-    ) -> Tuple[Indices, float]:
-        """The policy with stable ties, as far as its certificate is good enough: its rows, and its
-        least drift."""
-        row_values = model.row_values(values, gain)
-        scale = float(np.abs(row_values[np.isfinite(row_values)]).max(initial=0.0))
-        for slack in (_TIE, 1e-2 * _TIE, 1e-4 * _TIE):
-            rows = model.best_rows(row_values, slack * scale)
-            if (rows == chosen).all():
-                break
-            low, _ = drift_range(model, values.copy(), matters, rows)
-            if good(rows, low):
-                return rows, low
-        return chosen, drift_range(model, values.copy(), matters, chosen)[0]
-
-    def _row_values(self, reduced: Reduced, values: Floats) -> Floats:
-        """The value of each row of the automaton."""
-        automaton = self._automaton
-        known = np.where(reduced.live, values, 0.0)
-        found = reduced.constant + np.bincount(
-            automaton.arc_rows,
-            weights=automaton.values * known[automaton.targets],
-            minlength=len(automaton.choices),
-        )
-        found = np.where(
-            automaton.tangible[automaton.row_states], values[automaton.row_states], found
-        )
-        ends = any_of_row(layers.arrows_of(automaton), ~reduced.live[automaton.targets])
-        if self._allowed is not None:
-            ends |= ~self._allowed
-        found[ends] = np.nan
-        return found
-
     # -- discounted --------------------------------------------------------------------------------
 
     def discounted(self, rewards: Rewards, discount: float) -> Solved:
@@ -290,11 +218,13 @@ class _Work:
             return value + low / discount, value + high / discount
 
         def accept(values: Floats, low: float, high: float) -> bool:
-            return self._narrow(*bounds(values, low, high), float(np.abs(values).max(initial=0.0)))
+            return is_narrow(
+                self._width, *bounds(values, low, high), float(np.abs(values).max(initial=0.0))
+            )
 
         start = self._begin([reduced.layer])
         found = solve_model(model, accept, matters=matters, start=start, watch=self._watch)
-        chosen, low = self._steady(
+        chosen, low = steady(
             model,
             found.values,
             0.0,
@@ -309,7 +239,7 @@ class _Work:
             upper,
             values,
             rows,
-            self._row_values(reduced, values),
+            row_values_of(self._automaton, self._allowed, reduced, values),
             found.method,
             found.rounds,
         )
@@ -349,7 +279,7 @@ class _Work:
                     "be no least cost",
                     hint="make them positive",
                 )
-        component, inner, count = _without_cost(base, inside, rows, proper)
+        component, inner, count = without_cost(base, inside, rows, proper)
         layer = merge_components(base, component, count, inner, states=inside, rows=rows)
         values, chosen, lower, upper, found = self._total_of(
             layer, [reduced.layer, layer], begin, proper, what == "time"
@@ -363,7 +293,7 @@ class _Work:
             upper,
             values,
             picked,
-            self._row_values(reduced, values),
+            row_values_of(self._automaton, self._allowed, reduced, values),
             found.method,
             found.rounds,
         )
@@ -383,7 +313,9 @@ class _Work:
         guard = None if proper else safe
         start = self._begin(stack)
         if not timed:
-            bounded = _Bounded(self, model, inner, shares, matters, guard, proper)
+            bounded = Bounded(
+                self._width, self._watch, model, inner, shares, matters, guard, proper
+            )
             return bounded.solve(start)
 
         def accept(values: Floats, low: float, high: float) -> bool:
@@ -393,12 +325,12 @@ class _Work:
         found = solve_model(
             model, accept, matters=matters, safe=guard, start=start, watch=self._watch
         )
-        chosen, low = self._steady(
+        chosen, low = steady(
             model,
             found.values,
             0.0,
             lambda rows, low: (
-                accept(found.values, low, found.high) and (proper or _surely_ends(model, rows))
+                accept(found.values, low, found.high) and (proper or surely_ends(model, rows))
             ),
             found.chosen,
             matters,
@@ -459,7 +391,9 @@ class _Work:
             offset = float(known @ self._shares)
             settled = (inner >= 0) & ~rest[np.maximum(inner, 0)]
             offset += float(values[inner[settled]] @ self._shares[settled])
-            bounded = _Bounded(self, model, begin, shares, matters, None, True, offset)
+            bounded = Bounded(
+                self._width, self._watch, model, begin, shares, matters, None, True, offset
+            )
             part_values, part_rows, lower, upper, found = bounded.solve(
                 self._begin([reduced.layer, layer])
             )
@@ -476,7 +410,7 @@ class _Work:
             min(upper, high),
             whole,
             picked,
-            self._row_values(reduced, whole),
+            row_values_of(self._automaton, self._allowed, reduced, whole),
             method,
             rounds,
         )
@@ -491,7 +425,7 @@ class _Work:
         reachable = reduced.reachable(automaton)
         everything = np.ones(len(base), dtype=bool)
         parts = end_components(base.arrows, everything, np.ones(len(base.constant), dtype=bool))
-        classes = _Classes(base, parts)
+        classes = EndClasses(base, parts)
         bias = np.full(len(base), np.nan)
         chosen = np.full(len(base), -1, dtype=np.int64)
         lows, highs = np.full(parts.number, np.nan), np.full(parts.number, np.nan)
@@ -528,9 +462,9 @@ class _Work:
             self._transient(base, stays, gains, bias, chosen)
         whole, picked = lifted([reduced.layer], bias, chosen)
         all_gains = reduced.layer.lift(gains, np.full(len(automaton), np.nan))
-        row_values = self._row_values(reduced, whole)
+        row_values = row_values_of(self._automaton, self._allowed, reduced, whole)
         if spread > 0.0:
-            self._spoil(row_values, all_gains, upper - lower)
+            spoil(self._automaton, row_values, all_gains, upper - lower)
         return self._solved(lower, upper, whole, picked, row_values, method, rounds, all_gains)
 
     def _gain(
@@ -543,7 +477,7 @@ class _Work:
             scale = flowing + float(np.abs(values).max(initial=0.0)) * 1e-2 * float(
                 model.exits.max()
             )
-            return self._narrow(low, high, scale)
+            return is_narrow(self._width, low, high, scale)
 
         try:
             found = solve_model(model, accept, long_run=True, start=start, watch=self._watch)
@@ -554,7 +488,7 @@ class _Work:
             found = solve_model(
                 model, lambda *_: True, long_run=True, start=start, watch=self._watch
             )
-        rows, low = self._steady(
+        rows, low = steady(
             model,
             found.values,
             found.gain,
@@ -578,18 +512,20 @@ class _Work:
         of all other states. Returns the bounds, and the states of the components to stay in."""
         component, inner = parts.of, parts.rows
         held = component >= 0
-        model, staying_rows, layer = _with_exits(base, parts, lows)
+        model, staying_rows, layer = with_exits(base, parts, lows)
         starts = layer.number[begin]
         matters = forward(model.arrows, np.unique(starts))
 
         def bounded(whole: Model) -> Tuple[Floats, Indices, float, float]:
-            found = _Bounded(self, whole, starts, self._shares, matters, None, True)
+            found = Bounded(
+                self._width, self._watch, whole, starts, self._shares, matters, None, True
+            )
             return found.solve(None)[:4]
 
         # the gain of a component is known within its bounds: what they are at least, and at most
         values, rows, lower, upper = bounded(model)
         if (highs > lows).any():
-            upper = max(upper, bounded(_with_exits(base, parts, highs)[0])[3])
+            upper = max(upper, bounded(with_exits(base, parts, highs)[0])[3])
         staying_state = np.zeros(len(model), dtype=bool)
         # staying is preferred to moving on to another component that is as good
         row_values = model.row_values(values)
@@ -649,266 +585,3 @@ class _Work:
         ties = part.row_values(found.values)
         largest = float(np.abs(ties[np.isfinite(ties)]).max(initial=0.0))
         layer.lift_rows(part.best_rows(ties, _TIE * largest), chosen)
-
-    def _spoil(self, row_values: Floats, gains: Floats, width: float) -> None:
-        """Mark the rows after which the gain is lower."""
-        automaton = self._automaton
-        after = np.bincount(
-            automaton.arc_rows,
-            weights=automaton.values * np.nan_to_num(gains)[automaton.targets],
-            minlength=len(automaton.choices),
-        )
-        own = gains[automaton.row_states]
-        scale = float(np.nanmax(np.abs(gains)))
-        worse = ~automaton.tangible[automaton.row_states] & (after < own - max(width, 1e-9 * scale))
-        row_values[worse & ~np.isnan(row_values)] = -math.inf
-
-
-class _Bounded:
-    """Bounds of a total from the drift and the mean time until the end."""
-
-    def __init__(
-        self,
-        work: _Work,
-        model: Model,
-        begin: Indices,
-        shares: Floats,
-        matters: Booleans,
-        safe: Optional[Indices],
-        proper: bool,
-        offset: float = 0.0,
-    ) -> None:
-        self._work, self._model = work, model
-        self._begin, self._shares = begin, shares
-        self._matters, self._safe, self._proper = matters, safe, proper
-        self._offset = offset
-
-    def solve(self, start: Optional[Floats]) -> Tuple[Floats, Indices, float, float, Found]:
-        """Values, rows, bounds, and how they were found."""
-        work, model = self._work, self._model
-        longest = self._longest(None) if self._proper else None
-        tolerance = 1e-3 * work._width * max(1e-3, float(np.abs(model.constant).max(initial=0.0)))
-        values = start
-        rounds = 0
-        while True:
-
-            def accept(values: Floats, low: float, high: float, target: float = tolerance) -> bool:
-                if longest is not None:
-                    slow = float(longest[self._begin] @ self._shares)
-                    if not len(self._begin):  # the answer is known; these are further states
-                        slow = float(longest.max(initial=0.0))
-                    value = float(values[self._begin] @ self._shares) + self._offset
-                    return work._narrow(
-                        value + min(low, 0.0) * slow,
-                        value + max(high, 0.0) * slow,
-                        float(np.abs(values).max(initial=0.0)),
-                    )
-                return max(abs(low), abs(high)) <= target
-
-            found = solve_model(
-                model,
-                accept,
-                matters=self._matters,
-                safe=self._safe,
-                start=values,
-                watch=work._watch,
-            )
-            rounds += found.rounds
-            lower, upper, chosen = self._bounds(found, longest)
-            scale = float(np.abs(found.values).max(initial=0.0))
-            if work._narrow(lower, upper, scale):
-                return found.values, chosen, lower, upper, found._replace(rounds=rounds)
-            worst = max(abs(found.low), abs(found.high))
-            if longest is not None or tolerance < 1e-15 * worst:
-                raise LimitError(
-                    "the bounds came to %.12g and %.12g only" % (lower, upper),
-                    hint="ask for a wider interval",
-                )
-            tolerance = 0.1 * min(tolerance, worst)
-            values = found.values
-
-    def _bounds(self, found: Found, longest: Optional[Floats]) -> Tuple[float, float, Indices]:
-        work, model, values = self._work, self._model, found.values
-        value = float(values[self._begin] @ self._shares) + self._offset
-        if longest is not None:
-            slow = float(longest[self._begin] @ self._shares)
-            chosen, low = work._steady(
-                model,
-                values,
-                0.0,
-                lambda rows, low: work._narrow(
-                    value + low * slow, value + max(found.high, 0.0) * slow, 0.0
-                ),
-                found.chosen,
-                self._matters,
-            )
-            return (
-                value + min(low, 0.0) * slow,
-                value + max(found.high, 0.0) * slow,
-                chosen,
-            )
-        # Costs are not negative, and no policy stays for ever without any. The policy's own mean
-        # time bounds what it may cost more.
-        chosen, low = work._steady(
-            model,
-            values,
-            0.0,
-            lambda rows, low: low >= 2 * found.low and _surely_ends(model, rows),
-            found.chosen,
-            self._matters,
-        )
-        own = self._longest(chosen)
-        assert own is not None
-        lower = value + min(low, 0.0) * float(own[self._begin] @ self._shares)
-        return lower, value + self._saved(values, found.high), chosen
-
-    def _saved(self, values: Floats, high: float) -> float:
-        """How much less than the values another policy may cost at most.
-
-        A smaller cost ``(1 - e) V - f Z`` satisfies the inequality of all rows: ``Z`` is the
-        longest mean time in states without cost before one with a cost, and ``e`` and ``f`` as
-        large as the drift asks."""
-        if high <= 0:
-            return 0.0
-        model, matters = self._model, self._matters
-        costly = model.tangible & (model.constant[model.first_rows] < 0)
-        rate = -model.constant[model.first_rows]
-        value = float(values[self._begin] @ self._shares)
-        free = model.tangible & ~costly
-        if not (free & matters).any():
-            least = float(rate[costly & matters].min(initial=math.inf))
-            share = high / least
-            return -value * share / (1 - share) if share < 0.5 else math.inf
-        timed = model.earning(np.where(model.tangible[model.row_states], 1.0, 0.0))
-        rows = model.constant == 0
-        kept = any_of_state(model.arrows, rows)
-        number, size = layers.numbered(kept, np.zeros(0, dtype=np.int64), 0)
-        part = timed.part(number, size, rows)
-        longest = np.zeros(len(model))
-        longest[kept] = _slowest(part, self._work._watch)
-        after = model.matrix @ longest
-        paid = -model.constant > 0
-        asked = np.where(model.tangible[model.row_states], high, 0.0) + high * after
-        paid &= matters[model.row_states]
-        share = float((asked[paid] / -model.constant[paid]).max(initial=0.0))
-        if share >= 0.5:
-            return math.inf
-        return -share * value + high * float(longest[self._begin] @ self._shares)
-
-    def _longest(self, chosen: Optional[Indices]) -> Optional[Floats]:
-        """An upper bound of the mean time until the end, of a policy or of the slowest one."""
-        model = self._model if chosen is None else self._model.taking(chosen)
-        return _slowest(
-            model.earning(np.where(model.tangible[model.row_states], 1.0, 0.0)), self._work._watch
-        )
-
-
-def _without_cost(
-    model: Model, states: Booleans, rows: Booleans, proper: bool
-) -> Tuple[Indices, Booleans, int]:
-    """The end components in which a policy could stay without any cost: the component of each
-    state, their rows, and how many there are."""
-    if proper:
-        return np.full(len(model), -1, dtype=np.int64), np.zeros(len(rows), dtype=bool), 0
-    free = rows & (model.constant == 0.0) & ~model.into & states[model.row_states]
-    found = end_components(model.arrows, states, free)
-    return found.of, found.rows, found.number
-
-
-def _slowest(model: Model, watch: Watch) -> Floats:
-    """Upper bounds of the highest mean times; the model earns 1 per second."""
-
-    def accept(values: Floats, low: float, high: float) -> bool:
-        return high <= 0.5
-
-    found = solve_model(model, accept, watch=watch)
-    return found.values / (1 - max(found.high, 0.0))
-
-
-class _Classes:
-    """The maximal end components of a model, taken one at a time."""
-
-    def __init__(self, model: Model, parts: EndComponents) -> None:
-        self._model = model
-        held = np.flatnonzero(parts.of >= 0)
-        self._order = held[np.argsort(parts.of[held], kind="stable")]
-        self._begins = np.searchsorted(parts.of[self._order], np.arange(parts.number + 1))
-        self._rows = parts.rows
-        self._number = np.full(len(model), -1, dtype=np.int64)
-        self.sizes = np.diff(self._begins)
-        """How many states each has."""
-        self.first = self._order[self._begins[:-1]]
-        """A state of each."""
-
-    def states(self, component: int) -> Indices:
-        """The states of a component."""
-        return self._order[self._begins[component] : self._begins[component + 1]]
-
-    def part(self, states: Indices) -> Tuple[Model, Indices]:
-        """The model of a component, and the row of the whole model that each of its rows is."""
-        model, arrows = self._model, self._model.arrows
-        if len(states) == len(model) and self._rows.all():
-            return model, np.arange(len(model.constant))
-        counts = arrows.rows[states + 1] - arrows.rows[states]
-        listed = flat_ranges(arrows.rows[states], arrows.rows[states + 1])
-        inside = self._rows[listed]
-        owners = np.repeat(np.arange(len(states)), counts)[inside]
-        listed = listed[inside]
-        lengths = arrows.arcs[listed + 1] - arrows.arcs[listed]
-        entries = flat_ranges(arrows.arcs[listed], arrows.arcs[listed + 1])
-        self._number[states] = np.arange(len(states))
-        local = Arrows(
-            np.searchsorted(owners, np.arange(len(states) + 1)),
-            np.concatenate([[0], np.cumsum(lengths)]),
-            self._number[arrows.targets[entries]].astype(np.int32),
-        )
-        part = Model(
-            model.tangible[states],
-            local,
-            model.values[entries],
-            model.constant[listed],
-            model.exits[states],
-            np.arange(len(listed)),
-            states,
-            np.zeros(len(listed), dtype=bool),
-        )
-        return part, listed
-
-
-def _with_exits(base: Model, parts: EndComponents, gains: Floats) -> Tuple[Model, Indices, Layer]:
-    """The model in which each end component is one state that may stay, with its gain, or leave.
-
-    :return: the model; the row of each of its states in which it stays (-1: none); how its states
-      come from ``base``. Rows that stay come from no row of ``base``.
-    """
-    idle = base.earning(np.zeros(len(base.constant)))
-    layer = merge_components(idle, parts.of, parts.number, parts.rows)
-    model = layer.model
-    held = np.flatnonzero(parts.of >= 0)
-    staying = np.full(len(model), -1, dtype=np.int64)
-    staying[layer.number[held]] = parts.of[held]
-    stops = np.flatnonzero(staying >= 0)
-    rows, arcs = model.arrows.rows, model.arrows.arcs
-    at = rows[stops + 1]
-    added = np.zeros(len(model) + 1, dtype=np.int64)
-    added[1:] = np.cumsum(staying >= 0)
-    tangible, exits = model.tangible.copy(), model.exits.copy()
-    tangible[stops], exits[stops] = False, 1.0
-    following = np.where(staying >= 0, rows[1:] + added[:-1], -1)
-    whole = Model(
-        tangible,
-        Arrows(rows + added, np.insert(arcs, at, arcs[at]), model.arrows.targets),
-        model.values,
-        np.insert(model.constant, at, gains[staying[stops]]),
-        exits,
-        np.insert(model.row_ids, at, len(base.constant)),
-        model.state_ids,
-        np.insert(model.into, at, True),
-    )
-    return whole, following, layer
-
-
-def _surely_ends(model: Model, chosen: Indices) -> bool:
-    taken = model.taking(chosen)
-    reached, _ = reaching(taken.arrows, any_of_state(taken.arrows, taken.into))
-    return bool(reached.all())

@@ -19,7 +19,8 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
-from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
+from gspn_framework_package.analysis.decisions.solving.solved import Solved
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError

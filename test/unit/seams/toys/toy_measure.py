@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gspn_framework_package.analysis.report import Measure, Part
+from gspn_framework_package.analysis.report_measures import Measure, Part
 
 MEASURES = [
     Measure(
