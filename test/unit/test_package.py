@@ -1,6 +1,7 @@
 """The package as a whole: its layers, its syntax, its manifest, its command line."""
 
 import ast
+import itertools
 import json
 import os
 import re
@@ -215,6 +216,68 @@ def test_the_docstring_of_a_folder_names_what_is_in_it(folder):
 REFERENCE = re.compile(r":(?:mod|class|func|meth|data|attr|exc):`~?([^`<]+)`")
 
 
+PAGE = PACKAGE / "visualizer" / "static" / "js"
+SCRIPTS_OF_THE_PAGE = sorted(PAGE.rglob("*.js"))
+
+LONGEST_FILE, LONGEST_FUNCTION = 600, 80  # lines
+REASON = re.compile(r" *(#|//) In one piece: \w.{20,}")
+
+
+def too_long(path):
+    """Return what of a file is longer than that without a reason at its head: a comment line "In one
+    piece: WHY" above the first code of the file, or above the function."""
+    text = path.read_text("utf-8")
+    lines = text.splitlines()
+
+    def has_reason(first):
+        before = itertools.takewhile(
+            lambda line: line.strip()[:1] in ("#", "/") or not line.strip(), lines[first::-1]
+        )
+        return any(REASON.fullmatch(line) for line in before)
+
+    if path.suffix == ".js":
+        code = next((n for n, line in enumerate(lines) if line.strip()[:2] not in ("//", "")), 0)
+        return [] if len(lines) <= LONGEST_FILE or has_reason(code - 1) else [path.name]
+    tree = ast.parse(text)
+    code = tree.body[1 if ast.get_docstring(tree) is not None else 0 :]
+    found = []
+    if len(lines) > LONGEST_FILE and code and not has_reason(code[0].lineno - 2):
+        found.append(path.name)
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
+            if node.end_lineno - first >= LONGEST_FUNCTION and not has_reason(first - 2):
+                found.append("%s: %s" % (path.name, node.name))
+    return found
+
+
+def test_what_is_long_has_a_reason():
+    assert [name for path in MODULES + SCRIPTS_OF_THE_PAGE for name in too_long(path)] == []
+
+
+WHY = " In one piece: what it holds belongs together\n"
+
+
+@pytest.mark.parametrize(
+    "name, text, found",
+    [
+        ("a.py", '"""Doc."""\n\nx = 1\n' + "\n" * 597, []),
+        ("a.py", '"""Doc."""\n\nx = 1\n' + "\n" * 598, ["a.py"]),
+        ("a.py", '"""Doc."""\n\n#' + WHY + "\nx = 1\n" + "\n" * 598, []),
+        ("a.py", '"""Doc."""\n\nx = 1\n#' + WHY + "\n" * 598, ["a.py"]),
+        ("a.py", '"""Doc."""\n\n# In one piece: so\nx = 1\n' + "\n" * 598, ["a.py"]),
+        ("a.py", "def f():\n" + "    x = 1\n" * 79, []),
+        ("a.py", "def f():\n" + "    x = 1\n" * 80, ["a.py: f"]),
+        ("a.py", "#" + WHY + "@g\ndef f():\n" + "    x = 1\n" * 80, []),
+        ("a.js", "// Doc.\n\nx();\n" + "\n" * 598, ["a.js"]),
+        ("a.js", "// Doc.\n//" + WHY + "\nx();\n" + "\n" * 598, []),
+    ],
+)
+def test_the_check_of_lengths_sees_what_is_too_long(tmp_path, name, text, found):
+    (tmp_path / name).write_text(text)
+    assert too_long(tmp_path / name) == found
+
+
 @lru_cache(maxsize=1)
 def defined():
     """Module -> the names that it defines or imports, those in classes as CLASS.NAME too."""
@@ -354,10 +417,6 @@ def test_no_two_modules_import_each_other():
     modules = {name_of(path): path for path in MODULES if path.name != "__init__.py"}
     imported = {name: modules.keys() & set(imports_of(path)) for name, path in modules.items()}
     assert cycles(imported) == []
-
-
-PAGE = PACKAGE / "visualizer" / "static" / "js"
-SCRIPTS_OF_THE_PAGE = sorted(PAGE.rglob("*.js"))
 
 
 def test_no_two_scripts_of_the_page_import_each_other():

@@ -10,7 +10,9 @@ from unittest.mock import Mock
 
 import pytest
 
+from gspn_framework_package.analysis.sweeps import variation
 from gspn_framework_package.cli import main as dispatcher
+from gspn_framework_package.cli import mcp_tools
 from gspn_framework_package.execution.actions import (
     ActionContext,
     Cancellation,
@@ -31,6 +33,8 @@ from gspn_framework_package.team.commands import Commands
 from gspn_framework_package.team.jobs import LocalJob
 from gspn_framework_package.team.orders import ORDERS
 
+ROOT = Path(__file__).resolve().parents[3]
+
 
 @pytest.fixture(autouse=True)
 def toys(monkeypatch):
@@ -40,6 +44,41 @@ def toys(monkeypatch):
     allow_modules(())
     for name in [name for name in sys.modules if name.split(".")[0] == "toys"]:
         del sys.modules[name]
+
+
+# -- the table
+
+MAP = (ROOT / "docs" / "developing.md").read_text("utf-8")
+TABLE = MAP[MAP.index("## To add X, touch Y") : MAP.index("## Tests")]
+ROWS = {
+    row.split(" | ")[0].strip("| "): row.split(" | ")[1]
+    for row in TABLE.splitlines()
+    if row.startswith("| ") and not row.startswith("| to add")
+}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_the_files_of_a_row_hold_the_names_that_it_gives(row):
+    files = re.findall(r"`([\w./]+\.(?:py|js|json|txt))`", ROWS[row])
+    places = [ROOT / "gspn_framework_package", ROOT]
+    texts = [next(p / f for p in places if (p / f).is_file()).read_text("utf-8") for f in files]
+    names = re.findall(r"`([A-Za-z_][\w.]*)(?:\([^`]*\))?`", ROWS[row])
+    code = [name for name in names if name not in files and re.search("[A-Z_]", name)]
+    parts = {part for name in code for part in name.split(".")}
+    assert {n for n in parts if not any(re.search(r"\b%s\b" % n, t) for t in texts)} == set()
+
+
+def test_the_rows_that_say_so_are_tested_here():
+    assert [row for row in ROWS if row.endswith("(tested)")] == [
+        "a file format (tested)",
+        "a measure (tested)",
+        "a parameter of `gspn sweep` (tested)",
+        "a verb (tested)",
+        "a tool for language models (tested)",
+        "an order of the operator (tested)",
+        "an action of your own (tested)",
+        "a kind of action (tested)",
+    ]
 
 
 # -- a file format
@@ -176,6 +215,38 @@ def test_the_page_describes_the_order_and_gives_it(toy_order):
     answer = orders.commands["greet"]({"robot": "robot_2", "whom": "ann"})
     assert answer == {"message": "it is so"}
     assert asked == [OperatorRequest("greet", "robot_2", "ann", "monday")]
+
+
+# -- a tool for language models
+
+
+def test_a_tool_is_a_row_that_names_a_verb(monkeypatch, tmp_path):
+    machine(tmp_path)
+    row = mcp_tools.TOOLS["analyse"]._replace(about="count markings", fields={"plan": {}})
+    monkeypatch.setitem(mcp_tools.TOOLS, "count", row)
+    tools = mcp_tools.PlanTools(str(tmp_path), False, mcp_tools.CallLimits(100.0, 200_000))
+    listed = {tool["name"]: tool["description"] for tool in tools.listed()}
+    assert listed["count"] == "count markings"
+    found = json.loads(tools.call("count", {"plan": "machine.xml"}, lambda seconds: False))
+    assert found["states"]["total"] == 2
+
+
+# -- a parameter of a sweep
+
+
+def test_a_parameter_of_a_sweep_is_a_row(monkeypatch, tmp_path, capsys):
+    def faster(net, element, factor, timing):
+        return net.with_rates({t.name: t.rate * factor for t in net.transitions})
+
+    row = variation._KINDS["rate"]._replace(change=faster, of_element=False)
+    monkeypatch.setitem(variation._KINDS, "speed", row)
+    words = ["sweep", machine(tmp_path), "--vary", "speed=1,2", "--measure", "fail", "--json"]
+    assert dispatcher.main([*words, "--time", "200", "--replications", "20"]) == 0
+    slow, fast = json.loads(capsys.readouterr().out)["points"]
+    assert (slow["values"], fast["values"]) == ({"speed": 1}, {"speed": 2})
+    assert fast["measures"]["throughput"]["fail"]["mean"] == pytest.approx(
+        2 * slow["measures"]["throughput"]["fail"]["mean"], rel=0.2
+    )
 
 
 # -- a measure
