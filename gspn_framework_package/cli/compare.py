@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.epilog = (
-        "Exit codes: 0 the run goes as predicted, 1 it departs from the plan, 2 wrong input."
+        "Exit codes: 0 the run matches the prediction, 1 it departs from the plan, 2 wrong input."
     )
 
 
@@ -321,7 +321,7 @@ def _text(result: _Result) -> Iterator[str]:
             " (%s)" % result.comparison.farthest if result.comparison.farthest else "",
         )
     )
-    yield "the run departs from the plan" if result.departs else "the run goes as predicted"
+    yield "the run departs from the plan" if result.departs else "the run matches the prediction"
 
 
 def _measure_line(measure: PredictedMeasure) -> str:

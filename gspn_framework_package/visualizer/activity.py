@@ -35,27 +35,27 @@ class Activity:
         return None
 
     def plan_of(self, number: int) -> Optional[Plan]:
-        """The plan with this number, which the run shown went on under (see
+        """The plan with this number, which the run shown followed at some point (see
         :mod:`~gspn_framework_package.visualizer.board`); None if there is none."""
         return None
 
     def after_slot(self, slot: int) -> Optional[int]:
-        """The number of the last event of a slot of the log that is shown; None if that is not
-        known so far."""
+        """The number of the last event of a slot of the log that is shown; None if unknown so
+        far."""
         return None
 
     def verdict(self, plan: Plan) -> PreflightReport:
-        """What the check says of a plan that is to be deployed.
+        """The check's report on a plan to deploy.
 
-        :raises GspnError: it is no valid plan, or none can be deployed here.
+        :raises GspnError: it is not a valid plan, or none can be deployed here.
         """
         raise RefusedError("no plan can be deployed here", hint="start a run first")
 
     def deploy(
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
     ) -> DeployOutcome:
-        """Have the run go on under another plan; it may take a while. An activity that can do this
-        lists ``deploy`` among the commands that it offers.
+        """Make the run follow another plan; this may take a while. An activity that can do this
+        lists ``deploy`` among its commands.
 
         :param mapping: names of the present net -> their names in ``plan``.
         :param tell: receives the votes whenever they change.
@@ -88,7 +88,7 @@ def whole_field(fields: RequestFields, key: str, default: int, low: int, high: i
     """
     value = fields.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise UsageError("'%s' is a whole number from %d to %d" % (key, low, high))
+        raise UsageError("'%s' must be a whole number from %d to %d" % (key, low, high))
     return value
 
 

@@ -109,7 +109,9 @@ class _Job:
         if self.state == "running":
             if code and not self.error:
                 self.error = "the analysis failed (%s)" % (
-                    last[0] if last else "it was ended, exit %d: too little memory?" % code
+                    last[0]
+                    if last
+                    else "the process ended with exit code %d: too little memory?" % code
                 )
             self.state = "failed" if self.error or code else "done"
 
@@ -208,7 +210,7 @@ class AnalysisJobs:
         with self._lock:
             if sum(job.running for job in self._jobs.values()) >= JOBS_AT_ONCE:
                 raise LimitError(
-                    "%d analyses are running already" % JOBS_AT_ONCE, hint="cancel one, or wait"
+                    "%d analyses are running already" % JOBS_AT_ONCE, hint="cancel one or wait"
                 )
             key = secrets.token_hex(6)
             self._jobs[key] = _Job(request, seconds, document, session)
@@ -229,10 +231,10 @@ class AnalysisJobs:
         self._job(key).kill()
 
     def optimised(self, key: str) -> Optimised:
-        """The policy that a job has computed. :raises InputError: there is none."""
+        """The policy computed by a job. :raises InputError: there is none."""
         found = self._job(key).optimised
         if found is None:
-            raise InputError("there is no policy of that analysis (any more)")
+            raise InputError("that analysis has no policy (any more)")
         return found
 
     def plan_of(self, key: str) -> Plan:
@@ -252,18 +254,16 @@ class AnalysisJobs:
         return None
 
     def save(self, key: str, name: object, overwrite: bool) -> str:
-        """Write a plan with a computed policy beside the plan that was open.
+        """Write a plan with a computed policy next to the plan that was open.
 
         :returns: the path of the new file.
-        :raises GspnError: there is no such policy, the plan does not come from a file of this
-            server, or the file cannot be written; see
+        :raises GspnError: there is no such policy, the plan is not a file of this server, or the
+            file cannot be written; see
             :func:`~gspn_framework_package.visualizer.optimised.save_beside`.
         """
         found, file = self.optimised(key), self._job(key).document.file
         if not file:
-            raise RefusedError(
-                "it does not come from a plan file of this server", hint="download the plan"
-            )
+            raise RefusedError("the plan is not a file of this server", hint="download the plan")
         return save_beside(file, name, found.text, overwrite)
 
     def _job(self, key: str) -> _Job:
@@ -280,7 +280,7 @@ class AnalysisJobs:
 
 
 def kill(worker: subprocess.Popen[bytes]) -> None:
-    """Kill a worker, for which another thread may just have waited: Python 3.8 raises that."""
+    """Kill a worker. In Python 3.8 this may raise if another thread has just waited for it."""
     with contextlib.suppress(ProcessLookupError):
         worker.kill()
 
@@ -295,5 +295,5 @@ def worker_environment() -> Dict[str, str]:
 def _bounded(fields: Dict[str, Any], key: str, default: float, low: float, high: float) -> float:
     value = fields.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise UsageError("'%s' is a number from %g to %g" % (key, low, high))
+        raise UsageError("'%s' must be a number from %g to %g" % (key, low, high))
     return value

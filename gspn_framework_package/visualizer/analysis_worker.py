@@ -2,8 +2,8 @@
 
 Lines are ``{"progress": ...}``, ``{"part": keys of the report}`` and at the end, if it failed,
 ``{"error": message}``. The process limits its own processor time, memory and states; its parent
-kills it when it takes too long. What computes policies, simulates and predicts is imported when it
-is asked for: most of the time of a small analysis is that of the imports.
+kills it if it takes too long. The modules that compute policies, simulate and predict are imported
+on demand, since imports dominate the time of a small analysis.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def main() -> int:
         _say(error=str(error))
         return 1
     except MemoryError:
-        _say(error="not decided: it would take more than %d GB of memory" % (ANALYSIS_MEMORY >> 30))
+        _say(error="not decided: it would need more than %d GB of memory" % (ANALYSIS_MEMORY >> 30))
         return 1
     return 0
 
@@ -104,7 +104,7 @@ def _analyse(request: Dict[str, Any]) -> None:
 
 
 def _optimise(request: Dict[str, Any], progress: Any) -> None:
-    """Compute a policy, and report it: the new plan on its own, since it may be large."""
+    """Compute and report a policy; the new plan is a separate part, since it may be large."""
     from gspn_framework_package.analysis.decisions.optimise import optimise
     from gspn_framework_package.analysis.decisions.report import MOST_CHOICES
 
@@ -127,7 +127,7 @@ def _optimise(request: Dict[str, Any], progress: Any) -> None:
 
 
 def _readable(value: Any) -> Any:
-    """The value, with numbers that JSON does not have replaced: "infinite", or None."""
+    """The value, with numbers that JSON cannot represent replaced by "infinite" or None."""
     if isinstance(value, dict):
         return {key: _readable(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -166,7 +166,7 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
     time = form_number(asked, "time")
     if not time:
         raise UsageError("how long is a run?", hint="'predict' needs a 'time'")
-    plan = replace(subject, until=None)  # the growth is that of a run that goes on
+    plan = replace(subject, until=None)  # the growth is that of a run that does not end
     sample = predict([Span(plan, time)], replications=PREDICTED, progress=progress)
     counts = [(ALL_TRANSITIONS, sample.firings.sum(axis=1))]
     counts += [(t.name, sample.firings[:, i]) for i, t in enumerate(plan.net.transitions)]
@@ -198,7 +198,7 @@ def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:
 def _reading(request: Dict[str, Any]) -> Optional[str]:
     reading = request.get("reading")
     if reading is not None and not isinstance(reading, str):
-        raise UsageError("'reading' is run or net")
+        raise UsageError("'reading' must be run or net")
     return reading
 
 
@@ -221,7 +221,7 @@ def _questions(request: Dict[str, Any]) -> Questions:
     settling = request.get("settling")
     rewards = request.get("rewards", {})
     if not isinstance(rewards, dict):
-        raise UsageError("'rewards' maps places and transitions to numbers")
+        raise UsageError("'rewards' must map places and transitions to numbers")
     for name, value in rewards.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise UsageError("the reward of '%s' is not a number" % name[:80])
@@ -242,14 +242,14 @@ def _numbers(request: Dict[str, Any], key: str) -> List[float]:
     if not isinstance(values, list) or not all(
         isinstance(v, (int, float)) and not isinstance(v, bool) and v >= 0 for v in values
     ):
-        raise UsageError("'%s' is a list of times of at least 0" % key)
+        raise UsageError("'%s' must be a list of times of at least 0" % key)
     return [float(v) for v in values]
 
 
 def _texts(request: Dict[str, Any], key: str) -> List[str]:
     values = request.get(key, [])
     if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-        raise UsageError("'%s' is a list of conditions" % key)
+        raise UsageError("'%s' must be a list of conditions" % key)
     return values
 
 

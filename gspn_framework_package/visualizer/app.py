@@ -1,4 +1,4 @@
-"""The web application: routes only, and no knowledge of nets.
+"""The web application: routes only, without knowledge of nets.
 
 A GET changes nothing. Every answer of ``/api/`` is JSON; an error is ``{"error": message}`` with
 the appropriate status.
@@ -41,10 +41,10 @@ UPLOAD_BYTES = 12_000_000
 COMMAND_BYTES = 2_000_000
 
 LOGIN_BYTES = 4_000
-"""Largest request, in bytes, of a peer that has not given a token yet."""
+"""Largest request, in bytes, from a peer that has not yet sent a token."""
 
 PING = 3.0
-"""Seconds of silence after which a stream sends a sign of life."""
+"""Seconds of silence after which a stream sends a keep-alive."""
 
 GATHER = 0.012
 """Seconds during which a stream gathers events into one message."""
@@ -127,9 +127,7 @@ def _explain_errors(app: flask.Flask, project: Project) -> None:
     @app.errorhandler(OSError)
     def no_means(error: OSError) -> _JsonAndStatus:
         app.logger.warning("a request failed: %s", error)
-        return {
-            "error": "the server's computer cannot do that now: %s" % (error.strerror or "an error")
-        }, 503
+        return {"error": "the server cannot do that now: %s" % (error.strerror or "an error")}, 503
 
     @app.errorhandler(404)
     @app.errorhandler(405)
@@ -139,7 +137,7 @@ def _explain_errors(app: flask.Flask, project: Project) -> None:
     @app.errorhandler(Exception)
     def fault(error: Exception) -> _JsonAndStatus:
         app.logger.exception("a request failed")
-        return {"error": "a fault of this program: %s" % type(error).__name__}, 500
+        return {"error": "internal error: %s" % type(error).__name__}, 500
 
 
 def _add_page(app: flask.Flask, project: Project, guard: Guard) -> None:
@@ -249,7 +247,7 @@ def _add_session(app: flask.Flask, project: Project, streams: Streams) -> None:
     def stream() -> Union[_JsonAndStatus, Response]:
         hub = _session(project).hub
         if not streams.take(_peer()):
-            return {"error": "enough viewers are served already; this one polls"}, 503
+            return {"error": "too many streams are open already: this viewer polls"}, 503
         cursor = Cursor.parse(request.headers.get("Last-Event-ID") or request.args.get("since"))
         response = Response(_Stream(hub, cursor, streams, _peer()), mimetype="text/event-stream")
         response.headers["X-Accel-Buffering"] = "no"
@@ -326,16 +324,16 @@ def body_limit(path: str) -> int:
 def too_large_text(path: str) -> str:
     """The message for a request to ``path`` with a larger body."""
     if path == "/api/upload":
-        return "that is too large: files of up to %d MB in all can be uploaded" % (
+        return "too large: files of up to %d MB in total can be uploaded" % (
             UPLOAD_BYTES * 2 // 3_000_000
         )
     if path == "/api/login":
-        return "that is too large for a token"
+        return "too large for a token"
     if editing.is_editing(path):
-        return "that is too large: a plan of up to %d MB can be edited" % (
+        return "too large: plans of up to %d MB can be edited" % (
             editing.DOCUMENT_BYTES // 1_000_000
         )
-    return "that is too large: a command has up to %d MB" % (COMMAND_BYTES // 1_000_000)
+    return "too large: a command may have up to %d MB" % (COMMAND_BYTES // 1_000_000)
 
 
 def _session(project: Project) -> Session:
@@ -352,13 +350,13 @@ def _body() -> Dict[str, Any]:
     if (request.content_length or 0) > body_limit(request.path):
         flask.abort(413)
     if request.mimetype != "application/json":
-        raise UsageError("a request is JSON (Content-Type: application/json)")
+        raise UsageError("a request must be JSON (Content-Type: application/json)")
     try:
         data = json.loads(request.get_data())
     except (ValueError, RecursionError):
         raise UsageError("the request is not JSON") from None
     if not isinstance(data, dict):
-        raise UsageError("a request is a JSON object")
+        raise UsageError("a request must be a JSON object")
     return data
 
 
@@ -367,7 +365,7 @@ def _number(key: str, default: int = 0) -> int:
     if not text:
         return default
     if not re.fullmatch("[0-9]{1,15}", text):
-        raise UsageError("'%s' is a whole number" % key)
+        raise UsageError("'%s' must be a whole number" % key)
     return int(text)
 
 
@@ -393,7 +391,7 @@ class Streams:
             return True
 
     def give_back(self, peer: str = "") -> None:
-        """Count one stream of ``peer`` less."""
+        """Uncount a stream of ``peer``."""
         with self._condition:
             self._taken -= 1
             self._by_peer[peer] -= 1
@@ -412,8 +410,8 @@ class Streams:
 
 
 class _Stream:
-    """The messages to one viewer. It holds a cursor and no queue: a viewer that does not read
-    blocks only its own thread."""
+    """The messages to one viewer. It has a cursor but no queue: a viewer that does not read blocks
+    only its own thread."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""REPLAY of a rosbag that holds ``fired_transitions``."""
+"""REPLAY of a rosbag with ``fired_transitions``."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ MOST_EVENTS = 400_000
 
 
 class BagReplay(Activity):
-    """Replays the firings of the first run in a bag. A bag holds no plan: the plan is identified by
-    its hash.
+    """Replays the firings of the first run in a bag. A bag does not contain the plan, which is
+    identified by its hash.
 
     :param path: the bag.
     :param plans: the candidate plans.
-    :raises LogError: the file is not a bag, holds no firings, or matches none of the plans.
+    :raises LogError: the file is not a bag, contains no firings, or matches none of the plans.
     :ivar left_out: the names of the plan's other runs in the bag.
     """
 
@@ -43,9 +43,9 @@ class BagReplay(Activity):
         found = [plan for plan in plans if plan.hash() == wanted]
         if not found:
             raise LogError(
-                "its plan is not known here",
+                "its plan is unknown here",
                 file=path,
-                hint="give the plan with --plan, or put it into the folder that is served",
+                hint="give the plan with --plan, or put it into the served folder",
             )
         self.plan = found[0]
         run = messages[0][1].run
@@ -53,7 +53,7 @@ class BagReplay(Activity):
         self.left_out = sorted({message.run for message in of_plan} - {run})
         self._messages = [item for item in messages if (item[1].plan, item[1].run) == (wanted, run)]
         self._others = [t for t, m in messages if m.run == run and m.plan != wanted]
-        """When the team fired under other plans, which a bag does not hold."""
+        """Times at which the team fired under other plans, which a bag does not contain."""
         self._names = {name for _, message in self._messages for name in message.robots}
         if len(self.plan.robots) != len(self._names):
             with contextlib.suppress(GspnError):  # the first message's marking decides then
@@ -64,7 +64,7 @@ class BagReplay(Activity):
         return Document(title, self.plan.net, self.plan)
 
     def begin(self, hub: Hub) -> None:
-        """Hand the firings to the hub."""
+        """Pass the firings to the hub."""
         follower = FiredFollower(self.plan)
         run = self._messages[0][1].run
         info: Dict[str, Any] = {"says": "run %s, recorded in a rosbag" % run}
@@ -86,14 +86,16 @@ class BagReplay(Activity):
             events += [{**event, "t": t} for event in rest]
             rest = follower.give_up("firings are missing in the bag")
         if self.left_out:
-            text = "the bag holds other runs of this plan too, which are not shown: %s" % ", ".join(
-                self.left_out
+            text = (
+                "the bag also contains other runs of this plan, which are not shown: %s"
+                % ", ".join(self.left_out)
             )
             events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
         if self._others:
             text = (
-                "from %.1f s on the run follows another plan; a bag does not hold it, so nothing "
-                "of it is shown: replay the event log of a robot" % (self._others[0] - first)
+                "from %.1f s on, the run follows another plan; a bag does not contain it, so "
+                "nothing of it is shown: replay the event log of a robot"
+                % (self._others[0] - first)
             )
             events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
         hub.publish(*events)
@@ -109,7 +111,7 @@ def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
         import rosbag
     except ImportError:
         raise UsageError(
-            "rosbags are read with ROS's own reader, which is not there",
+            "rosbags are read with ROS's own reader, which is not installed",
             file=path,
             hint="apt install python3-rosbag",
         ) from None
@@ -125,7 +127,7 @@ def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
                 for _, message, t in (bag.read_messages(topics=topics) if topics else ())
             ]
     except (rosbag.ROSBagException, OSError, ValueError, EOFError) as error:
-        raise LogError("not a rosbag that can be read (%s)" % error, file=path) from None
+        raise LogError("not a readable rosbag (%s)" % error, file=path) from None
 
 
 def plans_of(folder: Folder, given: Optional[Plan] = None) -> List[Plan]:

@@ -7,7 +7,7 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
     moves (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``,
     ``dis``: the transitions that became enabled and disabled; ``who``: the robot that requested
     it; ``s``: (slot, index) in the log, if the run has one; ``why``: the cause of the event that
-    fired it, a text; ``tk``: the tasks that it passed on, as (id, from, to).
+    fired it, a text; ``tk``: the tasks that it moved, as (id, from, to).
 ``undo``
     Like ``fire``, for a firing that was undone.
 ``mark``
@@ -18,17 +18,17 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
     ``r``: the robots that changed (objects with ``name``); ``gone``: the names of robots that left.
 ``data``
     The data of the ``team`` and the tasks that are ``waiting`` outside, if they changed, and the
-    ``queues`` that did (see :mod:`~gspn_framework_package.execution.displayed_data`).
+    ``queues`` that changed (see :mod:`~gspn_framework_package.execution.displayed_data`).
 ``plan``
-    The team goes on under another plan: the one with the number ``plan``, called ``name``. The plan
-    that the page was given has number 0. ``places`` and ``transitions`` map the old indices to the
-    new ones (None: it is gone); ``marking``, ``enabled`` and the number of transitions, ``size``,
-    are those of the new net.
+    The team follows another plan from here on: the one with number ``plan`` and name ``name``. The
+    plan given to the page has number 0. ``places`` and ``transitions`` map the old indices to the
+    new ones (None: removed); ``marking``, ``enabled`` and the number of transitions, ``size``, are
+    those of the new net.
 ``note``
-    ``text`` for people, with a ``level`` (info, warning, fault), about ``robot`` or about none.
+    ``text`` for people, with a ``level`` (info, warning, fault); about ``robot``, if given.
 ``status``
     The fields of the status that changed: ``run`` (the name of the run shown, "" if there is none
-    or it is not known yet), ``running``, ``paused``, ``ended`` (the reason, None until then),
+    or it is unknown so far), ``running``, ``paused``, ``ended`` (the reason, None until then),
     ``finished``, ``stalled``, ``fault`` (whether the run ended because something broke).
 
 The hub adds ``n`` (number, from 1), unless the source gave it, ``t`` (seconds since the
@@ -54,14 +54,14 @@ NOTES_KEPT = 50
 """How many of the latest notes a board carries, so that late viewers see them."""
 
 OF_VISIT: Mapping[str, Any] = {"held": {}, "resumed_from": 0}
-"""Fields of a robot that belong to its visit, and their values in a new one."""
+"""Fields of a robot that belong to its visit, and their values in a new visit."""
 
 _SINCE = ("place", "phase")
 """A robot's ``since`` is the time at which one of these fields last changed."""
 
 
 def enter(robot: Dict[str, Any], place: int) -> None:
-    """Change what is shown of a robot that enters a place (index)."""
+    """Update the entry of a robot that enters a place (index)."""
     robot.update(place=place, phase=ENTERED.value, why="")
     robot.update({key: value for key, value in OF_VISIT.items() if key in robot})
 
@@ -76,14 +76,14 @@ def fire_event(
     why: str = "",
     tasks: Sequence[Sequence[str]] = (),
 ) -> Event:
-    """The event of a firing of transition ``t``, or of its undoing.
+    """The event for a firing of transition ``t``, or for its undoing.
 
     :param change: the resulting change of the enabled transitions.
     :param who: the robot that requested it.
     :param moves: (robot, from, to), see the module.
     :param back: the firing was undone.
     :param why: the cause of the event that fired it.
-    :param tasks: the tasks that it passed on, see the module.
+    :param tasks: the tasks that it moved, see the module.
     """
     event: Event = {
         "k": "undo" if back else "fire",
@@ -105,7 +105,7 @@ def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
     """The events for changes in a team's data and tasks; none if nothing changed.
 
     :param known: what was reported before; updated.
-    :param told: the present values: ``team``, ``queues``, ``waiting``.
+    :param told: the present ``team``, ``queues`` and ``waiting``.
     """
     event: Event = {}
     for key in ("team", "waiting"):
@@ -122,7 +122,7 @@ def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
 
 
 def mark_event(enabled: EnabledSet, why: str) -> Event:
-    """The event that replaces the marking by that of ``enabled``, with its enabled transitions."""
+    """The event that replaces the marking and the enabled transitions by those of ``enabled``."""
     return {
         "k": "mark",
         "marking": list(enabled.marking),
@@ -141,22 +141,22 @@ def renumbered(place: Optional[int], places: Sequence[Optional[int]]) -> int:
 
 
 class PlanNumbers(Protocol):
-    """What becomes of the places and transitions of a plan in the one that follows it."""
+    """Maps the places and transitions of a plan to those of the plan that follows it."""
 
     def place_number(self, p: int) -> Optional[int]:
-        """The new number of a place; None if it is no more."""
+        """The new number of a place; None if it was removed."""
 
     def transition_number(self, t: int) -> Optional[int]:
-        """The new number of a transition; None if it is no more."""
+        """The new number of a transition; None if it was removed."""
 
 
 def plan_event(
     number: int, old: Plan, new: Plan, numbers: PlanNumbers, enabled: EnabledSet
 ) -> Event:
-    """The event of another plan.
+    """The event for a change to another plan.
 
     :param number: the number of ``new``.
-    :param numbers: what becomes of the nodes of ``old``.
+    :param numbers: maps the nodes of ``old`` to those of ``new``.
     :param enabled: the marking of the net of ``new``.
     """
     return {
@@ -189,7 +189,7 @@ class Board:
         self.n = 0
         self.t = 0.0
         self.plan = 0
-        """Number of the plan that the team follows; 0 for the one that the page was given."""
+        """Number of the plan that the team follows; 0 for the one given to the page."""
         self.marking: List[int] = list(marking)
         self.enabled: Set[int] = set(enabled)
         self.counts: List[int] = [0] * transitions
@@ -271,7 +271,8 @@ class Board:
             self.status.update(event["status"])
 
     def _change_plan(self, event: Event) -> None:
-        """Go on with the net of another plan: what survives keeps its firings and its robots."""
+        """Continue with the net of another plan: surviving elements keep their firings and
+        robots."""
         self.plan = event["plan"]
         self.marking = list(event["marking"])
         self.enabled = set(event["enabled"])

@@ -1,11 +1,11 @@
-"""The web server's connections: a few deliberately slow peers cannot exhaust them.
+"""The web server's connections, protected against exhaustion by deliberately slow peers.
 
-Waitress passes a request to a thread when it has arrived completely. This module adds checks
+Waitress passes a request to a thread once it has arrived completely. This module adds checks
 before and after that. When the header has arrived, the guard and the limit on the length decide
-whether the body is read at all, so an unauthorised peer cannot make the server store anything. A
-request has a deadline. When there are too many connections, a new one replaces a connection that
-is waiting for its peer: of the peer with most of them, the one silent for longest. A peer that
-does not read its answer is cut off, so that it does not hold a thread for long.
+whether the body is read at all, so an unauthorised peer cannot make the server store anything. Each
+request has a deadline. When there are too many connections, a new one replaces one that waits for
+its peer: the longest silent one of the peer with the most connections. A peer that does not read
+its answer is disconnected so that it does not block a thread for long.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ IDLE_SECONDS = 60.0
 """Time for which an idle connection is kept open."""
 
 STALLED_SECONDS = 30.0
-"""Time after which a peer that reads nothing of its answer is cut off."""
+"""Time after which a peer that does not read its answer is disconnected."""
 
 DISCARDED = 64_000_000
-"""A request that is too large is read and discarded up to this many bytes: the peer does not read
-the answer before it has sent everything."""
+"""A request that is too large is read and discarded up to this many bytes, because its peer reads
+the answer only after sending everything."""
 
 _ASKED = ("Host", "Origin", "Sec-Fetch-Site", HEADER, TOKEN_HEADER)
 
@@ -82,7 +82,7 @@ class _RefusalTask(ErrorTask):
 
 
 class _Discard:
-    """Reads a body and keeps nothing of it."""
+    """Reads a body and discards it."""
 
     error = None
 
@@ -92,7 +92,7 @@ class _Discard:
         self._buffer = OverflowableBuffer(1)
 
     def received(self, data: bytes) -> int:
-        """Take in data; return how many bytes of it belong to the body."""
+        """Process data; return how many bytes of it belong to the body."""
         taken = min(self._left, len(data))
         self._left -= taken
         self.completed = self._left <= 0
@@ -191,7 +191,7 @@ class PeerConnection(HTTPChannel):
         return not self.requests and not self.total_outbufs_len
 
     def late(self, now: float) -> bool:
-        """Whether its time is up.
+        """Whether its deadline has passed.
 
         :param now: seconds since 1970, as waitress counts.
         """
@@ -224,8 +224,8 @@ class RequestRules:
     """The checks made before the body of a request is read.
 
     :param guard: decides which requests are allowed.
-    :param body_limit: the largest body of a request to a path, in bytes.
-    :param too_large: the message for a larger one.
+    :param body_limit: returns the largest body of a request to a path, in bytes.
+    :param too_large: returns the message for a larger one.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class Server(TcpWSGIServer):
         self._limit = limit
         super().__init__(
             application,
-            # never reached here: at this limit waitress would accept no new connection
+            # never reached: at this limit, waitress would not accept new connections
             connection_limit=limit + 50,
             cleanup_interval=1,
             asyncore_use_poll=True,  # select() cannot watch more than 1024 files
@@ -263,7 +263,8 @@ class Server(TcpWSGIServer):
                 connection.cut_off()
 
     def handle_accept(self) -> None:
-        """Accept a connection. If there are too many, close another one, or else this one."""
+        """Accept a connection. If there are too many, close another one, or this one if none can be
+        closed."""
         known = set(self.active_channels)
         super().handle_accept()
         if len(self.active_channels) <= self._limit:

@@ -1,8 +1,8 @@
-"""Deploying from the page: another plan for the run that a session shows.
+"""Deploying from the page: gives the run that a session shows another plan.
 
-The plan is a file of the served folder, or one with a policy that was computed here. A person sees
-first what would change, and says what names became of those that are no more. Then the robots look
-at the plan, which the page follows by asking.
+The plan is a file of the served folder, or one with a policy that was computed here. The operator
+first sees what would change and maps names that no longer exist to new ones. Then the robots check
+the plan; the page polls their progress.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class PageDeploys:
         self._latest: Dict[str, PageDeploy] = {}
 
     def latest(self, key: str) -> Dict[str, Any]:
-        """How far the latest one is, as a JSON object; without ``state`` if there was none."""
+        """The progress of the latest one, as a JSON object; without ``state`` if there was none."""
         with self._lock:
             found = self._latest.get(key)
         return found.to_json() if found is not None else {}
@@ -59,14 +59,14 @@ class PageDeploys:
         """Deploy a plan, on a thread.
 
         :param fields: ``map``: names of the present net -> their names in the plan; ``run``: the
-            run that is meant.
-        :raises GspnError: the fields are wrong, or one is being deployed already.
+            expected run.
+        :raises GspnError: the fields are wrong, or a plan is being deployed already.
         """
         mapping = _mapping(fields)
         activity = session.activity_meant(fields)
         if "deploy" not in _offered(session):
             raise RefusedError(
-                "no run that takes another plan goes on here", hint="start one first"
+                "there is no run here that could follow another plan", hint="start one first"
             )
         with self._lock:
             known = self._latest.get(session.key)
@@ -85,8 +85,8 @@ class PageDeploys:
                 tell("done" if outcome.done else "refused", outcome.message, outcome.votes)
             except GspnError as error:
                 tell("refused", str(error), {})
-            except Exception as error:  # the page would wait for ever
-                tell("refused", "a fault of this program: %s" % type(error).__name__, {})
+            except Exception as error:  # otherwise, the page would wait forever
+                tell("refused", "internal error: %s" % type(error).__name__, {})
                 raise
 
         threading.Thread(target=work, name="deploy", daemon=True).start()
@@ -95,17 +95,17 @@ class PageDeploys:
 def _mapping(fields: RequestFields) -> Dict[str, str]:
     found = fields.get("map", {})
     if not isinstance(found, dict) or not all(isinstance(v, str) for v in found.values()):
-        raise UsageError("'map' is an object: present name -> new name")
+        raise UsageError("'map' must be an object: present name -> new name")
     return found
 
 
 def proposal(old: Plan, new: Plan, report: PreflightReport) -> Dict[str, Any]:
-    """What a person decides on.
+    """What the operator needs for the decision.
 
-    :param report: what the check says of the new plan.
+    :param report: the check's report on the new plan.
     :returns: the ``verdict`` of the check, whether it is ``refused``, and its ``findings``; the
-        ``changes``; the places and transitions that are ``gone``, each with its ``kind``
-        and whether its tokens can be dropped; and the names that they may have got, by kind.
+        ``changes``; the places and transitions that are ``gone``, each with its ``kind`` and
+        whether its tokens can be dropped; and the names that may replace them, by kind.
     """
     before, after = (document_from_json(plan_to_json(plan)) for plan in (old, new))
     changes = document_difference(before, after, positions=False)
@@ -129,7 +129,7 @@ def proposal(old: Plan, new: Plan, report: PreflightReport) -> Dict[str, Any]:
         ],
         "changes": [change.to_json() for change in changes],
         "gone": [{"name": name, "kind": kind} for name, kind in gone],
-        # the names that are new come first
+        # new names come first
         "names": {kind: sorted(found, key=lambda n: n in known) for kind, found in names.items()},
     }
 
@@ -181,7 +181,7 @@ def add_routes(
         shown = session()
         present = shown.document_at(shown.hub.board().plan).plan
         if present is None:
-            raise InputError("what runs there is not a plan")
+            raise InputError("the run is not one of a plan")
         plan = plan_in(body())
         return proposal(present, plan, shown.activity.verdict(plan))
 
@@ -198,7 +198,7 @@ def add_routes(
 
 
 def _offered(session: Session) -> List[str]:
-    """The orders that the run of a session takes."""
+    """The orders that the run of a session accepts."""
     status = session.hub.status()
     going = status.get("running") and status.get("ended") is None
     return list(session.hub.info.get("commands", ())) if going else []

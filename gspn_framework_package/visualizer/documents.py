@@ -31,13 +31,13 @@ ARCS = 100_000
 UPLOAD_FILES = 10
 
 PROGRAMS = (".py", ".pyc", ".pth", ".so")
-"""The endings of files that are left out of an upload: it is shown, never run."""
+"""File extensions left out of an upload, which is shown but never run."""
 
 
 class Document(NamedTuple):
     """An open net: ``title`` for people, ``plan`` if it is a plan, ``executable`` if the operator
     served it as a plan, ``notes`` on how it was read, ``file``: the plan file that the operator
-    chose, beside which other plans may be saved ("" if there is none)."""
+    chose, next to which other plans may be saved ("" if there is none)."""
 
     title: str
     net: Net
@@ -76,7 +76,7 @@ class Folder:
             )
             for name in sorted(names):
                 whole = os.path.join(path, name)
-                with contextlib.suppress(OSError):  # it has been deleted meanwhile
+                with contextlib.suppress(OSError):  # deleted meanwhile
                     kind = self._kind(whole)
                     if kind and self._inside(whole):
                         found.append(
@@ -118,11 +118,12 @@ class Folder:
         return os.path.relpath(whole, self.root)
 
     def inside(self, whole: str) -> Optional[str]:
-        """An absolute path as one relative to the folder; None if it is outside the folder."""
+        """Convert an absolute path to one relative to the folder; None if it is outside the
+        folder."""
         return os.path.relpath(os.path.realpath(whole), self.root) if self._inside(whole) else None
 
     def kind(self, path: str) -> str:
-        """net, plan, log, or "" for anything else."""
+        """The kind of a file: net, plan, log, or "" for anything else."""
         return self._kind(self.resolve(path))
 
     def open(self, path: str) -> Document:
@@ -152,11 +153,11 @@ class Folder:
 
 
 def _check_text(name: str) -> None:
-    """Check a file name. :raises UsageError: it has an invalid character: no file has this name."""
+    """Check a file name. :raises UsageError: it has a character that no file name can contain."""
     try:
         name.encode()
     except UnicodeEncodeError:
-        raise UsageError("a file has no proper name") from None
+        raise UsageError("a file has no valid name") from None
 
 
 def read_upload(files: object) -> Document:
@@ -178,7 +179,7 @@ def read_upload(files: object) -> Document:
             raise UsageError("more than one input file was sent")
         try:
             if not plans and len(sent) > 1:
-                raise UsageError("several nets were sent, and no input file that chooses")
+                raise UsageError("several nets were sent, but no input file that selects one")
             name = plans[0] if plans else next(iter(sent))
             file = os.path.join(folder, name)
             found = read_net_or_plan(file, net_will_do=True, within=folder)
@@ -196,16 +197,16 @@ def _sent_files(files: object) -> Dict[str, bytes]:
     for item in files:
         name = item.get("name") if isinstance(item, dict) else None
         if not isinstance(name, str) or not re.fullmatch(r"[^/\\\0]{1,120}", name):
-            raise UsageError("a file has no proper name")
+            raise UsageError("a file has no valid name")
         _check_text(name)
         if name.strip(". ") == "" or len(name.encode()) > 200:
-            raise UsageError("a file has no proper name")
+            raise UsageError("a file has no valid name")
         if name.lower().endswith(PROGRAMS):
             continue
         try:
             sent[name] = base64.b64decode(item.get("content", ""), validate=True)
         except (binascii.Error, TypeError, ValueError):
-            raise UsageError("the file '%s' did not arrive whole" % name) from None
+            raise UsageError("the file '%s' did not arrive completely" % name) from None
     if not sent:
         raise UsageError("neither a net nor a plan was sent")
     return sent
@@ -228,7 +229,7 @@ def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
             raise InputError(
                 "it names the file '%s', which was not sent" % base[:120],
                 file=name,
-                hint="choose the input file and its net together",
+                hint="select the input file together with its net",
             )
         return base
 

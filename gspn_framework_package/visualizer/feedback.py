@@ -11,7 +11,7 @@ FEEDBACK_EVERY = 0.2
 
 
 class FeedbackStream:
-    """Gathers feedback and passes it to a hub at most every :data:`FEEDBACK_EVERY`."""
+    """Collects feedback and passes it to a hub at most every :data:`FEEDBACK_EVERY`."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -20,7 +20,7 @@ class FeedbackStream:
         self._timer: Optional[threading.Timer] = None
 
     def show(self, robot: str, text: str) -> None:
-        """Take in the feedback ``text`` of ``robot``. May be called from any thread."""
+        """Store the feedback ``text`` of ``robot``. May be called from any thread."""
         with self._lock:
             self._said[robot] = text[:200]
             if self._timer is None:

@@ -1,12 +1,12 @@
-"""Follows a team by ``fired_transitions`` alone, although firings may arrive late, twice, out of
-order or not at all. This module does not use ROS: live and recorded (rosbag) messages come as
+"""Follows a team by ``fired_transitions`` alone. Firings may arrive late, twice, out of order or
+not at all. This module does not use ROS: live and recorded (rosbag) messages come as
 :class:`FiredMessage`.
 
 In full synchronisation a message carries the marking that the whole team agrees on: a firing is
 accepted if it leads from the marking shown to the one it carries. In partial synchronisation each
 robot only knows its own marking: a firing is accepted if it ends the visit that its robot is known
-to be in. A firing that does not fit waits a moment for the missing ones; after that, the team has
-to be asked.
+to be in. A firing that does not fit waits briefly for the missing ones; after that, the team must
+be asked.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class FiredFollower:
     """Turns the messages of a team into events; see the module.
 
     :param plan: the plan that the team runs.
-    :ivar gone: robots that have no token in the net any more.
+    :ivar gone: robots that no longer have a token in the net.
     :ivar lost_track: the team should be asked, and the answer passed to :meth:`adopt`.
     """
 
@@ -110,7 +110,7 @@ class FiredFollower:
     def board(self, status: Mapping[str, object], heard: Collection[str] = ()) -> Board:
         """The board before the first message: the initial marking of the plan.
 
-        :param heard: the robots that are known to take part, as far as the plan has them.
+        :param heard: the robots known to take part; those unknown to the plan are ignored.
         """
         board = Board(len(self.net.transitions), self.marking, self._enabled.now, status)
         for name, seen in self.robots.items():
@@ -125,7 +125,7 @@ class FiredFollower:
         return board
 
     def take(self, news: FiredMessage, heard: float) -> List[Event]:
-        """Take in a message; return its events for the hub, none while it has to wait.
+        """Process a message; return its events for the hub, none while it has to wait.
 
         :param heard: when it arrived, in seconds on any monotonic clock.
         """
@@ -171,7 +171,7 @@ class FiredFollower:
         return not any(further.values()) and team.marking != self.marking
 
     def meet(self, robots: Mapping[str, RobotSeen]) -> None:
-        """Take these for the robots of the team: those known already stay where they are shown."""
+        """Set the robots of the team; known ones stay where they are shown."""
         self.robots = {name: self.robots.get(name, seen) for name, seen in robots.items()}
 
     def adopt(self, team: TeamSeen, why: str) -> List[Event]:
@@ -266,8 +266,8 @@ class FiredFollower:
 
 
 def _details(news: FiredMessage) -> Tuple[str, List[List[str]]]:
-    """The cause and the tasks of a firing; none where the message has no such details (as in bags
-    of earlier versions) or they cannot be read."""
+    """The cause and the tasks of a firing; none if the message lacks these details (as in bags of
+    earlier versions) or they cannot be read."""
     try:
         details: Any = json.loads(getattr(news, "details", "") or "{}")
         tasks = (

@@ -1,4 +1,4 @@
-"""A fleet's history on the page: reports, what happened, and the replay of each moment."""
+"""A fleet's history on the page: reports, the moments behind them, and their replays."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gspn_framework_package.visualizer.replay import Replay
 from gspn_framework_package.visualizer.session import Session
 
 RUN_KEY = "history-"
-"""What the keys of the sessions begin with that replay runs of a store."""
+"""Prefix of the keys of sessions that replay runs of a store."""
 
 MOST_ROWS = 5000
 """Largest number of rows of a report on the page."""
 
 
 class FleetPage:
-    """The history of a fleet that a server shows.
+    """The fleet history shown by a server.
 
     :param folder: a store of ``gspn history``.
-    :raises InputError: it is none, or DuckDB is not installed.
+    :raises InputError: it is not a store, or DuckDB is not installed.
     """
 
     def __init__(self, folder: str) -> None:
         duckdb()
         self._store = Store(folder)
-        self._lock = threading.Lock()  # one question at a time, for each may take much memory
+        self._lock = threading.Lock()  # one query at a time, since each may need much memory
 
     def names(self) -> Dict[str, List[str]]:
         """The robots, places and days of the store."""
@@ -38,14 +38,14 @@ class FleetPage:
             return known_names(self._store)
 
     def report(self, fields: Mapping[str, str]) -> Dict[str, Any]:
-        """A report, as the page asks for it. :raises UsageError: the question makes no sense."""
+        """The report for the page's request. :raises UsageError: the request is invalid."""
         question = _question(fields)
         with self._lock:
             rows = history_report(self._store, question)
         return {"rows": rows[:MOST_ROWS], "left_out": max(0, len(rows) - MOST_ROWS)}
 
     def moments(self, fields: Mapping[str, str]) -> Dict[str, Any]:
-        """What happened, each moment with the key of the session that replays it."""
+        """The moments behind a report, each with the key of the session that replays it."""
         question = _question(fields)
         with self._lock:
             rows = moments(self._store, question)
@@ -62,7 +62,7 @@ class FleetPage:
             replay = Replay.of_file(path)
         except GspnError as error:
             error.file = name  # viewers need not know the folders of this machine
-            error.hint = error.hint or "the log has to be where it was when it was ingested"
+            error.hint = error.hint or "the log must be where it was when it was ingested"
             raise
         return Session(key, replay.document(name), replay, reopens=True)
 

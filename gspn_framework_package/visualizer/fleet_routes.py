@@ -16,7 +16,7 @@ def add_routes(app: flask.Flask, project: Project) -> None:
 
     def fleet() -> FleetPage:
         if project.fleet is None:
-            raise InputError("no history is served here", hint="gspn serve --history DIR")
+            raise InputError("this server shows no history", hint="gspn serve --history DIR")
         return project.fleet
 
     @app.route("/api/history/names")

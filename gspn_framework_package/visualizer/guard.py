@@ -1,12 +1,12 @@
-"""Access control of the web server. A browser on a robot network visits other pages too.
+"""Access control of the web server. A browser on a robot network also visits other pages.
 
-- Every request: the Host header must be one that the server was started with (a page that rebinds
-  its name to this machine has another), and a request to ``/api/`` must not come from another site,
+- Every request: the Host header must be one that the server was started with (under DNS rebinding
+it would differ), and a request to ``/api/`` must not come from another site,
   according to Sec-Fetch-Site.
 - Every POST must come from this page, according to Origin too, and carry a header that a form of
   another page cannot send.
 - Beyond loopback, a request needs a token. There are two: the operator's, and the viewer's, which
-  only allows looking.
+is read-only.
 - Every answer has a content security policy that allows nothing from other servers.
 """
 
@@ -40,7 +40,7 @@ SHORTEST_TOKEN = 16
 
 GUESSES = 10
 """Number of wrong tokens that a peer may send within :data:`GUESS_TIME`; further tokens are not
-even compared."""
+compared at all."""
 
 GUESS_TIME = 60.0
 """Seconds for which a wrong token counts."""
@@ -91,15 +91,15 @@ def check_tokens(token: Optional[str], viewer_token: Optional[str]) -> None:
             len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()
         ):
             raise UsageError(
-                "a token has at least %d characters, all of them ASCII" % SHORTEST_TOKEN,
-                hint="leave it out: one is made up",
+                "a token needs at least %d characters, all of them ASCII" % SHORTEST_TOKEN,
+                hint="leave it out to have one generated",
             )
     if token is not None and token == viewer_token:
         raise UsageError("the operator's token and the viewer's are the same")
 
 
 class Admission(NamedTuple):
-    """The verdict on a request: it has a ``role``, or it is refused."""
+    """The decision on a request: its ``role``, or a refusal."""
 
     role: str
     refusal: Optional[Refusal] = None
@@ -111,7 +111,7 @@ class Guard:
     :param host: the address it listens on.
     :param names: further host names that browsers may use for it.
     :param token: the operator's token; generated if one is needed and none is given.
-    :param viewer_token: the token of viewers, who may only look; generated beyond loopback.
+    :param viewer_token: the read-only token of viewers; generated beyond loopback.
     :param time_source: returns monotonic seconds.
     :raises UsageError: a token is too short, or both are the same.
     """
@@ -130,7 +130,7 @@ class Guard:
         needed = not local or viewer_token is not None
         self.token = token or (secrets.token_urlsafe(18) if needed else None)
         self.viewer_token = viewer_token or (None if local else secrets.token_urlsafe(18))
-        # cookies are shared by all ports of a host, and two servers may run on one machine
+        # all ports of a host share cookies, and several servers may run on one machine
         self.cookie = "gspn_token_%d" % port
         self._guesses, self._cookie_guesses = _Guesses(time_source), _Guesses(time_source)
         self._logins: OrderedDict[str, str] = OrderedDict()
@@ -153,11 +153,11 @@ class Guard:
     ) -> Admission:
         """Decide on a request.
 
-        :param peer: the address that it comes from.
+        :param peer: the address it comes from.
         """
         host = headers.get("Host", "").lower()
         if host not in self._hosts:
-            return _refused(421, "this server does not go by the name '%s'" % host[:80])
+            return _refused(421, "this server does not have the name '%s'" % host[:80])
         if path.startswith("/api/") and headers.get("Sec-Fetch-Site", "same-origin") not in (
             "same-origin",
             "none",
@@ -195,7 +195,7 @@ class Guard:
             raise LoginError(429, TOO_MANY)
         role = self.role_of(given, peer)
         if role is None:
-            raise LoginError(401, "that is not the token")
+            raise LoginError(401, "wrong token")
         nonce = secrets.token_hex(12)
         cookie = nonce + self._seal(nonce, role)
         self._remember(cookie, role)
@@ -215,10 +215,11 @@ class Guard:
     def _role_of_cookie(self, cookie: str, peer: str) -> Optional[str]:
         """The role of a cookie, None if it is wrong.
 
-        A cookie is a nonce and a seal that takes the token to make. It stays valid if the server
-        is restarted with the same token. A cookie that was once valid is recognised however often
-        its peer guesses. Wrong cookies are counted separately from wrong tokens: a page with the
-        cookie of an earlier server start does not lock its peer out of the login."""
+        A cookie is a nonce with a seal that can only be made with the token. It stays valid if the
+        server is restarted with the same token. A cookie that was valid before is recognised no
+        matter how often its peer guesses. Wrong cookies are counted separately from wrong tokens: a
+        page with a cookie from an earlier server process does not lock its peer out of the
+        login."""
         with self._lock:
             if not cookie or cookie in self._logins:
                 return self._logins.get(cookie)
@@ -254,7 +255,7 @@ class Guard:
         return None
 
 
-TOO_MANY = "too many wrong tokens came from there; wait a minute"
+TOO_MANY = "too many wrong tokens from your address; wait a minute"
 
 
 class LoginError(Exception):
@@ -283,7 +284,7 @@ class _Guesses:
                 self._wrong.popitem(last=False)
 
     def too_many(self, peer: str) -> bool:
-        """Whether the next token of the peer is to be ignored."""
+        """Whether to ignore the next token of the peer."""
         with self._lock:
             times = self._wrong.get(_network(peer))
             return (
@@ -308,7 +309,7 @@ def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
     """Read the operator's and the viewers' token from the first two lines of a file; None for a
     missing line.
 
-    :raises InputError: it cannot be read, holds no token, or other users may read it.
+    :raises InputError: it cannot be read, contains no token, or other users may read it.
     """
     try:
         with open_file(path) as file:
@@ -319,7 +320,9 @@ def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
     except UnicodeDecodeError:
         raise InputError("holds no token", file=path) from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise InputError("others may read it, and it holds tokens", file=path, hint="chmod 600")
+        raise InputError(
+            "other users may read it, but it contains tokens", file=path, hint="chmod 600"
+        )
     token, viewer_token = [line or None for line in (lines + ["", ""])[:2]]
     if token is None:
         raise InputError("holds no token", file=path, hint="its first line is the operator's token")

@@ -1,4 +1,4 @@
-"""The hub of one open net: takes events from one source and passes them to any number of viewers.
+"""The hub of one open net: passes the events of one source to any number of viewers.
 
 Each viewer has a cursor. The hub keeps no queue per viewer: one bounded ring of recent events
 serves all. A viewer whose cursor has fallen out of the ring, or belongs to another *epoch* (another
@@ -20,14 +20,15 @@ from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.visualizer.board import Board, Event
 
 RING = 20_000
-"""Number of events kept: how far viewers can catch up, and how far back the scrubber reaches in a
-live run."""
+"""Number of events kept, which limits how far viewers can catch up and how far back the scrubber
+reaches in a live run."""
 
 NEWS = 1000
-"""Largest number of events in one message to a viewer, which bounds what a stalled viewer holds."""
+"""Largest number of events in one message to a viewer, which bounds the memory for a stalled
+viewer."""
 
 KEYFRAME = 500
-"""Number of events between two kept boards, which make any moment in the ring quick to find."""
+"""Number of events between two stored boards, which give fast access to any moment in the ring."""
 
 
 class Cursor(NamedTuple):
@@ -104,8 +105,8 @@ class Hub:
         :param board: the initial state; the hub owns it from now on.
         :param info: further facts about this run for the page (its clock, its length, its name).
         :param ring: a new number of events to keep; None: as before.
-        :param history: where events are looked up. Viewers then get the number of events instead
-            of each event.
+        :param history: the store in which events are looked up. Viewers then get the number of
+            events instead of each event.
         """
         with self._condition:
             self._history = history
@@ -128,7 +129,7 @@ class Hub:
     # -- the source's side -------------------------------------------------------------------------
 
     def publish(self, *events: Event) -> None:
-        """Take in events, in order."""
+        """Add events, in order."""
         with self._condition:
             for event in events:
                 if "t" not in event:
@@ -150,13 +151,13 @@ class Hub:
                 self._tap(events)
 
     def tap(self, take: Tap) -> None:
-        """Have ``take`` called with all further events of this epoch, in order, instead of what was
-        called before; it must return at once."""
+        """Call ``take`` with all further events of this epoch, in order; it replaces an earlier
+        callback and must return at once."""
         with self._condition:
             self._tap = take
 
     def untap(self, take: Tap) -> None:
-        """Call ``take`` no more."""
+        """Stop calling ``take``."""
         with self._condition:
             if self._tap == take:
                 self._tap = None
@@ -167,14 +168,14 @@ class Hub:
             return time.monotonic() - self._started
 
     def advance(self, board: Board) -> None:
-        """Note that the history now reaches up to ``board``, which the hub owns from now on."""
+        """Record that the history now reaches up to ``board``, which the hub owns from now on."""
         with self._condition:
             self._board = board
             self._condition.notify_all()
 
     def set_latest(self, key: str, value: Any) -> None:
-        """Publish the latest value of something without a history: feedback of an action, the
-        robots in the room."""
+        """Publish the latest value of something that has no history, such as the feedback of an
+        action or the robots in the room."""
         text = compact(value)
         with self._condition:
             known = self._latest.get(key)
@@ -185,7 +186,7 @@ class Hub:
 
     def change_info(self, **info: Any) -> None:
         """Change the facts about this run; they are published as a latest value."""
-        # atomic: no viewer sees the change before it counts as news, nor half of two changes
+        # atomic: viewers never see an unpublished change or half of two changes
         with self._condition:
             self.info.update(info)
             self.set_latest("info", self.info)

@@ -1,13 +1,13 @@
 """The layout of a net: the positions of its nodes and the routes of its arcs.
 
-Positions in the file are used if it has any; nodes without one are put below the others. Otherwise
-Graphviz lays the net out: ``dot``
-in layers, with a deadline; ``sfdp`` if that takes too long. A grid is used if both fail, and if
-there are no arcs. A layout is computed once for a net and cached by its hash.
+Positions in the file are used if it has any; nodes without one are put below the others. Otherwise,
+Graphviz lays the net out: ``dot`` in layers, with a deadline; ``sfdp`` if that takes too long. If
+both fail or there are no arcs, a grid is used. A layout is computed once for a net and cached by
+its hash.
 
-A net with subnets is laid out as its plans are drawn: the plan around a subnet with one node for
-it, and the subnet by itself, with its entry where that node is. The page, which unfolds a subnet,
-moves aside what lies over it.
+A net with subnets is laid out plan by plan: the surrounding plan with one node for each subnet, and
+each subnet separately, with its entry at that node. When the page unfolds a subnet, it moves
+overlapping nodes aside.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NEAREST = 68.0
 """Positions from a file are scaled until the two nearest nodes are this far apart."""
 
 ROW = 90.0
-"""Distance of the nodes that get a place below the others, times the distance of the nearest."""
+"""Distance of the nodes placed below the others, as a multiple of the smallest distance."""
 
 LABEL_HEIGHT = 16.0
 LABEL_CHARACTERS = 22
@@ -39,7 +39,7 @@ DEADLINE = 8.0
 """Deadline of Graphviz, in seconds."""
 
 DOT_NODES = 2500
-"""Nets with more nodes are not laid out in layers, which would take too long."""
+"""Larger nets are not laid out in layers, which would take too long."""
 
 SCREEN = (1000.0, 620.0)
 """Space for the net on a typical screen, in pixels."""
@@ -91,7 +91,7 @@ def lay_out(
     """Return the layout of a net.
 
     :param subnets: the subnets in it, by name.
-    :param anew: ignore the positions of the file.
+    :param anew: ignore the positions in the file.
     :param deadline: deadline of each Graphviz run, in seconds.
     """
     if subnets:
@@ -100,8 +100,8 @@ def lay_out(
 
 
 class _Parts:
-    """A net with subnets as the drawings that it is made of: that of the outermost plan, whose name
-    is "", and one of each subnet."""
+    """Split a net with subnets into its drawings: that of the outermost plan, whose name is "", and
+    one for each subnet."""
 
     def __init__(self, net: Net, subnets: Mapping[str, Subnet]) -> None:
         self._net, self._subnets = net, subnets
@@ -123,7 +123,7 @@ class _Parts:
             part, arcs = self._part(name)
             layout = lay_out(part, anew=anew, deadline=deadline)
             right = down = 0.0
-            if name:  # its entry is known: as the node of the subnet in the plan around it
+            if name:  # known as the node of the subnet in the surrounding plan
                 entry = self._subnets[name].entry
                 x, y = layout.positions[self._node(entry, name) or entry]
                 right, down = positions[entry][0] - x, positions[entry][1] - y
@@ -138,7 +138,8 @@ class _Parts:
         return Layout(positions, routes, engine)
 
     def _part(self, part: str) -> Tuple[Net, List[List[int]]]:
-        """The net of one drawing, and for each of its arcs those of the whole net."""
+        """The net of one drawing, and for each of its arcs the corresponding arcs of the whole
+        net."""
         places: Dict[str, Place] = {}
         for place in self._net.places:
             node = self._node(place.name, part)
@@ -209,8 +210,8 @@ def _names(net: Net) -> List[str]:
 
 
 def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
-    """The positions of the file, scaled to the symbols; None if it has none, or if not all are
-    different."""
+    """The positions of the file, scaled to the symbols; None if there are none, or if some
+    coincide."""
     nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
     points = {node.name: node.position for node in nodes if node.position is not None}
     if not points or len(points) == 1 < len(nodes):
@@ -337,7 +338,7 @@ def _dot_text(
 
 
 def _grid(net: Net) -> Dict[str, Point]:
-    """A grid of the nodes, in the order in which arcs lead from one to the next."""
+    """A grid of the nodes, ordered by following the arcs."""
     neighbours: Dict[str, List[str]] = {name: [] for name in _names(net)}
     for arc in net.arcs:
         neighbours[arc.source].append(arc.target)

@@ -1,6 +1,6 @@
-"""Compares a live run with what its plan predicts, from the events that the page receives as well.
+"""Compares a live run with its plan's prediction, based on the same events that the page receives.
 
-The prediction is computed once, in a process of its own. Then a thread follows the events of the
+The prediction is computed once, in a separate process. Then a thread follows the events of the
 hub with a monitor, and publishes the latest value ``model`` for the page:
 
 ``state``
@@ -8,20 +8,21 @@ hub with a monitor, and publishes the latest value ``model`` for the page:
 ``says``
     The state in a sentence, for people.
 ``seconds``
-    How long the run has been watched.
+    Duration of the comparison.
 ``streams``
-    The pace of each place, robot and the team, and other streams that have begun to rise: ``name``,
-    ``kind``, ``level`` (the sum as a share of its threshold), ``on``, ``says``.
+    The pace of each place, each robot and the team, and other streams that have begun to rise:
+    ``name``, ``kind``, ``level`` (the sum as a share of its threshold), ``on``, ``says``.
 ``alarms``
-    The sentences of the alarms that last.
+    The sentences of the active alarms.
 ``curves``
     Counts to compare: ``name``, ``growth`` (rate, chance, doubt: the band at time t is rate t +- z
     sqrt(chance t + doubt t^2)), ``points`` (time, count).
 ``false_alarm_every``
     Mean time between two false alarms of all streams together, in seconds.
 
-Firings show when an action ended if its transition fired at once; otherwise the event that the
-robot waits does. Where a run is met in mid-course, robots are watched from their next visit on.
+An action ended when its transition fired, if that happened at once; otherwise when the robot
+reported that it waits. If the comparison starts in mid-run, robots are watched from their next
+visit on.
 """
 
 from __future__ import annotations
@@ -46,21 +47,21 @@ COMPARISON_PERIOD = 1.0
 """Seconds between two messages to the page."""
 
 TREND_POINTS = 60
-"""Most points of a curve; when there are more, every second one is dropped."""
+"""Largest number of points of a curve; beyond it, every second point is dropped."""
 
 CURVES = 12
-"""Most curves: those of the transitions that fire most often."""
+"""Largest number of curves; the transitions that fire most often are chosen."""
 
 PREDICTION_SECONDS = 120.0
 """Time limit of the prediction, in seconds."""
 
 
 class Departures(NamedTuple):
-    """How a run departs from what its plan predicts.
+    """How a run departs from its plan's prediction.
 
-    :ivar lasting: the alarms that last.
+    :ivar lasting: the active alarms.
     :ivar new: the new ones.
-    :ivar levels: what is watched, each with how near its alarm is (0 to 1).
+    :ivar levels: the watched streams, each with its progress towards its alarm (0 to 1).
     """
 
     lasting: Sequence[Alarm]
@@ -83,8 +84,8 @@ class RunFollower:
     :param plan: the plan of the run.
     :param complete: whether the events begin with the run, so that robots that appear have just
         started.
-    :param number: of the plan; events under others are ignored.
-    :param began: when the plan began to hold, in seconds; the monitor's time begins then.
+    :param number: number of the plan; events under other plans are ignored.
+    :param began: when the plan came into effect, in seconds; the start of the monitor's time.
     """
 
     def __init__(
@@ -97,7 +98,8 @@ class RunFollower:
         self._places: Dict[str, int] = {}
         self._going: Dict[str, _Attempt] = {}
         self._ended_in: Dict[str, int] = {}
-        """Robots whose action has ended, with its place, and whose result is not known yet."""
+        """Robots whose action has ended but whose result is unknown so far, with the place of the
+        action."""
         self._failed: Dict[str, bool] = {}
         self.counts = [0] * len(plan.net.transitions)
         """Firings of each transition so far."""
@@ -105,7 +107,7 @@ class RunFollower:
         """Whether the run is over."""
 
     def take(self, event: Event) -> None:
-        """Take in an event, in the order in which they were published."""
+        """Process an event; events must come in the order of publication."""
         if self.over or event.get("p", 0) != self._number:
             return
         now = float(event["t"]) - self._began
@@ -161,7 +163,7 @@ class RunFollower:
         place = told.get("place", known)
         if place is None:
             return
-        if known is not None and place != known:  # it was put there
+        if known is not None and place != known:  # the robot was put there
             self._cut(name, now)
         new = known is None
         self._places[name] = place
@@ -216,10 +218,10 @@ class LiveComparison:
     """Compares the live run of a hub with its plan; see the module.
 
     :param plan: the plan that runs.
-    :param hub: its epoch is that of the run.
+    :param hub: its epoch must be that of the run.
     :param complete: whether the run begins with the epoch.
     :param listener: receives the alarms, on a thread of its own.
-    :param number: of the plan, as the board counts them.
+    :param number: number of the plan, as counted by the board.
     """
 
     def __init__(
@@ -246,8 +248,8 @@ class LiveComparison:
         threading.Thread(target=self._work, name="compare", daemon=True).start()
 
     def go_on(self, plan: Plan) -> LiveComparison:
-        """Stop, and compare the run with another plan that it goes on under, which the board of the
-        hub shows already."""
+        """Stop, and compare the run with another plan that it now follows; the hub's board already
+        shows that plan."""
         self.end()
         board = self._hub.board()
         here = _begun_at(plan, board)
@@ -266,8 +268,8 @@ class LiveComparison:
             prediction = self._predict()
             if prediction is not None:
                 self._watch(prediction)
-        except Exception as error:  # the page goes on without it
-            self._say("failed", "the comparison broke off: %s" % type(error).__name__)
+        except Exception as error:  # the page continues without it
+            self._say("failed", "the comparison failed: %s" % type(error).__name__)
         finally:
             self._hub.untap(self._queue.put)
             self._jobs.close()
@@ -312,7 +314,7 @@ class LiveComparison:
                 if follower.over:
                     return
 
-    # -- what it says ------------------------------------------------------------------------------
+    # -- report ------------------------------------------------------------------------------
 
     def _publish(
         self, monitor: Monitor, follower: RunFollower, prediction: Dict[str, Any], now: float
@@ -338,7 +340,7 @@ class LiveComparison:
             "over" if follower.over else "watching",
             "%d alarm%s" % (len(lasting), "" if len(lasting) == 1 else "s")
             if lasting
-            else "the run goes as predicted",
+            else "the run matches the prediction",
             seconds=round(now, 1),
             streams=[
                 {
@@ -370,7 +372,7 @@ class LiveComparison:
 
 
 def _begun_at(plan: Plan, board: Board) -> Plan:
-    """A plan as if it began with the marking and the robots of a board."""
+    """A copy of a plan that starts with the marking and the robots of a board."""
     own = {robot.name: robot.actions for robot in plan.robots}
     robots = [
         RobotSpec(name, plan.net.places[robot["place"]].name, own.get(name, {}))
@@ -381,7 +383,7 @@ def _begun_at(plan: Plan, board: Board) -> Plan:
 
 
 def _level(stream: Stream) -> float:
-    """How near the alarm of a stream is, 0 to 1."""
+    """The progress of a stream towards its alarm, 0 to 1."""
     nearest = stream.nearest()
     return min(nearest.value / nearest.threshold, 1.0)
 
@@ -392,6 +394,6 @@ def _name(stream: Stream) -> str:
 
 
 def _horizon(plan: Plan) -> float:
-    """How long the predicted runs are (s): long enough for many actions."""
+    """Length of the predicted runs in seconds: enough for many actions."""
     longest = max((d.mean for d in plan.durations.values()), default=0.0)
     return min(max(200 * longest, 1.0), 36_000.0)

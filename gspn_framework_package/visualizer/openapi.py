@@ -1,6 +1,6 @@
 """The interface of the page for other programs, as an OpenAPI 3.1 document.
 
-Its parts are written here, and a test holds them against the routes of the application.
+It is written here; a test compares it with the routes of the application.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from gspn_framework_package.visualizer.editing.palette import TYPED
 from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER
 
 API_VERSION = "1.1.0"
-"""Version of the interface: the first number grows with each change that a client has to follow,
-the second with each addition."""
+"""Version of the interface: the first number grows with each incompatible change, the second with
+each addition."""
 
 Schema = Dict[str, Any]
 
@@ -36,39 +36,41 @@ def _or_null(schema: Schema) -> Schema:
 
 
 API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
-    "id": (TEXT, "the open net, as /api/open answered; in /api/hello, 'first' is the one shown"),
+    "id": (
+        TEXT,
+        "key of the open net, from /api/open; in /api/hello, 'first' is the one shown",
+    ),
     "job": (TEXT, "the computation, as POST /api/analysis answered"),
     "at": (_WHOLE, "number of an event"),
-    "plan": (_WHOLE, "number of the plan that the team went on under; 0: the one it began with"),
+    "plan": (_WHOLE, "number of a plan that the team followed; 0: the initial plan"),
     "slot": (_WHOLE, "number of a slot of the log"),
-    "after": (_WHOLE, "number of the event after which to begin"),
+    "after": (_WHOLE, "number of the event after which to start"),
     "to": (_WHOLE, "number of the last event"),
-    "limit": (_WHOLE, "how many at most"),
+    "limit": (_WHOLE, "maximum number"),
     "from": (_WHOLE, "number of the first row"),
     "since": (
         TEXT,
-        "of news: the cursor of the last answer; without it, the whole board comes first. Of the "
+        "for news: the cursor of the last answer; without it, the whole board comes first. For the "
         "history: the first day, YYYY-MM-DD",
     ),
     "transition": (TEXT, "name of a transition"),
-    "kind": ({**TEXT, "enum": list(TYPED)}, "kind of an action that has a type of ROS"),
+    "kind": ({**TEXT, "enum": list(TYPED)}, "kind of an action that has a ROS type"),
     "type": (TEXT, "name of a ROS type, such as std_msgs/String"),
-    "by": (TEXT, "what the rows are grouped by, separated by commas"),
-    "until": (TEXT, "the day before which to end, YYYY-MM-DD"),
+    "by": (TEXT, "grouping of the rows, separated by commas"),
+    "until": (TEXT, "the day after the last day, YYYY-MM-DD"),
     "robot": (TEXT, "only this robot"),
     "place": (TEXT, "only this place"),
 }
 
 
 class ApiOperation(NamedTuple):
-    """What a client may ask for.
+    """A request that a client may send.
 
     :ivar name: its identifier.
     :ivar about: what it does, as one sentence.
-    :ivar query: names of its parameters; with a question mark if it may be missing.
-    :ivar body: the fields of its JSON object, with their schemas; with a question mark if it may
-        be missing.
-    :ivar answer: the fields of its answer, likewise; none if it only says that it is done.
+    :ivar query: names of its parameters; with a question mark if optional.
+    :ivar body: the fields of its JSON object, with their schemas; with a question mark if optional.
+    :ivar answer: the fields of its answer, likewise; empty if it only confirms.
     :ivar media: the type of its answer.
     """
 
@@ -138,7 +140,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/hello"): ApiOperation(
         "hello",
-        "Who serves, in which role the client is, and which files can be opened.",
+        "The server, the role of the client, and the files that can be opened.",
         answer={
             "version": TEXT,
             "role": {**TEXT, "enum": ["operator", "viewer"]},
@@ -167,7 +169,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/session"): ApiOperation(
         "session",
-        "An open net: its title, and its picture with all places, transitions and arcs.",
+        "An open net: its title, and its scene with all places, transitions and arcs.",
         ("id",),
         answer={"id": TEXT, "title": TEXT, "executable": FLAG, "scene": SCENE},
     ),
@@ -195,7 +197,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/scene"): ApiOperation(
         "scene",
-        "The picture of the net of one of the plans.",
+        "The scene of the net of one of the plans.",
         ("id", "plan?"),
         answer={**EPOCH, "scene": SCENE},
     ),
@@ -207,19 +209,19 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/slot"): ApiOperation(
         "after_slot",
-        "The event that is the first after a slot of the log.",
+        "The first event after a slot of the log.",
         ("id", "slot"),
         answer={**EPOCH, "event": _or_null(_WHOLE)},
     ),
     ("GET", "/api/events"): ApiOperation(
         "events",
-        "Events of the past.",
+        "Past events.",
         ("id", "after", "to", "limit?"),
         answer={**EPOCH, "events": _list({"n": _WHOLE, "t": NUMBER, "k": TEXT})},
     ),
     ("GET", "/api/poll"): ApiOperation(
         "poll",
-        "What is new since a cursor: first a snapshot of the board, later events.",
+        "News since a cursor: first a snapshot of the board, then events.",
         ("id", "since?"),
         answer={
             "cursor": TEXT,
@@ -233,13 +235,13 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/stream"): ApiOperation(
         "stream",
-        "The same as server-sent events; Last-Event-ID resumes. 503 if too many viewers follow.",
+        "The same as server-sent events; Last-Event-ID resumes. 503 if there are too many viewers.",
         ("id", "since?"),
         media="text/event-stream",
     ),
     ("POST", "/api/analysis"): ApiOperation(
         "analyse",
-        "Begin a computation for the marking that is shown, or that of an event: an analysis, a "
+        "Start a computation for the present marking, or that after an event: an analysis, a "
         "simulation, a sweep, or a policy.",
         ("id",),
         {"event?": _WHOLE},
@@ -247,7 +249,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/analysis/{job}"): ApiOperation(
         "analysis_progress",
-        "How far a computation is, and its result.",
+        "The progress of a computation, and its result.",
         answer={
             "state": TEXT,
             "seconds": NUMBER,
@@ -257,10 +259,12 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "saves_as": _or_null(TEXT),
         },
     ),
-    ("POST", "/api/analysis/{job}/cancel"): ApiOperation("analysis_cancel", "End a computation."),
+    ("POST", "/api/analysis/{job}/cancel"): ApiOperation(
+        "analysis_cancel", "Cancel a computation."
+    ),
     ("GET", "/api/optimised"): ApiOperation(
         "latest_policy",
-        "The policy that was last computed for a net.",
+        "The policy last computed for a net.",
         ("id",),
         answer={"job": _or_null(TEXT)},
     ),
@@ -283,18 +287,18 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/analysis/{job}/save"): ApiOperation(
         "policy_save",
-        "Save that plan beside its own.",
+        "Save that plan next to the original.",
         body={"name": TEXT, "overwrite?": FLAG},
         answer={"name": TEXT, "path": _or_null(TEXT)},
     ),
     ("GET", "/api/deploy/targets"): ApiOperation(
         "deploy_targets",
-        "The runs that can go on under another plan.",
+        "The runs to which another plan can be deployed.",
         answer={"runs": _list({"id": TEXT, "title": TEXT, "run": _or_null(TEXT)})},
     ),
     ("POST", "/api/deploy/look"): ApiOperation(
         "deploy_look",
-        "What would change for a run under another plan: a file, or a computed policy.",
+        "The changes for a run under another plan: a file, or a computed policy.",
         ("id",),
         {"path?": TEXT, "job?": TEXT},
         {
@@ -310,13 +314,13 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/deploy"): ApiOperation(
         "deploy",
-        "Have a running team go on under another plan.",
+        "Make a running team follow another plan.",
         ("id",),
         {"path?": TEXT, "job?": TEXT, "map?": OBJECT},
     ),
     ("GET", "/api/deploy"): ApiOperation(
         "deploy_progress",
-        "How far that is; no state if none was deployed.",
+        "The progress of the deployment; no state if there was none.",
         ("id",),
         answer={"state?": TEXT, "plan?": TEXT, "says?": TEXT, "votes?": OBJECT},
     ),
@@ -333,7 +337,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/history/moments"): ApiOperation(
         "history_moments",
-        "What happened, each with the net that replays it.",
+        "The moments behind a row, each with the net that replays it.",
         HISTORY,
         answer={"moments": _list({"id": TEXT})},
     ),
@@ -371,7 +375,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/draft"): ApiOperation(
         "edit_draft",
-        "Keep a document that is not saved; null forgets it.",
+        "Store an unsaved document as a draft; null deletes the draft.",
         ("id",),
         {"etag": TEXT, "document": _or_null(OBJECT)},
         {"kept": FLAG},
@@ -385,7 +389,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/check"): ApiOperation(
         "edit_check",
-        "Check a document; cancelled if another check took its place.",
+        "Check a document; cancelled if another check replaces this one.",
         ("id",),
         {**CHECKED, "full?": FLAG, "standalone?": FLAG},
         {
@@ -408,7 +412,8 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/diff"): ApiOperation(
         "edit_diff",
-        "The difference of two documents; from 'saved', the files, or 'running', what runs.",
+        "The differences between two documents; 'from' may be 'saved' (the files) or "
+        "'running' (the run).",
         ("id",),
         {"to": OBJECT, "from": {"oneOf": [TEXT, OBJECT]}},
         {"changes?": CHANGES, "cancelled?": FLAG},
@@ -422,7 +427,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/edit/palette"): ApiOperation(
         "edit_palette",
-        "What the actions of a plan can be chosen from.",
+        "The actions that a plan can choose from.",
         ("id",),
         answer={
             "functions": _list({"name": TEXT, "doc": TEXT}),
@@ -448,16 +453,16 @@ TEXTS: Dict[str, Schema] = {
 
 ABOUT = f"""The page of `gspn serve`, `gspn replay` and the node `visualizer`, for other programs.
 
-A GET changes nothing. A POST has to carry the header `{HEADER}: 1`, and no Origin of another page.
-On this machine nobody needs a token unless one was set; otherwise each request carries one in the
-header `{TOKEN_HEADER}`, and with the viewers' token everything but GET is refused. The routes of
-`/api/edit` are there only with `gspn serve --edit`, and for the operator."""
+A GET changes nothing. A POST must carry the header `{HEADER}: 1`, and no Origin of another page.
+On this machine no token is needed unless one was set; otherwise each request carries one in the
+header `{TOKEN_HEADER}`; with the viewers' token, everything but GET is refused. The routes of
+`/api/edit` exist only with `gspn serve --edit`, and only for the operator."""
 
 
 def interface(version: str) -> Dict[str, Any]:
-    """The document.
+    """The OpenAPI document.
 
-    :param version: that of the package, for people.
+    :param version: version of the package.
     """
     paths: Dict[str, Dict[str, Any]] = {}
     for (method, path), operation in API_OPERATIONS.items():
@@ -482,7 +487,7 @@ def interface(version: str) -> Dict[str, Any]:
                     "required": True,
                     # not a "const": generators of clients do not take one in a header
                     "schema": {**TEXT, "default": "1"},
-                    "description": "no form of another page can send it",
+                    "description": "forms of other pages cannot send it",
                 }
             },
         },
@@ -510,7 +515,7 @@ def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any
                 else {operation.media: {"schema": TEXTS[operation.media]}},
             },
             "default": {
-                "description": "why not: 400 wrong input, 401 and 403 not allowed, 409 refused",
+                "description": "the reason: 400 wrong input, 401 and 403 not allowed, 409 refused",
                 "content": {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}},
             },
         },

@@ -27,8 +27,8 @@ _Value = TypeVar("_Value")
 
 
 class FormError(UsageError):
-    """Something in the form is wrong; ``fields`` has the message for each field, by its name, such
-    as ``rewards.0.value``."""
+    """The form contains errors; ``fields`` has the message for each field by name, such as
+    ``rewards.0.value``."""
 
     def __init__(self, fields: Mapping[str, str]) -> None:
         count = len(fields)
@@ -49,8 +49,8 @@ def request_in_form(form: object, plan: Plan, limits: Optional[Limits] = None) -
 
 
 def simulated_of(form: Mapping[str, Any]) -> float:
-    """For how many seconds to simulate the old and the new plan. :raises FormError: no such
-    time."""
+    """How many seconds to simulate the old and the new plan. :raises FormError: the field is
+    invalid."""
     value = _number(form.get("simulated", 0.0), "simulated", "a number of seconds")
     if not 0 <= value <= LONGEST_SIMULATION:
         raise FormError({"simulated": "choose 0 to %g seconds" % LONGEST_SIMULATION})
@@ -62,7 +62,7 @@ class _Form:
 
     def __init__(self, form: object, plan: Plan) -> None:
         if not isinstance(form, dict):
-            raise UsageError("'optimise' is an object")
+            raise UsageError("'optimise' must be an object")
         self._form: Dict[str, Any] = form
         self._net = plan.net
         self._robots = len(plan.robots)
@@ -89,8 +89,8 @@ class _Form:
         return request
 
     def _field(self, name: str, read: Callable[[], _Value], instead: _Value) -> _Value:
-        """What ``read`` returns; if it raises an error, keep that for the field ``name``, and
-        return ``instead``."""
+        """Return the result of ``read``; if it raises an error, record it for the field ``name``
+        and return ``instead``."""
         try:
             return read()
         except FormError as error:
@@ -143,10 +143,10 @@ class _Form:
         found: Dict[str, float] = {}
         for name, value in self._list("rewards", self._reward):
             if name in found:
-                self._wrong["rewards"] = "'%s' is there twice" % name
+                self._wrong["rewards"] = "'%s' occurs twice" % name
             found[name] = value
         if found and not self._wrong and not any(found.values()):
-            self._wrong["rewards"] = "one of them must be other than 0"
+            self._wrong["rewards"] = "at least one must not be 0"
         return found
 
     def _reward(self, field: str, item: Any) -> Tuple[str, float]:
@@ -175,8 +175,8 @@ class _Form:
         return found
 
     def _teams(self) -> Optional[Tuple[int, ...]]:
-        """The sizes of teams, the largest first; None: that of the plan, and those that losses
-        leave."""
+        """The sizes of teams, largest first; None: that of the plan, and the smaller ones after
+        losses."""
         sizes = {"plan": None, "own": (self._robots,), "all": tuple(range(self._robots, 0, -1))}
         chosen = self._form.get("teams", "plan")
         if not isinstance(chosen, str) or chosen not in sizes:

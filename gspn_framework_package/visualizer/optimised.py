@@ -1,7 +1,7 @@
-"""A computed policy on the server: what the page shows of it in parts, and how it is saved.
+"""A computed policy on the server, which the page loads in parts and saves.
 
 A policy may have tens of thousands of rows. The server keeps the new plan as text; a browser gets
-the rows that it shows.
+only the rows that it shows.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from gspn_framework_package.model.errors import InputError, RefusedError, UsageE
 from gspn_framework_package.model.plan import Plan
 
 ROWS_PER_PART = 500
-"""Most rows of a policy that the page gets at once."""
+"""Largest number of rows of a policy that the page gets at once."""
 
 PROPOSALS = 1000
-"""How many names are tried for a new file."""
+"""Number of names to try for a new file."""
 
 
 class ExistsError(RefusedError):
@@ -59,7 +59,7 @@ class Optimised:
     :param present: the plan that it was computed for.
     :param data: the new plan as a JSON object.
     :param changed: numbers of the rows that choose differently from the present policy.
-    :param same: numbers of rows that choose alike. Nothing is known of the others.
+    :param same: numbers of rows that make the same choice. For other rows, this is unknown.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Optimised:
 
         :returns: ``places``, ``total``, the number ``changed``, and ``rows``, each with its
             ``number`` in the file (from 1), its ``marking``, what it may ``choose``, and whether it
-            ``differs``; None: not known.
+            ``differs`` (None: unknown).
         """
         return {
             "places": self._places,
@@ -93,14 +93,14 @@ class Optimised:
         }
 
     def choices(self, marking: Mapping[str, int]) -> List[Dict[str, Any]]:
-        """What robots do in each place of a marking where they can choose: transition ->
+        """What robots do in each place of a marking where they have a choice: transition ->
         probability under the ``present`` and under the ``best`` policy; empty if they wait.
 
         :param marking: tokens by place.
-        :raises RefusedError: it is of another net.
+        :raises RefusedError: the marking is of another net.
         """
         if set(marking) != set(self._present.net.place_index):
-            raise RefusedError("this policy was computed for another net than the one shown")
+            raise RefusedError("this policy was computed for a net other than the one shown")
         with self._lock:
             if self._rules is None:
                 new = plan_from_json(json.loads(self.text))
@@ -132,7 +132,7 @@ def _drawn(rules: PlanRules, marking: Tuple[int, ...], p: int, enabled: Any) -> 
 
 
 def proposed_name(plan_file: str) -> str:
-    """A name for a new plan beside ``plan_file`` that no file has yet."""
+    """An unused file name for a new plan next to ``plan_file``."""
     folder, name = os.path.split(plan_file)
     stem = os.path.splitext(name)[0] + "_optimised"
     for number in range(1, PROPOSALS):
@@ -143,13 +143,13 @@ def proposed_name(plan_file: str) -> str:
 
 
 def save_beside(plan_file: str, name: object, text: str, overwrite: bool) -> str:
-    """Write a plan beside another, whole or not at all.
+    """Write a plan next to another, completely or not at all.
 
     :param plan_file: the plan that is open; it is never replaced.
     :param name: the name of the new file.
     :param overwrite: whether another plan of that name may be replaced.
     :returns: the path of the new file.
-    :raises UsageError: that is not the name of a plan file.
+    :raises UsageError: that is not a valid name of a plan file.
     :raises ExistsError: a plan of that name exists, and ``overwrite`` is not set.
     :raises RefusedError: the file exists and is not a plan, or it is the plan that is open.
     :raises InputError: the file cannot be written.
@@ -157,7 +157,7 @@ def save_beside(plan_file: str, name: object, text: str, overwrite: bool) -> str
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w .+-]{0,119}\.json", name):
         raise UsageError(
             "that is not the name of a plan file",
-            hint="letters, digits, '_', '-' and '.', with .json at the end",
+            hint="letters, digits, '_', '-' and '.', ending in .json",
         )
     path = os.path.join(os.path.dirname(plan_file), name)
     if os.path.realpath(path) == os.path.realpath(plan_file):
@@ -165,7 +165,7 @@ def save_beside(plan_file: str, name: object, text: str, overwrite: bool) -> str
     reserved = False
     try:
         with contextlib.suppress(FileExistsError), open(path, "xb"):
-            reserved = True  # nobody else can take the name from now on
+            reserved = True  # nobody else can take the name after this
     except OSError as error:
         raise InputError("cannot write it: %s" % error.strerror, file=name) from None
     if not reserved:

@@ -37,7 +37,7 @@ StatusAnswer = Tuple[str, Dict[str, Any]]
 
 
 class OrderedTeam(Protocol):
-    """The team that is given orders, as it is known now."""
+    """What is known about the team that gets the orders."""
 
     @property
     def plan(self) -> Plan:
@@ -53,24 +53,24 @@ class OrderedTeam(Protocol):
 
     @property
     def gone(self) -> FrozenSet[str]:
-        """Robots that have no token in the net any more."""
+        """Robots that no longer have a token in the net."""
 
     def obeyed(self, order: PageOrder) -> None:
-        """Note that an order is in the team's log."""
+        """Called when an order is in the team's log."""
 
     def ask_soon(self) -> None:
-        """Have the team asked for its state soon."""
+        """Request the team's state soon."""
 
     def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
-        """What robots answer about the team."""
+        """The robots' answers about the team."""
 
 
 class PageOrders:
-    """Gives the page's orders to a team. Every order names the run.
+    """Passes the page's orders to a team. Every order names the run.
 
     :param team: the team.
-    :param connection: how it is reached.
-    :ivar commands: command of the page -> what carries it out.
+    :param connection: the connection to it.
+    :ivar commands: command of the page -> its handler.
     """
 
     def __init__(self, team: OrderedTeam, connection: TeamConnection) -> None:
@@ -83,13 +83,14 @@ class PageOrders:
         }
 
     def close(self) -> None:
-        """Wait for no more answers."""
+        """Stop waiting for answers."""
         self._line.close()
 
     def deploy(
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
     ) -> DeployOutcome:
-        """See :class:`Activity`; the robots find its functions where those of their plan are."""
+        """See :class:`Activity`; the robots look for its functions where those of their plan
+        are."""
         obey(check_all(plan), plan)
         line = self._connection.line(STATUS_TIME)
 
@@ -149,13 +150,13 @@ class PageOrders:
         raise RefusedError(
             "no robot of run '%s' answers" % self._team.run
             if self._team.names
-            else "no robot of the run has been heard of yet"
+            else "no robot of the run has been heard from yet"
         )
 
     def _set_breakpoints(self, names: List[str]) -> Dict[str, Any]:
         """Have every robot of the run stop at these places and transitions.
 
-        :raises RefusedError: a robot did not take them.
+        :raises RefusedError: a robot did not accept them.
         """
         found = Breakpoints.of_names(names, self._team.plan)
         argument = ORDERS["breakpoints"].argument({"names": [*found.places, *found.transitions]})
@@ -180,12 +181,12 @@ class PageOrders:
         self._team.ask_soon()
         refusals += ["%s does not answer" % self._connection.label(n) for n in sorted(silent)]
         if refusals or not asked:
-            raise RefusedError("; ".join(refusals) or "no robot of the run has been heard of yet")
+            raise RefusedError("; ".join(refusals) or "no robot of the run has been heard from yet")
         return {"message": "robots stop at: %s" % found.in_words}
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
         """The addresses of the run's robots, in the order to try them: first the robot concerned
-        (last, if the order is to cast it out), and at the end those that are gone."""
+        (or last, if the order evicts it), and at the end those that are gone."""
         names, gone = self._team.names, self._team.gone
         own_last = ORDERS[command].against_robot
         return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))

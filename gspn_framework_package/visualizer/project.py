@@ -1,5 +1,4 @@
-"""The content of one server: a folder of nets, plans and logs, or the one session that it was
-started for."""
+"""The content of one server: a folder of nets, plans and logs, or a single session."""
 
 from __future__ import annotations
 
@@ -24,19 +23,19 @@ FILE_KEY = "file-"
 
 
 def path_of_key(key: str) -> str:
-    """The path of the file of a session. :raises UsageError: the session is not one of a file."""
+    """The path of the file of a session. :raises UsageError: the session does not show a file."""
     if not key.startswith(FILE_KEY):
-        raise UsageError("only files of the served folder are edited")
+        raise UsageError("only files of the served folder can be edited")
     return key[len(FILE_KEY) :]
 
 
 def project_of_team(path: str, plan: Plan, activity: Activity) -> Project:
-    """A server that shows a team and nothing else.
+    """A server that only shows a team.
 
-    :param path: where its plan was read from; viewers see the last part alone, since they need not
+    :param path: where its plan was read from; viewers only see the last part, since they need not
         know this machine's folders.
     :param plan: the plan, with its initial robots.
-    :param activity: watches the team.
+    :param activity: the activity that watches the team.
     """
     title = os.path.join(*os.path.abspath(path).split(os.sep)[-2:])
     document = Document(title, plan.net, plan, notes=tuple(plan.notes), file=plan.file or "")
@@ -46,14 +45,14 @@ def project_of_team(path: str, plan: Plan, activity: Activity) -> Project:
 
 
 class Project:
-    """The content of one server; see the module.
+    """The content of one server.
 
     :param folder: the served folder, None for a server that only shows one session.
     :param start_execution: starts the execution of an executable plan.
     :param first: path (in the folder) of the document that the page shows first.
     :param runs: the folder of the recorded runs, which is searched for runs that were cut off.
     :param edits: whether the operator may change the plans of the folder in the page.
-    :param fleet: the history of a fleet that the page shows.
+    :param fleet: the fleet history that the page shows.
     """
 
     def __init__(
@@ -79,7 +78,7 @@ class Project:
 
     @property
     def folder(self) -> Optional[Folder]:
-        """The served folder, None if there is none."""
+        """The served folder; None if there is none."""
         return self._folder
 
     def show(self, session: Session) -> None:
@@ -105,7 +104,7 @@ class Project:
         }
 
     def path_of(self, file: str) -> Optional[str]:
-        """A file as a path in the folder; None if it is outside the folder."""
+        """The path of a file in the folder; None if it is outside the folder."""
         return self._folder.inside(file) if self._folder is not None else None
 
     def open(self, path: str, room: bool = True) -> Session:
@@ -123,8 +122,8 @@ class Project:
         return session
 
     def session(self, key: str, room: bool = False) -> Session:
-        """The session of a key; that of a file is reopened if it is closed (the server was
-        restarted).
+        """The session of a key; one that shows a file is reopened if it is closed (after a restart
+        of the server).
 
         :raises GspnError: no session has that key, or its file cannot be opened.
         """
@@ -137,9 +136,9 @@ class Project:
         return self.sessions.get(key)
 
     def renew(self, paths: Iterable[str]) -> None:
-        """Close the sessions of files that were saved, and of plans with subnets, so that they are
-        read anew. A plan that is being executed goes on as it was started; its session is renewed
-        when it is next opened after the end.
+        """Close the sessions of saved files and of plans with subnets, so that they are read again.
+        A plan being executed continues as it was started; its session is renewed when it is next
+        opened after the run.
 
         :param paths: the files, relative to the folder.
         """
@@ -154,7 +153,7 @@ class Project:
     def _drop_outdated(self, key: str) -> None:
         session = self.sessions.known(key)
         if session is not None and session.outdated and session.loss is not None:
-            self.sessions.drop(session, "the plan was saved: it is opened anew")
+            self.sessions.drop(session, "the plan was saved and is opened again")
 
     def without_folders(self, text: str) -> str:
         """A message without this machine's folders, which viewers need not know."""
@@ -179,7 +178,7 @@ class Project:
         return execution
 
     def _take_note(self, which: Callable[[CutRun], bool]) -> None:
-        """Forget the cut-off runs that a user has opened, or whose plan is started again."""
+        """Drop the cut-off runs that a user has opened or whose plan is started again."""
         for run in [run for run in self._cut if which(run)]:
             run.forget()
             self._cut = [r for r in self._cut if r is not run]

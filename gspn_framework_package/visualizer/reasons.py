@@ -1,5 +1,5 @@
 """Reasons why a transition cannot fire, or does not yet, according to the rules of the token game
-and the policy; the page leaves this to the server."""
+and the policy. The page asks the server for them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> D
     """The reasons why a transition of an open net cannot fire.
 
     :param session: the open net.
-    :param at: number of the event after which to look; None for now.
+    :param at: number of the event after which to evaluate; None for now.
     :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (for an enabled
         one: the robots that it still waits for, and what the policy says), and ``at``: the number
         of the event after which this holds.
@@ -71,8 +71,8 @@ def _robots_awaited(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
 
 
 def _policy_says(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
-    """What the policy has robots do that could fire ``t``, for each place that ``t`` takes them
-    from."""
+    """What the policy chooses for the robots that could fire ``t``, for each place that ``t`` takes
+    them from."""
     if net.transitions[t].timed or not plan.policy.rows:
         return []
     table = plan.policy.bind(net)

@@ -1,5 +1,4 @@
-"""An event log as a history that is looked up in the file: only an index of a long run is kept in
-memory.
+"""An event log as a history that reads from the file on demand: only an index is kept in memory.
 
 The log is read once from beginning to end. At regular intervals, the state of the run (a few
 kilobytes) and its position in the file are stored as a *mark*. The events between two marks are
@@ -33,11 +32,10 @@ LINES_BETWEEN = 250
 """Initial number of lines between two marks."""
 
 MARKS = 2048
-"""Largest number of marks. When there are more, every second one is dropped, and the interval
-doubles."""
+"""Largest number of marks. Beyond it, every second mark is dropped and the interval doubles."""
 
 AT_HAND = 20_000
-"""Largest number of events in the cache of the stretches that were requested last."""
+"""Largest number of events in the cache of recently requested stretches."""
 
 
 class Mark(NamedTuple):
@@ -53,7 +51,7 @@ class Mark(NamedTuple):
 class _Reader:
     """Reads the lines of a log from a mark on, and turns them into events.
 
-    :param plans: number -> plan that the team went on under; updated.
+    :param plans: number -> plan that the team followed; updated.
     :ivar board: the board after the events so far.
     """
 
@@ -82,12 +80,12 @@ class _Reader:
 
     @staticmethod
     def next_slot_of(mark: Mark) -> int:
-        """The slot that comes next after a mark."""
+        """The slot after a mark."""
         return int(json.loads(zlib.decompress(mark.packed))["state"]["next_slot"])
 
     @property
     def next_slot(self) -> int:
-        """The slot that comes next."""
+        """The next slot."""
         return self._replayer.state.next_slot
 
     def mark(self) -> Mark:
@@ -104,7 +102,7 @@ class _Reader:
     def lines(self, file: BinaryIO) -> Iterator[List[Event]]:
         """Yield the events of each further line, numbered and applied to the board.
 
-        :raises LogError: a line cannot be followed; the message gives its number.
+        :raises LogError: a line does not follow from the ones before; the message gives its number.
         """
         for record, length in self._file.records(file, self.offset, self.line):
             events = self._step(record)
@@ -143,8 +141,8 @@ class _Reader:
     def _orders_elsewhere(
         self, entries: Sequence[log_entries.Entry], record: Record, t: float
     ) -> List[Event]:
-        """Notes of the orders in a slot that another robot was given; the log has its own already,
-        from when they were given."""
+        """Notes on the orders in a slot that were given to other robots; the log already has those
+        given to its own robot, from when they were given."""
         notes = []
         for entry, origin in zip(entries, record.get("origins", ())):
             text = decided_order_text(entry, str(origin[0]))
@@ -159,7 +157,7 @@ def _order_note(robot: str, text: str, t: float) -> Event:
 
 class Recording(KeptEvents):
     """An event log as a history; see the module. All methods may be called from any thread, except
-    :meth:`read`, which only one may call."""
+    :meth:`read`, which only one thread may call."""
 
     def __init__(self, file: LogFile) -> None:
         self._file = file
@@ -180,13 +178,12 @@ class Recording(KeptEvents):
         return _Reader(self._file, self._plans).board
 
     def plan_of(self, number: int) -> Optional[Plan]:
-        """The plan with that number, which the team went on under; None if no such plan has been
-        read."""
+        """The plan with that number, which the team followed; None if it has not been read."""
         return self._plans.get(number)
 
     def read(self) -> Iterator[Tuple[Board, float]]:
-        """Read the log. From time to time, yield the board so far and the share of the file read
-        (0 to 1).
+        """Read the log. Yield the board so far and the share of the file read (0 to 1) at
+        intervals.
 
         An error in the log becomes a note at its end.
         """
@@ -205,11 +202,11 @@ class Recording(KeptEvents):
         except GspnError as error:
             where = "%s:%d: " % (os.path.basename(self._file.path), error.line or reader.line)
             self._append(
-                reader, "fault", "the log cannot be followed further: %s%s" % (where, error.message)
+                reader, "fault", "the log cannot be read further: %s%s" % (where, error.message)
             )
         except Exception as error:
             self._append(
-                reader, "fault", "the log cannot be followed further: %s" % type(error).__name__
+                reader, "fault", "the log cannot be read further: %s" % type(error).__name__
             )
         with self._lock:
             self._known = reader.board.n
@@ -241,8 +238,8 @@ class Recording(KeptEvents):
     # -- looking up --------------------------------------------------------------------------------
 
     def after_slot(self, slot: int) -> Optional[int]:
-        """The number of the last event of a slot of the log, or of the whole log if it ends before;
-        None if it has not been read that far."""
+        """The number of the last event of a slot of the log, or of the whole log if it ends
+        earlier; None if it has not been read that far."""
         with self._lock:
             marks, complete, known = list(self._marks), self._complete, self._known
         low, high = 0, len(marks)
@@ -261,7 +258,7 @@ class Recording(KeptEvents):
                     if reader.next_slot > slot:
                         break
             except LogError:
-                pass  # the last event of the log says so
+                pass  # the last event of the log reports the error
         return min(reader.board.n, known) if reader.next_slot > slot else known
 
     def board_at(self, n: int) -> Board:

@@ -1,4 +1,4 @@
-"""REPLAY: plays a recorded run again, by the token game."""
+"""REPLAY: plays a recorded run again with the token game."""
 
 from __future__ import annotations
 

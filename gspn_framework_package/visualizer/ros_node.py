@@ -1,11 +1,10 @@
 """The node ``visualizer``: the page for a team on ROS.
 
 Private parameters: ``plan`` (file or folder), ``robots`` (initial size of the team; 0: as in the
-plan), ``run`` (name of the run; "" takes the first one heard), ``host``, ``port``, ``names``
-(further names of this machine, separated by commas), ``modules`` (whose
-functions plans may name), ``token``, ``viewer_token``, ``token_file``,
-``viewers``, ``team_key_file`` (the key of the team, if it has one, so that the page can give
-orders).
+plan), ``run`` (name of the run; "": the first one heard), ``host``, ``port``, ``names``
+(further names of this machine, separated by commas), ``modules`` (modules whose functions plans may
+name), ``token``, ``viewer_token``, ``token_file``, ``viewers``, ``team_key_file`` (the key of the
+team, if it has one, so that the page can give orders).
 
 Any machine that reaches the master can read its parameters. The node therefore deletes the tokens
 from the parameter server once it has read them, and does not log them to /rosout. With
@@ -87,7 +86,7 @@ def _tokens() -> Tuple[Optional[str], Optional[str]]:
     if not path:
         return given[0], given[1]
     if any(given):
-        raise UsageError("parameter ~token_file goes without ~token and ~viewer_token")
+        raise UsageError("parameter ~token_file excludes ~token and ~viewer_token")
     return read_tokens(os.path.expanduser(path))
 
 

@@ -1,4 +1,4 @@
-"""Publishes on ROS whether a run goes as its plan predicts."""
+"""Publishes on ROS whether a run matches the prediction of its plan."""
 
 from __future__ import annotations
 
@@ -61,6 +61,6 @@ def _diagnosis(plan: Plan, run: str, lasting: Sequence[Alarm]) -> DiagnosticArra
         "%s: gspn prediction, run %s" % (rospy.get_name(), run),
         plan.name,
         1 if lasting else 0,
-        "; ".join(alarm.describe() for alarm in lasting[:3]) or "the run goes as predicted",
+        "; ".join(alarm.describe() for alarm in lasting[:3]) or "the run matches the prediction",
         values,
     )

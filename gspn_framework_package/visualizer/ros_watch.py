@@ -1,4 +1,4 @@
-"""How the page reaches a team on ROS."""
+"""The page's connection to a team on ROS."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class RosConnection:
     def why_unheard(self) -> str:
         """See :class:`TeamConnection`."""
         return (
-            " on %s (is the topic remapped, or cannot this machine reach the robots?)"
+            " on %s (is the topic remapped, or can this machine not reach the robots?)"
             % rospy.resolve_name(FIRED_TOPIC)
         )
 
@@ -102,7 +102,7 @@ class RosConnection:
         self._prediction.publish(plan, run, found)
 
     def _with_json(self, *what: str) -> Callable[[String], None]:
-        """A callback that passes on what a message says in JSON."""
+        """A callback that passes on the JSON content of a message."""
 
         def callback(message: String) -> None:
             try:

@@ -1,7 +1,7 @@
-"""Marks of the active runs in a folder, by which a restarted server recognises runs that were cut
+"""Marks of the active runs in a folder. They let a restarted server recognise runs that were cut
 off.
 
-A mark is a hidden file next to the event log, locked as long as its process lives. A run that ends
+A mark is a hidden file next to the event log, locked while its process lives. A run that ends
 removes its mark; an unlocked mark belongs to a run whose server died.
 """
 
@@ -38,7 +38,7 @@ class RunMark:
 
     :param log: the event log of the run.
     :param path: the plan, as a path in the served folder.
-    :raises LogError: it cannot be written.
+    :raises LogError: the mark cannot be written.
     """
 
     def __init__(self, log: str, path: str) -> None:

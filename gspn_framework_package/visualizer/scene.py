@@ -1,5 +1,5 @@
-"""The fixed part of the picture as a JSON object: nodes, arcs, positions, and their attributes in
-the plan."""
+"""The fixed part of the picture as a JSON object: nodes and arcs with their positions and their
+attributes from the plan."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _rounded(point: Sequence[float]) -> List[float]:
 
 
 def _arc(net: Net, a: int) -> List[int]:
-    """Place, transition, direction (1: from the place), weight, inhibitor."""
+    """An arc: place, transition, direction (1: from the place), weight, inhibitor."""
     arc = net.arcs[a]
     if arc.source in net.place_index:
         place, transition = net.place_index[arc.source], net.transition_index[arc.target]
@@ -104,7 +104,7 @@ def _event(transition: str, plan: Optional[Plan]) -> Optional[str]:
 
 
 def _subnets(net: Net, plan: Optional[Plan]) -> List[Dict[str, Any]]:
-    """The subnets, those around others first."""
+    """The subnets, outer ones before those inside them."""
     if plan is None:
         return []
     return [

@@ -38,14 +38,14 @@ LAST_REQUESTS = 2.0
 class WebServer:
     """A page at an address.
 
-    :param project: what it shows; closed with the server.
-    :param host: the address to listen on; anything but loopback only if the operator asks for it.
+    :param project: the content; closed with the server.
+    :param host: the address to listen on; should be loopback unless the operator asks for another.
     :param port: the port; 0 for any free one.
     :param names: further host names that browsers may use for this machine.
     :param token: see :class:`~gspn_framework_package.visualizer.guard.Guard`.
-    :param viewer_token: the token of those who may only look.
+    :param viewer_token: the token of read-only viewers.
     :param viewers: how many streams are served at once.
-    :raises InputError: it cannot listen on the address.
+    :raises InputError: the server cannot listen on the address.
     :raises UsageError: a token is too short, or both are the same.
     """
 
@@ -101,8 +101,8 @@ class WebServer:
 
     @property
     def invitations(self) -> Dict[str, str]:
-        """The address for each role, including its token: only for the operator's terminal, and
-        never for anything that others can read."""
+        """The address for each role, including its token: only for the operator's terminal, never
+        for anything that others can read."""
         tokens = {OPERATOR: self.guard.token, VIEWER: self.guard.viewer_token}
         if self.guard.token is None:
             return {OPERATOR: self.address}
@@ -133,12 +133,12 @@ class WebServer:
         self._app.extensions["gspn_jobs"].close()
         if "gspn_checks" in self._app.extensions:
             self._app.extensions["gspn_checks"].close()
-        self.project.close()  # which wakes the streams
+        self.project.close()  # this wakes the streams
         streams.wait(1.0)
-        # Waitress only expects to stop with its process. One of its threads that finishes late
-        # writes to the pipe that wakes the server's thread, by file descriptor: if the pipe were
-        # closed by then, the byte would go to whatever file has that number now. So: no more
-        # requests, then end all threads, then close the pipe.
+        # Waitress expects to stop only with its process. A thread that finishes late writes to the
+        # pipe that wakes the server's thread, by file descriptor; if the pipe were already closed,
+        # the byte would go to whatever file now has that number. Therefore: accept no more
+        # requests, end all threads, then close the pipe.
         self._do(self._hang_up)
         self._server.task_dispatcher.shutdown(cancel_pending=False, timeout=LAST_REQUESTS)
         if not self._server.task_dispatcher.threads:
@@ -149,8 +149,8 @@ class WebServer:
                 self._server.close()
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Run ``action``, which works on the sockets, on the thread that watches them: no other may
-        close them. It may run before or after this method returns."""
+        """Run ``action``, which works on the sockets, on the thread that watches them, since no
+        other thread may close them. It may run before or after this method returns."""
         if self._thread is None:
             action()
         else:
@@ -169,8 +169,8 @@ class WebServer:
 
 
 def _one_address(host: str) -> str:
-    """The first address of a name, IPv4 before IPv6: ``localhost`` has both, and a server listens
-    at one address and one port.
+    """The first address of a name, IPv4 before IPv6: ``localhost`` has both, but a server listens
+    at one address.
 
     :raises OSError: the name cannot be resolved.
     """

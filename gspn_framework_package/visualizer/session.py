@@ -16,7 +16,7 @@ from gspn_framework_package.visualizer.scene import layout_to_json, scene_to_jso
 from gspn_framework_package.visualizer.simulation import OfflineSimulation
 
 SESSIONS = 24
-"""Largest number of nets open at once; a further one closes the least needed."""
+"""Largest number of nets open at once; opening another one closes the least needed."""
 
 ActivityMaker = Callable[[Document], Activity]
 
@@ -58,21 +58,21 @@ class Session:
         self.activity.begin(self.hub)
 
     def document_at(self, plan: int) -> Document:
-        """The net that the run shown follows under the plan with this number.
+        """The net of the plan with this number, which the run shown has followed.
 
-        :raises InputError: there is no such plan; the run shown may be another one now.
+        :raises InputError: there is no such plan, perhaps because another run is shown now.
         """
         if not plan:
             return self.document
         found = self.activity.plan_of(plan)
         if found is None:
-            raise InputError("the run shown has followed no plan with the number %d" % plan)
+            raise InputError("the run shown has not followed a plan with the number %d" % plan)
         return self.document._replace(
             net=found.net, plan=found, executable=False, notes=tuple(found.notes)
         )
 
     def scene_at(self, plan: int) -> Dict[str, Any]:
-        """The picture of that net. :raises InputError: as :meth:`document_at`."""
+        """The scene of that net. :raises InputError: as :meth:`document_at`."""
         document = self.document_at(plan)
         return scene_to_json(document.net, document.plan) if plan else self.scene
 
@@ -82,7 +82,7 @@ class Session:
         return self.document.executable and self._start_execution is not None
 
     def to_json(self) -> Dict[str, Any]:
-        """The facts that the page loads once."""
+        """The data that the page loads once."""
         return {
             "id": self.key,
             "title": self.document.title,
@@ -111,7 +111,7 @@ class Session:
         return self.activity_meant(fields).command(name, fields)
 
     def activity_meant(self, fields: RequestFields) -> Activity:
-        """The activity that an order is for.
+        """The activity for which an order is meant.
 
         :raises RefusedError: the order names another run than the one that is shown.
         """
@@ -147,12 +147,12 @@ class Session:
         if self.outdated:
             raise RefusedError("the plan was saved since it was opened here", hint="open it again")
         if self._start_execution is None:
-            raise RefusedError("plans are not executed from here")
+            raise RefusedError("plans cannot be executed here")
         if fields.get("confirmed") is not True:
             raise UsageError("starting an execution needs a confirmation")
         with self._lock:
             if self._starting or self._is_running():
-                raise RefusedError("it is running already")
+                raise RefusedError("it is already running")
             self._starting = True
         try:
             execution = self._start_execution(self.document)
@@ -183,15 +183,15 @@ class Session:
 
     @property
     def loss(self) -> Optional[int]:
-        """How much would be lost by closing it, from 0 (nothing: it is an unchanged file) to 3 (it
-        was changed, and a viewer is watching); None if it must not be closed because it runs."""
+        """How much would be lost by closing it, from 0 (nothing: an unchanged file) to 3 (changed,
+        and with a viewer); None if it must not be closed because it is running."""
         with self._lock:
             if self._starting or self._is_running():
                 return None
         worked_on = self.touched or not self.reopens
         return 2 * int(self.hub.viewers > 0) + int(worked_on)
 
-    def close(self, why: str = "the server ends") -> None:
+    def close(self, why: str = "the server is stopping") -> None:
         """End the activity, and notify the viewers."""
         with self._lock:
             self.activity.end()
@@ -214,7 +214,7 @@ class Sessions:
             return self._sessions[key]
 
     def known(self, key: str) -> Optional[Session]:
-        """The session of that key, None if there is none."""
+        """The session of that key; None if there is none."""
         with self._lock:
             if key in self._sessions:
                 self._sessions.move_to_end(key)
@@ -226,7 +226,7 @@ class Sessions:
             return list(self._sessions.values())
 
     def drop(self, session: Session, why: str) -> None:
-        """Close a session, and send its viewers the reason."""
+        """Close a session and send its viewers the reason."""
         with self._lock:
             if self._sessions.get(session.key) is not session:
                 return
@@ -234,10 +234,11 @@ class Sessions:
         session.close(why)
 
     def get_or_open(self, key: str, make: Callable[[], Session], room: bool = True) -> Session:
-        """The session of that key, which is made if there is none.
+        """The session of that key, created if there is none.
 
         :param make: makes the session.
-        :param room: if too many are open, close the least needed one; otherwise refuse.
+        :param room: whether to close the least needed session if too many are open, rather than
+            refuse.
         :raises RefusedError: there is no room for it.
         """
         with self._lock:
@@ -258,7 +259,7 @@ class Sessions:
             session.close()
             raise
         for old in closed + ([session] if known is not session else []):
-            old.close("it was closed on the server, to make room for another net")
+            old.close("it was closed on the server to make room for another net")
         return known
 
     def _check_room(self, room: bool) -> None:

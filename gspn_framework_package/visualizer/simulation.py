@@ -1,4 +1,4 @@
-"""SIMULATE: the offline token game, with every tool of thesis Figure 5.4 and steps back."""
+"""SIMULATE: the offline token game, with every tool of thesis Figure 5.4, and undo."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STEPS_BACK = 20_000
 """Number of steps that can be undone."""
 
 MOST_TOKENS = 10**9
-"""Most tokens in a place of a marking that the page asks for."""
+"""Largest number of tokens in a place of a marking requested by the page."""
 
 
 class _Past(NamedTuple):
@@ -151,7 +151,7 @@ class OfflineSimulation(Activity):
         return {}
 
     def _move(self, fields: RequestFields) -> Dict[str, Any]:
-        """Go to another marking."""
+        """Change to another marking."""
         marking = fields.get("marking")
         count = len(self.net.places)
         if (
@@ -159,7 +159,9 @@ class OfflineSimulation(Activity):
             or len(marking) != count
             or not all(type(n) is int and 0 <= n <= MOST_TOKENS for n in marking)
         ):
-            raise UsageError("'marking' is a list of the token counts of all %d places" % count)
+            raise UsageError(
+                "'marking' must be a list of the token counts of all %d places" % count
+            )
         self._past.append(_Past(-1, self._simulator.marking, self._time))
         self._simulator.move_to(marking)
         self._publish(self._whole("another marking"))
@@ -168,7 +170,7 @@ class OfflineSimulation(Activity):
     def _set_probabilities(self, fields: RequestFields) -> Dict[str, Any]:
         given = fields.get("probabilities")
         if not isinstance(given, dict):
-            raise UsageError("'probabilities' maps transitions to numbers")
+            raise UsageError("'probabilities' must map transitions to numbers")
         probabilities = {}
         for name, value in given.items():
             if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -1,5 +1,5 @@
-"""The forms of the page's *Simulated runs* and *Sweep*: their fields as what is asked of a
-simulation, and the points of a sweep in parts, as they come."""
+"""The forms of the page's *Simulated runs* and *Sweep*: turns their fields into simulation
+settings, and reports the points of a sweep as they come."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ MOST_FORM_REPLICATIONS = 100_000
 """Largest number of simulated runs that the page may ask for."""
 
 MOST_SWEEP_POINTS = 400
-"""Most points of a sweep on the page."""
+"""Largest number of points of a sweep on the page."""
 
 _TEXTS = 20
 _EVERY = 0.3
-"""Seconds between two parts at least."""
+"""Minimum seconds between two reports."""
 
 
 def asked_in_form(form: object, name: str) -> Asked:
-    """What the fields ask of a simulation.
+    """The simulation settings in the fields.
 
-    :param name: of the form, for the message.
-    :raises UsageError: they make no sense.
+    :param name: name of the form, for the message.
+    :raises UsageError: the fields are invalid.
     """
     from gspn_framework_package.analysis.simulation import Asked
 
     if not isinstance(form, dict):
-        raise UsageError("'%s' is an object" % name)
+        raise UsageError("'%s' must be an object" % name)
     replications = form_number(form, "replications", 1000.0)
     if replications is None or not 1 <= replications <= MOST_FORM_REPLICATIONS:
-        raise UsageError("the number of runs is from 1 to %d" % MOST_FORM_REPLICATIONS)
+        raise UsageError("the number of runs must be from 1 to %d" % MOST_FORM_REPLICATIONS)
     time = form_number(form, "time")
     until = form.get("until") or None
     if until is not None and not isinstance(until, str):
-        raise UsageError("'until' is a condition")
+        raise UsageError("'until' must be a condition")
     return Asked(
         time=math.inf if time is None else time,
         replications=int(replications),
@@ -54,12 +54,12 @@ def asked_in_form(form: object, name: str) -> Asked:
 
 
 def form_number(form: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
-    """A number of a form, at least 0. :raises UsageError: it is none."""
+    """A number of a form, at least 0. :raises UsageError: it is not."""
     value = form.get(key, default)
     if value is not None and (
         isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0
     ):
-        raise UsageError("'%s' is a number of at least 0" % key)
+        raise UsageError("'%s' must be a number of at least 0" % key)
     return value
 
 
@@ -73,8 +73,8 @@ def sweep_in_parts(
 
     :param form: ``vary`` and ``measure``, lists as ``gspn sweep`` takes them, and the fields of a
         simulation.
-    :param tell: called with all points so far, now and then, and at the end.
-    :raises GspnError: the form makes no sense, or a point cannot be measured.
+    :param tell: called with all points so far, at intervals and at the end.
+    :raises GspnError: the form is invalid, or a point cannot be measured.
     """
     from gspn_framework_package.analysis.sweeps.sweep import (
         Sweep,
@@ -86,9 +86,9 @@ def sweep_in_parts(
     asked = asked_in_form(form, "sweep")
     variations = [read_variation(text) for text in _texts(form, "vary")]
     if not variations:
-        raise UsageError("what is varied?", hint="write robots=1..5, for example")
+        raise UsageError("no parameter to vary", hint="write robots=1..5, for example")
     if any(variation.kind == "policy" for variation in variations):
-        raise UsageError("the page reads no policies from files", hint="gspn sweep does")
+        raise UsageError("the page cannot read policies from files", hint="use gspn sweep")
     if math.prod(len(variation.values) for variation in variations) > MOST_SWEEP_POINTS:
         raise UsageError(
             "the page shows at most %d points" % MOST_SWEEP_POINTS, hint="gspn sweep has no limit"
@@ -109,7 +109,7 @@ def sweep_in_parts(
 def _texts(form: Dict[str, Any], key: str) -> List[str]:
     values = form.get(key, [])
     if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-        raise UsageError("'%s' is a list of texts" % key)
+        raise UsageError("'%s' must be a list of texts" % key)
     if len(values) > _TEXTS:
         raise UsageError("'%s' has more than %d entries" % (key, _TEXTS))
     return values

@@ -39,13 +39,13 @@ from gspn_framework_package.visualizer.run_marks import RunMark
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 RUNS = "runs"
-"""The subfolder of the served folder that holds the recorded runs."""
+"""The subfolder of the served folder for recorded runs."""
 
 SERVER = "this server"
-"""Who votes on a plan for a standalone run."""
+"""The voter on a new plan in a standalone run."""
 
 STOP_SECONDS = 5.0
-"""Seconds that a run has to obey an order to stop; then it is abandoned."""
+"""Seconds that a run has to obey an order to stop before it is abandoned."""
 
 LAST_SECONDS = 2.0
 """The same while the page's server shuts down."""
@@ -63,7 +63,7 @@ ANSWERS = {
 
 
 class StandaloneRun(Activity, Listener):
-    """One execution of a plan.
+    """An execution of a plan.
 
     :param document: the plan; it is checked first.
     :param runs: folder for the event log, None for no recording.
@@ -135,7 +135,7 @@ class StandaloneRun(Activity, Listener):
                 os.remove(self.path)
             raise ExecutionError(
                 "the run cannot be recorded: %s" % error.message,
-                hint="make room, or record somewhere else ('gspn serve --record FOLDER')",
+                hint="free some space, or record somewhere else ('gspn serve --record FOLDER')",
             ) from None
         self._executor.record_to(self._log)
 
@@ -178,7 +178,7 @@ class StandaloneRun(Activity, Listener):
         with contextlib.suppress(ExecutionError):  # the page already shows it
             self._executor.wait(seconds)
         if not self._executor.over:
-            text = "it did not react to the order to stop (%s) within %g s, and was given up"
+            text = "it did not react to the order to stop (%s) within %g s and was abandoned"
             self._gave_way(text % (reason, seconds))
 
     def _order(self, command: str, answer: str) -> Handler:
@@ -226,7 +226,7 @@ class StandaloneRun(Activity, Listener):
     # -- events of the executor --------------------------------------------------------------------
 
     def on_plan(self, plan: Plan) -> None:
-        """Go on under another plan, on the executor's thread; the events of its step follow."""
+        """Continue under another plan, on the executor's thread; the events of its step follow."""
         self._plan = plan
         self._breakpoints.follow(plan)
         self._changed_plan = True
@@ -240,7 +240,7 @@ class StandaloneRun(Activity, Listener):
     ) -> None:
         """Publish the events of a step, on the executor's thread."""
         if self._told_end:
-            return  # it was abandoned and no longer owns the hub
+            return  # this run was abandoned and no longer owns the hub
         self._hub.publish(*self._events.step(entries, firings, state))
         if self._changed_plan:
             self._changed_plan = False
@@ -253,7 +253,7 @@ class StandaloneRun(Activity, Listener):
                 self._feedback.forget(entry.robot)
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
-        """Take in feedback, on the action's thread."""
+        """Process feedback, on the action's thread."""
         if not self._told_end:
             self._feedback.show(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
 
@@ -299,13 +299,13 @@ class StandaloneRun(Activity, Listener):
 
 
 def _run_name(plan: Plan) -> str:
-    """A name made of the plan's name and the time."""
+    """A name composed of the plan's name and the time."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", plan.name).strip("_") or "plan"
     return "%s-%s" % (name, time.strftime("%Y%m%d-%H%M%S"))
 
 
 def _new_file(runs: str, stem: str) -> Tuple[str, str]:
-    """A name like ``stem`` that no log in ``runs`` has yet, and the path of its log."""
+    """A name like ``stem`` that no log in ``runs`` has, and the path of its log."""
     run, number = stem, 2
     while os.path.exists(os.path.join(runs, run + ".jsonl")):
         run, number = "%s-%d" % (stem, number), number + 1

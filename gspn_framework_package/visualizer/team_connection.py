@@ -1,5 +1,5 @@
-"""What the page needs of the network to watch a team: on ROS
-(:mod:`~gspn_framework_package.visualizer.ros_watch`) and over Zenoh
+"""The network interface that the page needs to watch a team, implemented for ROS
+(:mod:`~gspn_framework_package.visualizer.ros_watch`) and for Zenoh
 (:mod:`~gspn_framework_package.visualizer.zenoh_connection`)."""
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ STATUS_TIME = 1.5
 """Seconds within which a robot must report the team's state."""
 
 LONGEST_ORDER_TIME = ADOPT_TIME + 1.0
-"""Time limit of an order in seconds; a robot answers within the time of the longest."""
+"""Time limit of an order in seconds; allows for the order that takes a robot longest."""
 
 
 class UnreachableError(Exception):
-    """The team cannot be reached now; the text says why."""
+    """The team cannot be reached at present; the text says why."""
 
 
 class RobotLine(Protocol):
@@ -37,7 +37,7 @@ class RobotLine(Protocol):
         request: OperatorRequest,
         answered: Callable[[Optional[OperatorAnswer]], None],
     ) -> bool:
-        """Ask the robot at an address; return whether an answer may come.
+        """Send a request to the robot at an address; return whether an answer may come.
 
         :param robot: its name; a question (see
             :func:`~gspn_framework_package.team.orders.is_open`) may go without.
@@ -47,14 +47,14 @@ class RobotLine(Protocol):
         """
 
     def close(self) -> None:
-        """Wait for no more answers."""
+        """Stop waiting for answers."""
 
 
 class TeamConnection(Protocol):
-    """What a watch needs of the network. An address is where a robot is reached.
+    """The network interface of a watch. An address identifies the endpoint of a robot.
 
-    :cvar says: whom the page shows, in words.
-    :cvar where: where other runs are heard, in words.
+    :cvar says: what the page shows, in words.
+    :cvar where: where other runs were heard, in words.
     :ivar orders: whether the page may give orders.
     """
 
@@ -63,23 +63,22 @@ class TeamConnection(Protocol):
     orders: bool
 
     def open(self, seen: Callable[[str, Any], None]) -> None:
-        """Begin to look.
+        """Start watching.
 
         :param seen: takes, on any thread, ``"fired"`` and a
-            :class:`~gspn_framework_package.visualizer.fired_follower.FiredMessage`; ``"activity"``,
-            the address of a robot and what it does; ``"room"`` and ``"world"`` with that of a
+            :class:`~gspn_framework_package.visualizer.fired_follower.FiredMessage`; ``"activity"``
+            with the address of a robot and what it does; ``"room"`` and ``"world"`` with data of a
             simulated world.
         """
 
     def find(self) -> Set[str]:
-        """The addresses of all robots known so far, of whatever run; have those that are new
-        report what they do.
+        """The addresses of all robots known so far, of any run; make new ones report what they do.
 
-        :raises UnreachableError: nobody can be found.
+        :raises UnreachableError: the search is not possible.
         """
 
     def line(self, seconds: float) -> RobotLine:
-        """A line on which answers take at most so long."""
+        """A line with this time limit for answers."""
 
     def label(self, address: str) -> str:
         """An address in words."""
@@ -88,19 +87,19 @@ class TeamConnection(Protocol):
         """Why no firing may be heard although the robots answer."""
 
     def report(self, text: str) -> None:
-        """Report to whoever runs the server, at most every few seconds."""
+        """Log a line for the operator of the server, at most every few seconds."""
 
     def report_departures(self, plan: Plan, run: str, found: Departures) -> None:
-        """Report once a second whether the run goes as predicted; on a thread of its own."""
+        """Report once a second, on a separate thread, whether the run matches the prediction."""
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop watching."""
 
 
 def ask_robot(
     line: RobotLine, address: str, robot: str, request: OperatorRequest, answers: Replies
 ) -> bool:
-    """Ask a robot, and have its answer put into a queue; return whether one may come.
+    """Ask a robot and put its answer into a queue; return whether one may come.
 
     :raises UnreachableError: see :class:`RobotLine`.
     """

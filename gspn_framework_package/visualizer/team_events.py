@@ -38,8 +38,8 @@ class TeamEvents:
     A transition counts as enabled here if the marking gives it concession: in a run the robots'
     actions take time, so priorities only matter among simultaneous requests.
 
-    :param game: the rules of the plan that the run began with.
-    :param plans: number -> plan that the team went on under; updated. The first one is number 0.
+    :param game: the rules of the run's initial plan.
+    :param plans: number -> plan that the team followed; updated. The first one is number 0.
     """
 
     def __init__(self, game: TokenGame, plans: Optional[Dict[int, Plan]] = None) -> None:
@@ -48,9 +48,9 @@ class TeamEvents:
         self.plans: Dict[int, Plan] = {} if plans is None else plans
         self.plans[0] = game.plan
         self._number = 0
-        """Of the plan that the team follows."""
+        """The rules of the plan that the team follows."""
         self._digest = ""
-        """Of the plan that the team adopted; "": it follows the first one."""
+        """Digest of the plan that the team adopted; "" if it follows its first plan."""
         self._enabled = EnabledSet(self.net, game.new_state().marking, by_priority=False)
         self._robots: Dict[str, Dict[str, Any]] = {}
         self._status: Dict[str, Any] = {}
@@ -59,7 +59,7 @@ class TeamEvents:
         """Robot, or "" for the team -> its data and tasks when they were last reported."""
 
     def board(self, running: bool, run: str = "") -> Board:
-        """The board before the run named ``run`` begins."""
+        """The board before the run ``run`` begins."""
         self._status = {
             "run": run,
             "running": running,
@@ -108,7 +108,7 @@ class TeamEvents:
         return events
 
     def status(self, **changes: Any) -> List[Event]:
-        """The event of a changed status; none if nothing changed."""
+        """The event for a changed status; none if nothing changed."""
         changed = {k: v for k, v in changes.items() if self._status.get(k) != v}
         self._status.update(changed)
         return [{"k": "status", "status": changed}] if changed else []
@@ -125,7 +125,7 @@ class TeamEvents:
         }
 
     def restore(self, data: Dict[str, Any], game: TokenGame) -> None:
-        """Continue from a state that :meth:`to_json` returned, by the rules that apply in it."""
+        """Continue from a state returned by :meth:`to_json`, under the rules that apply in it."""
         self._number, self._digest = data["number"], data["digest"]
         self.game, self.net = game, game.net
         self._enabled = EnabledSet(self.net, tuple(data["marking"]), by_priority=False)
@@ -136,9 +136,9 @@ class TeamEvents:
     # -- parts -------------------------------------------------------------------------------------
 
     def _other_plan(self, state: TeamState, marking: Marking) -> Event:
-        """The team goes on under another plan.
+        """The team follows another plan from here on.
 
-        :param marking: that of its net, before anything fired in it.
+        :param marking: the marking of its net before any firing.
         """
         old, game = self.game.plan, self._first.now(state)
         mapping = state.adopted.mapping if state.adopted is not None else {}
@@ -195,7 +195,7 @@ class TeamEvents:
             raw = (robot.data, robot.task, dict(robot.held), robot.resumed_from)
             if self._is_new(robot.name, raw):
                 told = displayed_robot(robot, self.net, brief=True)
-                # what a robot never had is not reported
+                # data that a robot never had is not reported
                 seen.update({k: v for k, v in told.items() if v or (shown and shown.get(k))})
             if shown is None:
                 changed.append(seen)
@@ -211,7 +211,7 @@ class TeamEvents:
         return [{"k": "robots", "r": changed, "gone": gone}] if changed or gone else []
 
     def _data_changed(self, state: TeamState) -> List[Event]:
-        # of unchanged values only the identity is compared
+        # unchanged values are recognised by identity
         raw = (state.data, list(state.queues.items()), state.submitted[:SHOWN_TASKS])
         if not self._is_new("", raw):
             return []
@@ -242,10 +242,10 @@ class TeamEvents:
         )
 
     def _stalled(self, state: TeamState) -> str:
-        """Why nothing more can happen without intervention; "" while something can."""
+        """Why nothing more can happen without intervention; "" if something can."""
         active = state.active()
         if not active and state.created and not self.game.plan.simulate_environment:
-            return "nobody is left"
+            return "no robot is left"
         waiting = [r for r in active if r.phase in (Phase.DONE, Phase.FAILED)]
         if state.paused or not waiting or any(r.phase is Phase.DOING for r in active):
             return ""
@@ -276,7 +276,7 @@ def _before(firing: Firing, net: Net) -> Marking:
 
 
 def _deed(entry: log_entries.Entry) -> str:
-    """A description of an entry that changes the marking by itself; "" for other entries."""
+    """A description of an entry that changes the marking directly; "" for other entries."""
     if isinstance(entry, log_entries.Start):
         return "start"
     if isinstance(entry, log_entries.Join):
@@ -286,5 +286,5 @@ def _deed(entry: log_entries.Entry) -> str:
     if isinstance(entry, log_entries.Evict):
         return "%s was lost" % entry.robot
     if isinstance(entry, log_entries.SetPlace):
-        return "%s was put into %s" % (entry.robot, entry.place)
+        return "%s was moved to %s" % (entry.robot, entry.place)
     return ""

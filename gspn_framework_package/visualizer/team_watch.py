@@ -1,8 +1,8 @@
-"""LIVE: a page that watches a team without being one of its robots.
+"""LIVE: watches a team without being one of its robots.
 
-One thread with one queue does the work. What comes from the network is only put into the queue. So
-does a second thread, which asks the team for its state, since an answer may take a while. How the
-team is reached, on ROS or over Zenoh, is for the :class:`TeamConnection` to know.
+One thread with one queue does the work. Network callbacks only put messages into the queue. A
+second thread asks the team for its state, since an answer may take a while, and also puts the
+answers into the queue. The :class:`TeamConnection` reaches the team, over ROS or Zenoh.
 """
 
 # In one piece: one thread owns the state that all of it reads and changes
@@ -69,10 +69,10 @@ SEARCH_EVERY = 2.0
 """Seconds between two searches for robots, and between two requests for the team's state."""
 
 SILENT_SCANS = 3
-"""Number of unanswered requests after which the run is considered over."""
+"""Number of unanswered requests after which the run is considered to be over."""
 
 UNPLACED = 500
-"""Largest number of firings that wait until it is known under which plan they happened."""
+"""Largest number of firings that wait until the plan they belong to is known."""
 
 UNHEARD = 3
 """Number of consecutive answers that show progress of the team without any received firing, after
@@ -86,8 +86,8 @@ class TeamWatch(Activity):
     plan and run shown are listed, followed and given orders, and every order names the run.
 
     :param plan: the plan, with its initial robots.
-    :param connection: how the team is reached.
-    :param run: the run to show; "" takes the first run of this plan that is heard.
+    :param connection: the connection to the team.
+    :param run: the run to show; "" takes the first run of this plan heard.
     """
 
     mode = "LIVE"
@@ -99,11 +99,11 @@ class TeamWatch(Activity):
         self._net: Net = plan.net
         self._hash = self._given = plan.hash()
         self._plans: Dict[int, Plan] = {}
-        """Number -> plan that the team went on under."""
+        """Number -> plan that the team followed."""
         self._stage = 0
-        """Number of the stage of the plan shown, 0 for the plan that was given."""
+        """Number of the stage of the plan shown; 0 for the initial plan."""
         self._unplaced: Deque[FiredMessage] = deque(maxlen=UNPLACED)
-        """Firings under a plan that is not known yet."""
+        """Firings under a plan that is unknown so far."""
         self._run = run
         self._queue: queue.SimpleQueue[Tuple[Any, ...]] = queue.SimpleQueue()
         self._known: Set[str] = set()
@@ -117,7 +117,7 @@ class TeamWatch(Activity):
         self._others: Set[Tuple[str, str]] = set()
         self._unread: Set[str] = set()
         self._ordered_until: Dict[str, float] = {}
-        """Robot -> time of the last order that was noted (seconds since 1970)."""
+        """Robot -> time of its last order shown as a note (seconds since 1970)."""
         self._early: Dict[str, Dict[str, Any]] = {}
         self._comparison: Optional[LiveComparison] = None
         self._stop = threading.Event()
@@ -167,7 +167,7 @@ class TeamWatch(Activity):
     ) -> DeployOutcome:
         """See :class:`Activity`."""
         if not self.commands:
-            raise RefusedError("the keys of this page give no orders")
+            raise RefusedError("the keys of this page do not permit orders")
         return self._orders.deploy(plan, mapping, tell)
 
     def plan_of(self, number: int) -> Optional[Plan]:
@@ -199,7 +199,7 @@ class TeamWatch(Activity):
         threading.Thread(target=self._ask_around, name="ask", daemon=True).start()
 
     def end(self) -> None:
-        """Look no more."""
+        """Stop watching."""
         self._stop.set()
         if self._comparison is not None:
             self._comparison.end()
@@ -232,7 +232,7 @@ class TeamWatch(Activity):
         if message.run == self._run and message.plan != self._hash:
             if not self._unplaced:
                 self._ask_now.set()
-            self._unplaced.append(message)  # until it is known what the team follows
+            self._unplaced.append(message)  # until the plan that the team follows is known
         elif self._is_shown(message.plan, message.run):
             self._heard = True
             self._hub.publish(*self._follower.take(message, time.monotonic()))
@@ -245,7 +245,7 @@ class TeamWatch(Activity):
         if (plan, run) not in self._others:
             self._others.add((plan, run))
             if run == self._run:
-                text = "run '%s' has another plan than this page was given"
+                text = "run '%s' has a plan other than the one given to this page"
             elif plan == self._hash:
                 text = "run '%s' {} has the same plan; it is not shown"
             else:
@@ -254,7 +254,8 @@ class TeamWatch(Activity):
         return False
 
     def _show_run(self, run: str) -> None:
-        """Show this run, since none was chosen, with the activity its robots published earlier."""
+        """Show this run, since none was chosen, including the activity that its robots published
+        earlier."""
         self._run = run
         self._set_status(run=run)
         early, self._early = self._early, {}
@@ -266,7 +267,7 @@ class TeamWatch(Activity):
         if activity["run"] == self._run and activity["plan"] != self._hash and self._run:
             self._ask_now.set()  # the team may follow another plan
             return
-        if not self._run:  # it may be left over from a run that has ended
+        if not self._run:  # it may remain from a run that has ended
             self._early[address] = activity
             return
         if not self._is_shown(str(activity["plan"]), str(activity["run"])):
@@ -280,7 +281,7 @@ class TeamWatch(Activity):
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
             name,
-            # a halted robot does not continue by itself either
+            # nor does a halted robot continue by itself
             phase=(Phase.FAILED if activity["needs_operator"] and not phase.gone else phase.logged),
             paused=phase is Phase.PAUSED,
             visit=activity.get("visit"),
@@ -296,7 +297,7 @@ class TeamWatch(Activity):
             self._feedback.forget(name)
 
     def _show_orders(self, name: str, orders: List[Dict[str, Any]]) -> None:
-        """Note the orders that a robot was given since it was first heard."""
+        """Show notes on the orders that a robot received since it was first heard."""
         newest = max((float(order["wall"]) for order in orders), default=0.0)
         known = self._ordered_until.setdefault(name, newest)
         for order in orders:
@@ -325,12 +326,12 @@ class TeamWatch(Activity):
         self._hub.set_latest("world", world)
 
     def _on_unreachable(self, why: str) -> None:
-        """Show why the team cannot be reached, or "" once it can be again."""
+        """Show why the team cannot be reached; "" once it can be reached again."""
         self._set_status(unreachable=why)
 
     def _on_obeyed(self, order: PageOrder) -> None:
-        """Handle an order that is in the team's log: ask soon for its effect. A stop is shown at
-        once: the robots leave, and there may be none left to ask."""
+        """Handle an order that is in the team's log: ask for its effect soon. A stop is shown at
+        once, since the robots leave and there may be none left to ask."""
         command, _, argument = order
         if command == "stop":
             self._set_status(running=False, ended=argument, stalled="")
@@ -339,7 +340,7 @@ class TeamWatch(Activity):
     # -- asking the team ---------------------------------------------------------------------------
 
     def _ask_around(self) -> None:
-        """Find the robots and ask them for the team's state, on the asking thread."""
+        """Find the robots and ask them for the team's state, on the second thread."""
         while not self._stop.is_set():
             lost_track = self._follower.lost_track
             self._ask_now.clear()
@@ -356,8 +357,8 @@ class TeamWatch(Activity):
             self._ask_now.wait(SEARCH_EVERY)
 
     def _ask_plan(self, heard: List[StatusAnswer]) -> Optional[DeployedPlan]:
-        """The plan that the team of the run shown went on under, if it is not the one shown; on the
-        asking thread."""
+        """The plan that the team of the run shown now follows, if it is not the one shown; on the
+        second thread."""
         others = [
             (address, status)
             for address, status in heard
@@ -379,9 +380,9 @@ class TeamWatch(Activity):
         return None
 
     def _follow(self, deployed: DeployedPlan, heard: List[StatusAnswer]) -> None:
-        """Show the run under the plan that its team went on under.
+        """Show the run under the plan that its team now follows.
 
-        :param heard: what robots answered; at least one of them follows the plan.
+        :param heard: the robots' answers; at least one robot follows the plan.
         """
         old, new = self._plan, deployed.plan
         self._plan, self._net, self._hash = new, new.net, new.hash()
@@ -405,8 +406,8 @@ class TeamWatch(Activity):
             self._comparison = self._comparison.go_on(new)
 
     def _is_elsewhere(self, status: Dict[str, Any]) -> bool:
-        """Whether a robot of the run shown follows another of its team's plans: its log, or the
-        page, is not that far yet."""
+        """Whether a robot of the run shown follows another of its team's plans, because its log or
+        the page lags behind."""
         ours = bool(self._stage) or status.get("began_with") == self._given
         return ours and status["run"] == self._run and status["plan"] != self._hash
 
@@ -425,7 +426,7 @@ class TeamWatch(Activity):
             self._follow(deployed, heard)
         unplaced = list(self._unplaced)
         if not any(self._is_elsewhere(status) for _, status in heard):
-            self._unplaced.clear()  # what remains came late, under an earlier plan
+            self._unplaced.clear()  # the rest arrived late and belongs to an earlier plan
         for message in unplaced:
             if message.plan == self._hash:
                 self._on_fired(message)
@@ -449,7 +450,7 @@ class TeamWatch(Activity):
         team, before = self._team_seen(newest, answers), self._before
         self._before = team
         self._note_deafness(team, before)
-        # Behind the previous answer, too: firings still in transit are not lost.
+        # Firings that are also behind the previous answer were lost, not merely in transit.
         behind = self._follower.is_behind(team) and (
             before is None or self._follower.is_behind(before)
         )
@@ -465,8 +466,8 @@ class TeamWatch(Activity):
         self._show_status(newest)
 
     def _show_members(self, team: TeamSeen) -> None:
-        """Show the robots that the team names, as many as there are, and nobody whom it does not
-        name and who says nothing."""
+        """Show the robots that the team names, and drop those that it does not name and that do not
+        report."""
         shown = self._hub.board().robots
         heard = set(self._names.values())
         known = {name: seen for name, seen in self._follower.robots.items() if name in heard}
@@ -481,7 +482,7 @@ class TeamWatch(Activity):
             self._hub.publish({"k": "robots", "r": [], "gone": nobody})
 
     def _compare_with_team(self, comparison: LiveComparison) -> None:
-        """Predict the run of the team that was heard, if it is not that of the plan."""
+        """Predict the run with the robots heard, if they are not those of the plan."""
         there = set(self._follower.robots) - self._follower.gone
         if there and there != {robot.name for robot in self._plan.robots}:
             self._comparison = comparison.go_on(self._plan)
@@ -497,8 +498,8 @@ class TeamWatch(Activity):
                 self._note(
                     "warning",
                     "",
-                    "the team moves, but no firing is heard%s: the page shows what robots answer "
-                    "every %g s" % (self._connection.why_unheard(), SEARCH_EVERY),
+                    "the team progresses, but no firing is received%s: the page shows what robots "
+                    "answer every %g s" % (self._connection.why_unheard(), SEARCH_EVERY),
                 )
         self._heard = False
 
@@ -509,12 +510,12 @@ class TeamWatch(Activity):
         addresses = sorted(self._known - strangers)
         if self._follower.full and self._before is not None and not self._silent:
             there = [n for n in sorted(names) if names[n] not in self._follower.gone] or addresses
-            self._turn += 1  # in turn: a dead robot would not answer
+            self._turn += 1  # in turn, since a dead robot would not answer
             return [there[self._turn % len(there)]] if there else []
         return addresses
 
     def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
-        """The robots' answers about the team, without those that come too late."""
+        """The robots' answers about the team, without late ones."""
         answers: Replies = queue.SimpleQueue()
         request = OperatorRequest("status", argument="brief", run=self._run)
         asked = [ask_robot(line, n, "", request, answers) for n in addresses]
@@ -523,7 +524,7 @@ class TeamWatch(Activity):
         try:
             for _ in range(sum(asked)):
                 address, answer = answers.get(timeout=max(0.0, give_up - time.monotonic()))
-                if answer is not None and answer.success:  # otherwise it is in another run
+                if answer is not None and answer.success:  # otherwise, it is in another run
                     found += self._read_answer(address, answer.message)
         except queue.Empty:
             pass
@@ -605,7 +606,7 @@ class TeamWatch(Activity):
             self._hub.publish(event)
 
     def _show_extras(self, told: Dict[str, Any]) -> None:
-        """Show the data, the task and the held events of a robot, as far as it has had any."""
+        """Show the data, task and held events of a robot, if it has had any."""
         shown = self._shown.get(told["robot"], {})
         known: List[str] = [k for k in ("data", "task", "held", "resumed_from") if k in told]
         new = {k: told[k] for k in known if told[k] or shown.get(k)}

@@ -1,4 +1,4 @@
-"""How the page reaches a team over Zenoh."""
+"""The page's connection to a team over Zenoh."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _LISTS = {"robots": str, "robot_places": str, "places": str, "counts": int}
 
 
 def read_fired(fields: Dict[str, Any]) -> Optional[FiredFields]:
-    """The firing in a JSON object from the network; None if it is none."""
+    """The firing in a JSON object from the network; None if it is not one."""
     single = all(type(fields.get(name)) is kind for name, kind in _TYPES.items())
     listed = single and all(
         isinstance(fields.get(name), list) and all(type(value) is kind for value in fields[name])
@@ -72,7 +72,7 @@ _ACTIVITY = {
 
 
 def is_activity(fields: Dict[str, Any]) -> bool:
-    """Whether a JSON object from the network says what a robot does."""
+    """Whether a JSON object from the network reports what a robot does."""
     return (
         all(isinstance(fields.get(name), kind) for name, kind in _ACTIVITY.items())
         and isinstance(fields.get("ended", 0), (str, type(None)))
@@ -85,7 +85,7 @@ class ZenohConnection:
     a robot's address is the beginning of its keys. Without keys, or with those of an operator, the
     page gives orders.
 
-    :param access: how to reach the team.
+    :param access: the access to the team.
     :param run: the run to watch; "" for all.
     :raises GspnError: there is no session with the team.
 
@@ -115,7 +115,7 @@ class ZenohConnection:
     def find(self) -> Set[str]:
         """See :class:`TeamConnection`."""
         if not self._watch.operator.connected:
-            raise UnreachableError("%s does not answer; it is tried again" % self._endpoints)
+            raise UnreachableError("%s does not answer; trying again" % self._endpoints)
         self._watch.ask_activity()
         with self._lock:
             return set(self._found)
@@ -154,7 +154,7 @@ class ZenohConnection:
 
     def _on_activity(self, robot: str, fields: Dict[str, Any]) -> None:
         if not is_activity(fields) or fields["robot"] != robot:
-            if set(fields) != {"run"}:  # a robot that has begun and done nothing yet
+            if set(fields) != {"run"}:  # a robot that has started but done nothing yet
                 self.report("the page: the activity of %s cannot be read" % robot)
             return
         address = key_of(fields["run"], robot)

@@ -261,7 +261,7 @@ def told_model(alarm):
     slow = [[at, count // 2] for at, count in points]
     return {
         "state": "watching",
-        "says": "1 alarm" if alarm else "the run goes as predicted",
+        "says": "1 alarm" if alarm else "the run matches the prediction",
         "seconds": 30.0,
         "streams": streams,
         "alarms": [alarm] if alarm else [],

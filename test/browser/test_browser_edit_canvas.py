@@ -158,7 +158,7 @@ def test_a_net_is_drawn_by_pointer(edit, picture):
             document.dispatchEvent(new ClipboardEvent("paste", { clipboardData: data })); }""",
             text,
         )
-        status(page, "The clipboard holds no part of a net.")
+        status(page, "The clipboard does not contain a part of a net.")
     assert net(page) == before
     while page.is_enabled("#ed-undo"):
         page.click("#ed-undo")
@@ -185,17 +185,17 @@ def test_a_net_is_drawn_by_keys_alone(edit, axe):
     assert arcs(page) == {("Home", "T1"), ("T1", "Bed")}
     # an arc: its end is chosen by arrow keys; an inhibitor arc, its end in the list
     key(page, "i", "a", "ArrowRight")
-    status(page, "An arc from t1 to Bed: Enter makes it.")
+    status(page, "An arc from t1 to Bed: press Enter to add it.")
     key(page, "ArrowRight", "Enter")
     page.click("#ed-list li[data-key='place:Bed']")
     key(page, "a")
     page.focus("#ed-list")
     key(page, "End")
-    status(page, "Choose a place or a transition.")
+    status(page, "Select a place or a transition.")
     page.fill("#ed-search", "t1")
     page.focus("#ed-list")
     key(page, "Home")
-    status(page, "An arc from Bed to t1: Enter makes it.")
+    status(page, "An arc from Bed to t1: press Enter to add it.")
     key(page, "Enter", "h", "+", "F2")
     page.keyboard.type("3")
     key(page, "Enter")
@@ -230,7 +230,7 @@ def test_a_net_is_drawn_by_keys_alone(edit, axe):
     page.wait_for_selector("#ed-witness", state="detached")
     assert page.evaluate("() => window.gspn.edit.canvas.counts") is None
     key(page, "?")
-    page.wait_for_selector("dialog[open]:has-text('choose the next node in that direction')")
+    page.wait_for_selector("dialog[open]:has-text('select the next node in that direction')")
 
 
 def touch(page, start, end):

@@ -255,7 +255,7 @@ def test_a_draft_is_kept_and_offered(open_editor, axe, folder):
     page = open_editor()
     before = (folder / "plan.json").read_text()
     edit(page, "Rename", [[["plan", "plan"], "drafted"]])
-    page.wait_for_selector("#ed-draft-state:has-text('Draft kept')")
+    page.wait_for_selector("#ed-draft-state:has-text('Draft stored')")
     page.context.close()
     assert (folder / "plan.json").read_text() == before
     page = open_editor()

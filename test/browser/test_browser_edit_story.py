@@ -166,7 +166,7 @@ def complete(editor):
         editor.choose("place:" + place)
         editor.tab("properties")
         editor.press("plan.actions.%s add" % place)
-        editor.select("plan.actions.%s.kind" % place, label="a function of the plan's folder")
+        editor.select("plan.actions.%s.kind" % place, label="a function in the plan's folder")
         editor.enter("plan.actions.%s.function" % place, action)
     editor.choose("place:Look")
     editor.tab("properties")

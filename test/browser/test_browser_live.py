@@ -236,7 +236,7 @@ def test_the_age_of_the_last_event_is_reported_and_the_end_of_all_events(told, o
         {"k": "status", "status": {"running": False, "ended": None}}, {"k": "robots", "r": silent}
     )
     page.wait_for_selector(
-        "body[data-stale] #frame-name:has-text('no robot of the team has been heard yet')"
+        "body[data-stale] #frame-name:has-text('no robot of the team has been heard from yet')"
     )
     page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('not heard yet')")
     assert page.inner_text(".robot-card[data-robot='robot_1'] .since") == ""

@@ -101,7 +101,7 @@ def test_a_policy_is_computed_shown_and_saved(shop, open_page, axe, picture):
     page.click("#legend button")
     assert page.evaluate(MARKS) == {}
     page.click("#op-follow")
-    page.wait_for_selector("#legend:has-text('The marking on display')")
+    page.wait_for_selector("#legend:has-text('The marking shown')")
     assert page.evaluate(MARKS) == painted
     page.click("#step")
     settle(page, 1)

@@ -1,8 +1,8 @@
 """Writing the files of a plan: all of them or none.
 
-New contents are first written beside the old files and flushed to the disk; then they take their
-names. Where there are several, a journal lists them meanwhile: if the server dies between two of
-them, :func:`recover` gives the rest their names when the plan is next opened.
+New contents are first written next to the old files and flushed to the disk, then renamed. If there
+are several, a journal lists them meanwhile: if the server dies between two renames, :func:`recover`
+completes the rest when the plan is next opened.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PART = ".gspn-part"
 
 
 class _File(NamedTuple):
-    """A file that is being replaced: its path, the path of its new content, and hashes."""
+    """A file being replaced: its path, the path of its new content, and hashes."""
 
     path: str
     temporary: str
@@ -40,8 +40,8 @@ def write_all(folder: Folder, place: str, contents: Mapping[str, bytes]) -> None
     """Replace files by new contents, all or none.
 
     :param place: the folder of the plan.
-    :param contents: absolute path -> content; the files exist, or their folders do.
-    :raises InputError: they cannot be written; then none of them has changed.
+    :param contents: absolute path -> content; each file or its folder must exist.
+    :raises InputError: they cannot be written; in this case, none has changed.
     """
     files: List[_File] = []
     old: Dict[str, Optional[bytes]] = {}
@@ -73,12 +73,12 @@ def write_all(folder: Folder, place: str, contents: Mapping[str, bytes]) -> None
 
 
 def recover(folder: Folder, place: str) -> None:
-    """Finish what a server that died had begun to save in a folder."""
+    """Finish the saving in a folder that a server began before it died."""
     journal = os.path.join(place, JOURNAL)
     if not os.path.lexists(journal):
         return
     files = _read_journal(folder, place, journal)
-    # somebody may have changed the files since: then what is there stays
+    # files changed by somebody since then are kept
     if all(_hash_of(file.path) in (file.before, file.after) for file in files):
         for file in files:
             if _hash_of(file.temporary) == file.after:
@@ -88,7 +88,7 @@ def recover(folder: Folder, place: str) -> None:
 
 
 def _write_beside(path: str, data: bytes) -> str:
-    """Write a file in the folder of another, with its permissions, down to the disk."""
+    """Write a file in the folder of another, with its permissions, and flush it to the disk."""
     directory, name = os.path.split(path)
     temporary = os.path.join(directory, ".%s.%s%s" % (name[:100], secrets.token_hex(6), _PART))
     mode = 0o666
@@ -129,7 +129,7 @@ def _write_journal(place: str, files: List[_File]) -> None:
 
 
 def _read_journal(folder: Folder, place: str, journal: str) -> List[_File]:
-    """The files of a journal that are in the served folder; what is no journal names none."""
+    """The files of a journal that are in the served folder; none if it is not a valid journal."""
     found: List[_File] = []
     try:
         if os.path.islink(journal):
@@ -192,5 +192,5 @@ def _cannot(folder: Folder, path: str, error: OSError) -> InputError:
     return InputError(
         "cannot write it: %s; nothing was changed" % (error.strerror or error),
         file=folder.inside(path) or os.path.basename(path),
-        hint="the page keeps your changes: make room or save it as another plan",
+        hint="the page keeps your changes: free some space or save it as another plan",
     )

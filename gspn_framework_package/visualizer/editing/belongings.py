@@ -1,4 +1,4 @@
-"""The files that a plan needs beside its own: functions, and subnets with their nets."""
+"""The files that a plan needs in addition to its own: functions, and subnets with their nets."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from gspn_framework_package.model.errors import GspnError, LimitError
 from gspn_framework_package.visualizer.documents import Folder
 
 MOST_BELONGINGS, MOST_BELONGING_BYTES = 300, 20_000_000
-"""The most files, and the most bytes in all, that are copied with a plan."""
+"""Largest number of files and of bytes copied with a plan."""
 
 
 class Belongings:
     """The files that belong to a plan.
 
-    :param plan_file: where the plan is, or the net that becomes one.
+    :param plan_file: the plan's file, or that of the net that becomes one.
     :param plan: the object of the plan.
     """
 
@@ -29,7 +29,7 @@ class Belongings:
         self._plan_file = plan_file
 
     def contents(self) -> Dict[str, bytes]:
-        """Path relative to the plan -> content: all Python files of its folder, those of packages
+        """Path relative to the plan -> content: all Python files in its folder and in packages
         whose functions it uses, and its subnets.
 
         :raises LimitError: there are too many.
@@ -48,7 +48,7 @@ class Belongings:
             return []
 
     def _follow(self, plan: JsonObject, inside: str, depth: int) -> None:
-        """Take what a plan uses, which is in the folder ``inside`` of the outer one."""
+        """Collect the files that a plan uses; it is in the folder ``inside`` of the outer one."""
         for text in _texts(plan):
             package = os.path.join(inside, text.split(".")[0])
             if "." in text and os.path.isdir(os.path.join(self._place, package)):

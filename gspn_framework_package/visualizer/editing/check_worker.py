@@ -1,10 +1,10 @@
 """The process that reads and checks edited documents: a request on each line of stdin, an answer
 on each line of stdout, all JSON. The arguments are the modules that plans may use.
 
-A request is ``{"id", "what", "document", "path", ...}``; ``{"cancel": id}`` asks to give one up.
+A request is ``{"id", "what", "document", "path", ...}``; ``{"cancel": id}`` cancels one.
 An answer is ``{"id", "answer"}``, ``{"id", "cancelled"}`` or ``{"id", "error"}``; the first line is
-``{"ready": true}``. The process ends when its stdin does, which is when the server ends, however
-that happened.
+``{"ready": true}``. The process ends when its stdin closes, that is, when the server is stopping
+for whatever reason.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class CheckingProcess:
         self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
         self._cancelled: Set[int] = set()
         self._out = os.fdopen(os.dup(1), "w", encoding="utf-8")
-        os.dup2(2, 1)  # whatever else prints must not come between the answers
+        os.dup2(2, 1)  # anything else that prints must not get between the answers
 
     def run(self) -> None:
         """Answer until stdin ends."""
@@ -76,17 +76,17 @@ class CheckingProcess:
 
         try:
             if cancel():
-                raise CancelledError("a newer request has come")
+                raise CancelledError("a newer request has arrived")
             return {"answer": _WHAT[request["what"]](request, cancel)}
         except CancelledError:
             return {"cancelled": True}
         except GspnError as error:
             return {"error": str(error)}
         except MemoryError:
-            return {"error": "it takes more than %d GB of memory" % (CHECK_MEMORY >> 30)}
+            return {"error": "it needs more than %d GB of memory" % (CHECK_MEMORY >> 30)}
         except Exception as error:
             traceback.print_exc()
-            return {"error": "a fault of this program: %s" % type(error).__name__}
+            return {"error": "internal error: %s" % type(error).__name__}
 
 
 def _check(request: _Request, cancel: Any) -> Dict[str, Any]:
@@ -104,8 +104,8 @@ def _choices(request: _Request, cancel: Any) -> Dict[str, Any]:
 
 
 def _against_running(request: _Request, cancel: Any) -> Dict[str, Any]:
-    """What differs between the plan that runs and the document, both with their subnets in
-    place."""
+    """The differences between the running plan and the document, both with their subnets
+    expanded."""
     plan = plan_of_document(*_document(request))
     running = plan_from_json(request["running"])
     old, new = (document_from_json(plan_to_json(each)) for each in (running, plan))
@@ -121,8 +121,8 @@ _WHAT = {"check": _check, "choices": _choices, "running": _against_running}
 
 
 def _import_ros() -> Optional[str]:
-    """Import what the check needs of ROS now rather than during the first check, if there is
-    ROS."""
+    """Import the check's ROS modules now rather than during the first check, if ROS is
+    installed."""
     with contextlib.suppress(ImportError):
         from gspn_framework_package.ros import action_kinds, event_sources
 

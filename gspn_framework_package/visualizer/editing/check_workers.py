@@ -1,8 +1,8 @@
 """The warm processes that check edited documents for one server.
 
-They have imported all they need, so that an answer takes as long as the check itself. For each
-document the newest request counts: an older one is cancelled and answered at once. A process that
-does not let itself be cancelled, or takes too long, is killed, and another takes its place.
+They have imported everything they need, so an answer takes only as long as the check itself. A new
+request for a document cancels the previous one, which is answered at once. A process that does not
+react to a cancellation or takes too long is killed and replaced.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.visualizer.analysis_jobs import kill, worker_environment
 
 WORKERS = 2
-"""How many documents are checked at once. While only one is, the other process is a spare."""
+"""How many documents are checked at once. While only one is, the other process is on standby."""
 
 WORKER_PATIENCE = 1.0
-"""Seconds after which a process that does not let itself be cancelled is killed."""
+"""Seconds after which a process that does not react to a cancellation is killed."""
 
 START = 60.0
 """Seconds that a process has to start, on a busy machine."""
@@ -42,7 +42,7 @@ class _Request:
 
 
 class _Worker:
-    """A process; the lock of its pool guards it."""
+    """A process, guarded by the lock of its pool."""
 
     def __init__(self) -> None:
         self.process = subprocess.Popen(
@@ -56,7 +56,7 @@ class _Worker:
         """When its request was cancelled."""
 
     def say(self, message: Dict[str, Any]) -> bool:
-        """Send it a message; return whether that was possible."""
+        """Send it a message; return whether it was sent."""
         assert self.process.stdin is not None
         try:
             self.process.stdin.write(json.dumps(message).encode() + b"\n")
@@ -87,9 +87,9 @@ class CheckWorkers:
                 ).start()
 
     def ask(self, key: str, what: str, seconds: float, **fields: Any) -> _Answer:
-        """Have a request answered.
+        """Get the answer to a request.
 
-        :param key: what it is about: a newer request with the same key cancels this one.
+        :param key: the subject: a newer request with the same key cancels this one.
         :param what: check, choices or running.
         :param seconds: how long it may take.
         :param fields: further fields of the request.
@@ -181,7 +181,7 @@ class CheckWorkers:
         process.wait()
         with self._news:
             self._kill(worker)
-        with contextlib.suppress(OSError):  # something was left to be written
+        with contextlib.suppress(OSError):  # some input had not been written
             process.stdin.close()
 
     def close(self) -> None:

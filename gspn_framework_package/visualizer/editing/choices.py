@@ -1,4 +1,4 @@
-"""What would happen at a marking of an edited plan: which row of the policy applies to the robots
+"""What would happen in a marking of an edited plan: which row of the policy applies to the robots
 of each place, which transitions they would choose with which probability, and why."""
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from gspn_framework_package.model.plan import Plan
 
 
 def choices(document: EditedDocument, path: str, root: str, marking: Any) -> Dict[str, Any]:
-    """Say what would happen at a marking.
+    """Report what would happen in a marking.
 
     :param path: its plan file.
     :param root: the served folder, which its subnets may not leave.
-    :param marking: place -> tokens; places that are not named have none. A subnet's place stands
+    :param marking: place -> tokens; missing places have none. A subnet's place stands
         for its entry.
     :returns: ``places``: for each place with robots the ``row`` that applies (from 1, or null),
         the ``transitions`` with their probabilities, and ``why`` in words; ``enabled``: the names
@@ -44,7 +44,7 @@ def choices(document: EditedDocument, path: str, root: str, marking: Any) -> Dic
 
 def _marking(plan: Plan, given: Any) -> Marking:
     if not isinstance(given, Mapping):
-        raise InputError("a marking is an object: place -> tokens", element="marking")
+        raise InputError("a marking must be an object: place -> tokens", element="marking")
     counts = dict.fromkeys((p.name for p in plan.net.places), 0)
     for name, count in given.items():
         subnet = plan.subnets.get(name)
@@ -58,7 +58,7 @@ def _marking(plan: Plan, given: Any) -> Marking:
 
 
 def _place(plan: Plan, rules: PlanRules, full: Marking, here: Marking, p: int) -> Dict[str, Any]:
-    """What a robot in place ``p`` of the rules' net does once its action is over."""
+    """Describe what a robot in place ``p`` of the rules' net does once its action is over."""
     net, name = plan.net, rules.net.places[p].name
     place = net.place_number(name)
     table = plan.policy.bind(net)
@@ -97,7 +97,7 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
     if not net.consumers[place]:
         return "no transition leaves this place: a robot stays here"
     if not leaving:
-        return "only timed transitions leave: the action's result, or an event, says which one"
+        return "only timed transitions leave: the action's result or an event selects one"
     found = table.distribution(full, place)
     if found is not None and not found.choices:
         return "row %d of the policy applies: robots wait here" % (found.row + 1)
@@ -105,7 +105,7 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
         others = _others(plan, full, place, leaving, found.row)
         return "row %d of the policy applies%s" % (found.row + 1, others)
     if table.matches(full, place):
-        return "rows of the policy match, but none speaks of this place: robots wait here"
+        return "rows of the policy match, but none applies to this place: robots wait here"
     if plan.strict:
         return "no row of the policy matches and the plan is strict: robots wait here"
     if not any(net.transitions[t].weight for t in leaving if net.is_enabled(full, t)):
@@ -120,7 +120,8 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
 
 
 def _others(plan: Plan, full: Marking, place: int, leaving: Sequence[int], row: int) -> str:
-    """Say which other rows match too and apply to the place, and that this one goes first."""
+    """Name the other rows that match and apply to the place, and over which this row takes
+    precedence."""
     columns = [plan.net.place_number(p) for p in plan.policy.places]
     chosen = {plan.net.transitions[t].name for t in leaving}
     also: List[int] = []
@@ -133,7 +134,7 @@ def _others(plan: Plan, full: Marking, place: int, leaving: Sequence[int], row: 
     if not also:
         return ""
     listed = ", ".join(map(str, also[:8])) + (", ..." if len(also) > 8 else "")
-    return "; it goes before row%s %s, which also match%s" % (
+    return "; it takes precedence over row%s %s, which also match%s" % (
         "" if len(also) == 1 else "s",
         listed,
         "es" if len(also) == 1 else "",

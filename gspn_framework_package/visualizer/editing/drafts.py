@@ -19,7 +19,7 @@ DRAFTS = ".gspn_drafts"
 """The folder of the drafts, in the served folder."""
 
 MOST_DRAFTS = 200
-"""How many drafts are kept."""
+"""Largest number of drafts."""
 
 LARGEST_DRAFT = 16_000_000
 """Largest draft, in bytes."""
@@ -33,18 +33,18 @@ class Drafts:
         self._place = os.path.join(folder.root, DRAFTS)
 
     def keep(self, path: str, etag: str, document: JsonObject) -> None:
-        """Keep a draft in the place of an earlier one.
+        """Store a draft, replacing an earlier one.
 
         :param path: the file that is edited.
         :param etag: the hash of its files when it was opened.
-        :raises GspnError: it cannot be kept.
+        :raises GspnError: it cannot be stored.
         """
         draft = {"path": path, "etag": etag, "saved_at": time.time(), "document": document}
         data = json.dumps(draft, ensure_ascii=False, allow_nan=False).encode()
         if len(data) > LARGEST_DRAFT:
-            raise InputError("it is too large for a draft: save it")
+            raise InputError("the plan is too large for a draft: save it")
         if os.path.islink(self._place):
-            raise RefusedError("%s is a link: no drafts are kept there" % DRAFTS)
+            raise RefusedError("%s is a link: drafts are not stored there" % DRAFTS)
         file = self._file(path)
         try:
             os.makedirs(self._place, mode=0o700, exist_ok=True)
@@ -52,7 +52,7 @@ class Drafts:
                 self._make_room()
         except OSError as error:
             raise InputError(
-                "no draft can be kept: %s" % error.strerror,
+                "the draft cannot be stored: %s" % error.strerror,
                 file=DRAFTS,
                 hint="save the plan, or download it, before you leave the page",
             ) from None
@@ -61,7 +61,7 @@ class Drafts:
         write_all(self._folder, self._place, {file: data})
 
     def _make_room(self) -> None:
-        """Forget the drafts of files that are gone. :raises RefusedError: there are none."""
+        """Delete the drafts of files that no longer exist. :raises RefusedError: there are none."""
         for name in os.listdir(self._place):
             draft = self._read(os.path.join(self._place, name))
             if draft is None or not os.path.exists(
@@ -71,12 +71,12 @@ class Drafts:
                     os.unlink(os.path.join(self._place, name))
         if len(os.listdir(self._place)) >= MOST_DRAFTS:
             raise RefusedError(
-                "%d drafts are kept already" % MOST_DRAFTS,
+                "there are %d drafts already" % MOST_DRAFTS,
                 hint="save some, or delete some in %s" % DRAFTS,
             )
 
     def of(self, path: str, etag: str) -> Optional[Dict[str, Any]]:
-        """The draft of a file: ``document``, the ``etag`` that it was made on, when it was
+        """The draft of a file: ``document``, the ``etag`` of the files it was based on, when it was
         ``saved_at`` (s since 1970), and whether the files have changed since (``outdated``)."""
         draft = self._read(self._file(path))
         if draft is None or draft.get("path") != path:
@@ -94,7 +94,7 @@ class Drafts:
         return os.path.join(self._place, digest[:32] + ".json")
 
     def _read(self, file: str) -> Optional[Dict[str, Any]]:
-        """The content of a draft; None if there is none that can be read."""
+        """The content of a draft; None if it is missing or cannot be read."""
         try:
             if os.path.islink(self._place) or os.path.islink(file) or not os.path.isfile(file):
                 return None

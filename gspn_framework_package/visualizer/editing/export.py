@@ -1,4 +1,4 @@
-"""Exports: the plan folder as a zip archive, its net in any format that is written, a picture."""
+"""Exports: the plan folder as a zip archive, its net in any supported format, or a picture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PICTURE_TIME = 30.0
 
 
 class Export(NamedTuple):
-    """A file for the browser, and notes on what it does not say."""
+    """A file for the browser, and notes on what its format cannot express."""
 
     name: str
     mimetype: str
@@ -36,7 +36,7 @@ def exported(workshop: Workshop, path: str, document: object, format: object) ->
     new = document_in(document)
     known = ["zip", "svg", *FORMATS]
     if not isinstance(format, str) or format not in known:
-        raise UsageError("there is no such format", hint="there are %s" % ", ".join(known))
+        raise UsageError("there is no such format", hint="the formats are %s" % ", ".join(known))
     name = re.sub(r"[^A-Za-z0-9_.+-]", "_", str(new["plan"].get("plan") or "plan"))[:80]
     if format == "zip":
         contents = workshop.everything_of(path, document)

@@ -1,6 +1,6 @@
 """What is wrong with an edited document, and where: the check of a plan for people who draw it.
 
-A document may be half-drawn. Then every fault that can be found is reported, each at its element.
+A document may be unfinished; every fault that can be found is reported at its element.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ FAULTS = 12
 """The most faults reported at once for a document that is not a plan yet."""
 
 STATES_AT_LAST = 50
-"""Markings visited after a timeout, for the report of what was not decided."""
+"""Markings visited after a timeout, to report what was not decided."""
 
 LEVELS = {Severity.REFUSED: "error", Severity.WARNING: "warning", Severity.OK: "note"}
 
 _Element = Dict[str, str]
-"""``{"kind": place, transition, arc, row, robot or "", "name": ...}``: an arc is FROM>TO, a row
-its number."""
+"""``{"kind": place, transition, arc, row, robot or "", "name": ...}``: an arc's name is FROM>TO, a
+row's its number."""
 
 
 def findings(
@@ -63,12 +63,12 @@ def findings(
 
     :param path: its plan file, which need not exist.
     :param root: the served folder, which its subnets may not leave.
-    :param cancel: called at intervals; returns whether the answer is not wanted any more.
-    :param limit: most markings to visit.
-    :param seconds: how long to visit markings.
+    :param cancel: called at intervals; returns whether the answer is no longer needed.
+    :param limit: largest number of markings to visit.
+    :param seconds: time limit for visiting markings.
     :param standalone: the tokens are agents, not robots.
-    :returns: ``findings``, whether it is ``valid`` (no errors) and all is ``decided``, its
-        ``doubts`` (see :class:`PreflightReport`), and how many ``states`` were visited.
+    :returns: ``findings``, whether it is ``valid`` (no errors) whether everything is ``decided``,
+        its ``doubts`` (see :class:`PreflightReport`), and how many ``states`` were visited.
     :raises CancelledError: ``cancel`` returned true.
     """
     nodes = DocumentNodes(document)
@@ -82,7 +82,7 @@ def findings(
 
     def over() -> bool:
         if cancel():
-            raise CancelledError("a newer check has been asked for")
+            raise CancelledError("a newer check was requested")
         return time.monotonic() > end
 
     try:
@@ -107,7 +107,7 @@ def findings(
 
 
 def _with_actions(plan: Any) -> Any:
-    """The plan of a new document has no actions yet: each place without one is reported instead."""
+    """The plan of a new document has no actions yet: report each place without one instead."""
     return {**plan, "actions": plan.get("actions", {})} if isinstance(plan, dict) else plan
 
 
@@ -132,7 +132,7 @@ def _finding(
 
 
 class DocumentNodes:
-    """The nodes of a document by name, as far as it has any."""
+    """The nodes of a document by name, as far as they have valid names."""
 
     def __init__(self, document: EditedDocument) -> None:
         net = document.get("net")
@@ -158,7 +158,7 @@ class DocumentNodes:
         return {"kind": kind if outer == name and kind else self.kinds[outer], "name": outer}
 
     def all_of(self, names: Iterable[Any], kind: str = "") -> List[_Element]:
-        """The elements of several nodes, each once; names of nothing are left out."""
+        """The elements of several nodes, each once; unknown names are ignored."""
         found: List[_Element] = []
         for name in names:
             element = self.of(str(name), kind)
@@ -171,7 +171,7 @@ class DocumentNodes:
         return {str(arc.get(key)) for arc in self.lists["arc"] for key in ("from", "to")}
 
     def named_in(self, text: str) -> List[_Element]:
-        """The nodes that a text names in quotes."""
+        """The nodes named in quotes in a text."""
         return self.all_of(re.findall(r"'([^']*)'", text))
 
     def numbered(self, kind: str, number: str) -> Optional[_Element]:
@@ -187,12 +187,13 @@ class DocumentNodes:
         return {"kind": kind, "name": str(found.get("name"))}
 
 
-# -- documents that are no plan yet ----------------------------------------------------------------
+# -- documents that are not plans yet
+# ----------------------------------------------------------------
 
 
 class _Place(NamedTuple):
-    """Where an error is: its ``elements``, and the ``path`` of what to leave out of the document to
-    find further errors; None if that is not known."""
+    """Where an error is: its ``elements``, and the ``path`` of the part to leave out of the
+    document to find further errors; None if unknown."""
 
     elements: List[_Element]
     path: Optional[Tuple[Any, ...]]
@@ -201,13 +202,13 @@ class _Place(NamedTuple):
 def _faults(
     document: EditedDocument, path: str, root: str, cancel: Callable[[], bool]
 ) -> Iterable[Dict[str, Any]]:
-    """The faults of a document that is not a valid plan: one, and those that are left without the
-    element that has it, and so on."""
+    """The faults of a document that is not a valid plan, found one by one: after each, the faulty
+    element is left out and the rest is read again."""
     document = copy.deepcopy(document)
     told: List[str] = []
     for _ in range(FAULTS):
         if cancel():
-            raise CancelledError("a newer check has been asked for")
+            raise CancelledError("a newer check was requested")
         try:
             plan_of_document(document, path, root)
             return
@@ -292,7 +293,7 @@ def _inside(key: str, rest: str, nodes: DocumentNodes) -> _Place:
 
 
 def _of_subnet(file: str, plan: Mapping[str, Any], folder: str, nodes: DocumentNodes) -> _Place:
-    """Where the plans of a file are used as subnets."""
+    """The places where the plan of a file is used as a subnet."""
     actions = plan.get("actions")
     users = [
         place
@@ -315,15 +316,15 @@ def _of_robots(rest: str, robots: Any) -> _Place:
 
 
 def _longest(rest: str, members: Any) -> str:
-    """The member of an object with which a path begins; a key may have dots."""
+    """The member of an object that a path begins with; keys may contain dots."""
     keys = members if isinstance(members, Mapping) else {}
     fitting = [k for k in keys if rest == k or rest.startswith((k + ".", k + ":"))]
     return max(fitting, key=len, default="")
 
 
 def _leave_out(document: Any, path: Tuple[Any, ...]) -> bool:
-    """Leave the element at ``path`` out of a document; of a node, all but its name, so that nothing
-    else seems to be wrong. Return whether there was one."""
+    """Remove the element at ``path`` from a document; of a node, keep the name so that no
+    references break. Return whether the element existed."""
     inside = document
     for step in path[:-1]:
         inside = inside.get(step) if isinstance(inside, dict) else None
@@ -343,7 +344,7 @@ def _leave_out(document: Any, path: Tuple[Any, ...]) -> bool:
 
 
 def _bare(node: Any) -> Optional[Dict[str, str]]:
-    """A node with its name only; None if it has no proper one."""
+    """A node reduced to its name; None if it has no valid one."""
     name = node.get("name") if isinstance(node, dict) else None
     return {"name": name} if isinstance(name, str) and name else None
 
@@ -352,7 +353,7 @@ def _bare(node: Any) -> Optional[Dict[str, str]]:
 
 
 def _loose(nodes: DocumentNodes) -> Iterable[Dict[str, Any]]:
-    """What one can see to be unfinished: nodes without any arc."""
+    """Visibly unfinished parts: nodes without any arc."""
     ends = nodes.ends()
     loose = [
         node["name"]
@@ -362,7 +363,9 @@ def _loose(nodes: DocumentNodes) -> Iterable[Dict[str, Any]]:
     ]
     if loose and len(nodes.kinds) > 1:
         many = ", ... (%d in all)" % len(loose) if len(loose) > 10 else ""
-        forgotten = len(loose) < len(nodes.kinds) / 2  # of more, the arcs are yet to be drawn
+        forgotten = (
+            len(loose) < len(nodes.kinds) / 2
+        )  # with more such nodes, the arcs have yet to be drawn
         yield _finding(
             "warning" if forgotten else "note",
             "no arc: %s%s" % (", ".join(loose[:10]), many),
@@ -373,8 +376,8 @@ def _loose(nodes: DocumentNodes) -> Iterable[Dict[str, Any]]:
 def _as_far_as_drawn(
     findings: Iterable[Dict[str, Any]], plan: Plan, nodes: DocumentNodes
 ) -> Iterable[Dict[str, Any]]:
-    """Findings without what nobody can judge yet: the action of a place that no arc leads to or
-    from, and what can fire in a net without a token."""
+    """The findings, without those that cannot be judged yet: on the action of a place without arcs,
+    and on what can fire in a net without tokens."""
     ends, empty = nodes.ends(), not plan.robots and not any(p.tokens for p in plan.net.places)
     for found in findings:
         if found["check"] == "actions" and found["elements"]:
@@ -432,7 +435,7 @@ def _elements(item: CheckItem, nodes: DocumentNodes) -> List[_Element]:
 
 
 class _Player:
-    """Plays firing sequences in the net of a plan, whose subnets and lost robots it knows."""
+    """Plays firing sequences in the net of a plan, including subnets and lost robots."""
 
     def __init__(self, plan: Plan, nodes: DocumentNodes) -> None:
         self._plan, self._nodes = plan, nodes

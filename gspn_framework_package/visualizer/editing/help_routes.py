@@ -1,5 +1,5 @@
-"""The routes of the editor that help: check, difference, layout, "what would happen here?", and the
-palette. They change nothing."""
+"""The read-only routes of the editor: check, difference, layout, "what would happen here?", and the
+palette."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gspn_framework_package.visualizer.layout import lay_out
 from gspn_framework_package.visualizer.project import Project, path_of_key
 
 QUICK_STATES = 6_000
-"""Markings that the first check after an edit visits; the full one visits as many as ``gspn
+"""Markings visited by the first check after an edit; the full check visits as many as ``gspn
 check``."""
 
 QUICK_SECONDS = 2.0
@@ -37,7 +37,7 @@ def add_help_routes(app: flask.Flask, project: Project, body: RequestBody, answe
     """Add the routes to the application of a project with a folder, in which plans are edited.
 
     :param body: returns the JSON object in the body of the request.
-    :param answer: makes the answer of a JSON object.
+    :param answer: makes the response with a JSON object.
     """
     assert project.folder is not None
     folder = project.folder
@@ -105,7 +105,7 @@ def add_help_routes(app: flask.Flask, project: Project, body: RequestBody, answe
 
     @app.route("/api/edit/palette")
     def palette_of_plan() -> Response:
-        workers.warm()  # whoever asks for this is about to edit
+        workers.warm()  # this request comes before editing
         return answer(palette(folder, path_in(folder, key())))
 
     @app.route("/api/edit/fields")
@@ -119,12 +119,12 @@ def _running(project: Project, key: str) -> Dict[str, Any]:
     session = project.session(key)
     plan = session.document_at(session.hub.board().plan).plan
     if plan is None:
-        raise InputError("what runs there is not a plan")
+        raise InputError("the run is not one of a plan")
     return plan_to_json(plan)
 
 
 def _answered(found: Dict[str, Any]) -> Dict[str, Any]:
-    """What a worker has answered. :raises RefusedError: it could not."""
+    """A worker's answer. :raises RefusedError: it could not answer."""
     if "error" in found:
         raise RefusedError(found["error"])
     if "answer" in found:
@@ -154,7 +154,7 @@ def _layout(net: Net, laying_out: threading.Lock) -> Dict[str, Any]:
 def path_in(folder: Folder, key: str) -> str:
     """The path of the file of a session, relative to the served folder.
 
-    :raises GspnError: the session is not one of a file there.
+    :raises GspnError: the session does not show a file of that folder.
     """
     return folder.name(path_of_key(key))
 
@@ -167,7 +167,8 @@ def _document(fields: Mapping[str, Any], key: str) -> Dict[str, Any]:
 
 
 def _drawable(document: Mapping[str, Any]) -> Net:
-    """The nodes and arcs of a document that may be half-drawn: what cannot be drawn is left out."""
+    """The nodes and arcs of a document that may be unfinished, without those that cannot be
+    drawn."""
     net = document["net"]
 
     def listed(key: str) -> Any:

@@ -16,15 +16,15 @@ from gspn_framework_package.visualizer.documents import Folder, check_size
 from gspn_framework_package.visualizer.layout import NEAREST, below, lay_out, nearest_distance
 
 TRIES = 5
-"""How often files are read that change while they are being read."""
+"""Number of attempts to read files that change meanwhile."""
 
 
 class Opened(NamedTuple):
     """A plan or net that is open for editing.
 
     :ivar path: its file, relative to the served folder.
-    :ivar parts: what the files say.
-    :ivar document: what is edited: ``plan``, ``net`` with a position for each node, ``policy``.
+    :ivar parts: the contents of the files.
+    :ivar document: the edited parts: ``plan``, ``net`` with a position for each node, ``policy``.
     :ivar etag: a hash of all its files.
     :ivar laid_out: whether the positions are those of a layout, not of the file.
     :ivar scale: factor from the positions to those of the page, whose symbols have a fixed size.
@@ -38,7 +38,7 @@ class Opened(NamedTuple):
     scale: float
 
     def files_to_json(self) -> Dict[str, Optional[str]]:
-        """Name of the file of each part, beside the plan; None: it has none of its own."""
+        """File name of each part, next to the plan; None: no file of its own."""
         parts = self.parts
         folder = os.path.dirname(parts.plan_file or parts.net_file)
         return {
@@ -66,7 +66,7 @@ def open_document(folder: Folder, path: str) -> Opened:
         again = read_parts(whole, folder.root)
         if again == parts and etag_of(folder, parts.files) == etag:
             return _opened(name, parts, etag)
-    raise InputError("it changes all the time", file=name, hint="try again")
+    raise InputError("it keeps changing", file=name, hint="try again")
 
 
 def _opened(name: str, parts: PlanParts, etag: str) -> Opened:
@@ -88,7 +88,7 @@ def etag_of(folder: Folder, files: List[str]) -> str:
 
 
 def with_positions(net: JsonObject) -> Tuple[JsonObject, bool]:
-    """The net with a position for each node, and whether a layout had to give all of them.
+    """The net with a position for each node, and whether all positions come from a layout.
 
     Positions of the file are kept as they are. If it has some, the nodes without one are put below
     the others; if it has none, or has all nodes in one spot, the net is laid out.
@@ -118,7 +118,7 @@ def _placed(net: JsonObject, positions: Dict[str, Point], anew: bool) -> JsonObj
 
 
 def scale_of(net: JsonObject) -> float:
-    """How much larger the page draws the net: so that the two nearest nodes do not touch."""
+    """The factor by which the page enlarges the net so that the two nearest nodes do not touch."""
     nodes = [*net["places"], *net["transitions"]]
     nearest = nearest_distance([(float(n["position"][0]), float(n["position"][1])) for n in nodes])
     if not 1e-6 < nearest < math.inf:

@@ -1,5 +1,5 @@
-"""What an action of an edited plan can be: the functions of the plan's Python files, the plans that
-can be subnets, and what is live on ROS. Nothing of the plan is imported or run."""
+"""The possible actions of an edited plan: functions in the plan's Python files, plans usable as
+subnets, and servers, services and topics live on ROS. No code of the plan is imported or run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.visualizer.documents import Folder
 
 MOST_PALETTE_FILES = 100
-"""Most Python files of a plan's folder, and most plans, that are looked at."""
+"""Largest number of Python files of a plan's folder, and of plans, to search."""
 
 _DEPTH = 3
 SOURCE_BYTES = 1_000_000
@@ -25,7 +25,7 @@ DOC_CHARACTERS = 600
 MASTER_SECONDS = 1.0
 ACTION_SUFFIXES = ("goal", "cancel", "status", "feedback", "result")
 TYPED = ("server", "service", "publish", "wait_for")
-"""The kinds of action that have a type of ROS."""
+"""The kinds of action that have a ROS type."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w{0,99}/[A-Za-z]\w{0,99}", re.ASCII)
 
@@ -35,9 +35,9 @@ def palette(folder: Folder, path: str) -> Dict[str, Any]:
 
     :param folder: the served folder; nothing outside it is read.
     :param path: the plan file, relative to that folder.
-    :returns: ``functions``, ``plans``, ``kinds`` (the keys by which actions of a plan file are told
-        apart), ``types`` (of messages, by kind of action; none without ROS) and ``ros``: None if no
-        master answers, or this shell has no ROS.
+    :returns: ``functions``, ``plans``, ``kinds`` (the keys that distinguish the kinds of action in
+        a plan file), ``types`` (of messages, by kind of action; none without ROS) and ``ros``: None
+        if no master answers or ROS is not installed.
     """
     whole = os.path.join(folder.root, os.path.dirname(path))
     return {
@@ -78,7 +78,7 @@ def _functions(folder: Folder, top: str) -> Iterator[Dict[str, Any]]:
             with open_file(os.path.join(top, file)) as source:
                 tree = ast.parse(source.read(SOURCE_BYTES + 1)[:SOURCE_BYTES])
         except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
-            continue  # the check says what is wrong with a module that the plan uses
+            continue  # the check reports what is wrong with a module that the plan uses
         for node in tree.body:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
                 found = _function(node, file, tree)
@@ -87,7 +87,7 @@ def _functions(folder: Folder, top: str) -> Iterator[Dict[str, Any]]:
 
 
 def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]]:
-    """What a function, or a class whose instances can be called, says of itself."""
+    """The description of a function, or of a class with callable instances."""
     settings: List[Dict[str, Any]] = []
     call: Optional[ast.FunctionDef] = node
     if isinstance(node, ast.ClassDef):
@@ -135,7 +135,8 @@ def _parameters(function: ast.FunctionDef, bound: bool) -> List[Dict[str, Any]]:
 
 
 def _plans(folder: Folder, top: str, own: str) -> Iterator[Dict[str, Any]]:
-    """The plans in the folder of a plan and in those inside and beside it, which can be subnets."""
+    """The plans that can be subnets: in the folder of the plan, and in folders inside and next to
+    it."""
     tops = [top]
     if os.path.realpath(top) != folder.root:
         tops.append(os.path.dirname(top))
@@ -183,7 +184,7 @@ def message_fields(kind: str, name: str) -> Dict[str, Any]:
     :raises UsageError: there is no such kind.
     """
     if kind not in TYPED:
-        raise UsageError("an action of the kind '%.50s' has no message" % kind)
+        raise UsageError("actions of the kind '%.50s' have no message" % kind)
     nothing = {"sent": None, "received": None}
     if _TYPE_NAME.fullmatch(name) is None:
         return {**nothing, "why": "'%.100s' is not the name of a type" % name}

@@ -1,5 +1,5 @@
-"""The routes of the editor. All of them begin with ``/api/edit``, and are for the operator of a
-server that was started with ``--edit`` (see :func:`refusal`)."""
+"""The routes of the editor. They begin with ``/api/edit`` and are only for the operator of a server
+started with ``--edit`` (see :func:`refusal`)."""
 
 from __future__ import annotations
 
@@ -34,9 +34,11 @@ def is_editing(path: str) -> bool:
 def refusal(project: Project, role: str) -> Optional[Refusal]:
     """Why a request to the editor is refused; None if it is not."""
     if not project.edits:
-        return Refusal(403, "plans are not edited here: start it with 'gspn serve FOLDER --edit'")
+        return Refusal(
+            403, "plans cannot be edited here: start the server with 'gspn serve FOLDER --edit'"
+        )
     if role != OPERATOR:
-        return Refusal(403, "only the operator edits plans")
+        return Refusal(403, "only the operator may edit plans")
     return None
 
 
@@ -108,13 +110,13 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
 
 
 def offer(project: Project, role: str) -> Dict[str, Any]:
-    """What the page knows of the editor: whether it may be used, and the templates of plans."""
+    """The page's information on the editor: whether it may be used, and the plan templates."""
     edits = project.edits and role == OPERATOR
     return {"edits": edits, "templates": template_names() if edits else []}
 
 
 def answer(data: Mapping[str, Any], status: int = 200) -> Response:
-    """An answer in JSON, with its keys in the order in which they are."""
+    """An answer in JSON that keeps the order of its keys."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False)
     return Response(text, status=status, mimetype="application/json")
 

@@ -1,4 +1,4 @@
-"""What saving a document changes in the files of its plan: nothing but what was edited."""
+"""How saving a document changes the files of its plan: only what was edited."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gspn_framework_package.visualizer.documents import check_size
 from gspn_framework_package.visualizer.editing.open_document import Opened
 
 _DEPTH = 60
-"""How deep a document may be nested."""
+"""Largest nesting depth of a document."""
 
 ORDERED = ("robots",)
-"""The keys of a plan whose own keys have an order that matters: robots are numbered by it."""
+"""The keys of a plan whose entries have an order that matters: it numbers the robots."""
 
-IN_PLAN = "the net is in the plan file now: %s files cannot hold it"
+IN_PLAN = "the net is now in the plan file: %s files cannot represent it"
 
 
 class Changes(NamedTuple):
@@ -39,7 +39,7 @@ def document_in(value: object) -> JsonObject:
     """The document in a request.
 
     :raises InputError: it is not a document: a part is missing, its net or policy does not fit the
-        schema, it is nested too deeply, or has numbers or characters that no file can hold.
+        schema, it is nested too deeply, or contains numbers or characters that a file cannot hold.
     """
     found = unfinished(value)
     plan, net, policy = (found[key] for key in ("plan", "net", "policy"))
@@ -60,13 +60,13 @@ def _check_part(part: Any, name: str) -> None:
 
 
 def unfinished(value: object) -> JsonObject:
-    """As :func:`document_in`, but what is in the parts may be wrong."""
+    """Like :func:`document_in`, but the parts may be invalid."""
     if not isinstance(value, dict):
         raise UsageError("'document' is missing")
     _check_values(value)
     plan, net, policy = (value.get(key) for key in ("plan", "net", "policy"))
     if not isinstance(plan, dict) or not isinstance(net, dict):
-        raise UsageError("a document has a 'plan' and a 'net'")
+        raise UsageError("a document needs a 'plan' and a 'net'")
     return {"plan": plan, "net": net, "policy": policy}
 
 
@@ -84,9 +84,9 @@ def _check_values(value: Any) -> None:
             elif isinstance(part, str):
                 _check_text(part)
             elif isinstance(part, float) and not math.isfinite(part):
-                raise UsageError("a document has a number that is none: %r" % part)
+                raise UsageError("the document contains an invalid number: %r" % part)
             elif isinstance(part, int) and abs(part) > 10**300:
-                raise UsageError("a document has a number of more than 300 digits")
+                raise UsageError("the document contains a number of more than 300 digits")
         if not inner:
             return
         level = inner
@@ -97,11 +97,11 @@ def _check_text(text: str) -> None:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise UsageError("the document has a character that does not exist") from None
+        raise UsageError("the document contains an invalid character") from None
 
 
 def read_back(document: JsonObject, path: str) -> None:
-    """See that a document reads as a plan.
+    """Verify that a document reads as a plan.
 
     :param path: where it will be.
     :raises GspnError: it does not.
@@ -117,7 +117,7 @@ def read_back(document: JsonObject, path: str) -> None:
 
 
 def changes_of(opened: Opened, document: JsonObject) -> Changes:
-    """Return what the files of an open plan will be once the document is saved.
+    """Return the contents that the files of an open plan will have once the document is saved.
 
     :raises GspnError: the document does not read as a plan.
     """
@@ -151,7 +151,7 @@ def changes_of(opened: Opened, document: JsonObject) -> Changes:
 
 
 def _updated(path: str, new: Any, ordered: Any = ()) -> Dict[str, bytes]:
-    """The new content of a JSON file; nothing if it says the same."""
+    """The new content of a JSON file; nothing if its meaning has not changed."""
     before = read_bytes(path)
     mark = "\ufeff" if before.startswith(b"\xef\xbb\xbf") else ""
     text = mark + before.decode("utf-8-sig")
@@ -168,8 +168,8 @@ def _same_document(old: JsonObject, new: JsonObject) -> bool:
 
 
 def settled_net(opened: Opened, net: JsonObject) -> JsonObject:
-    """The net with the positions that are to be saved: those that the page made up are left out, as
-    long as nobody has moved anything."""
+    """The net with the positions to save: those that the page generated are left out unless a node
+    was moved."""
     shown, file = _positions(opened.document["net"]), _positions(opened.parts.net)
     now = _positions(net)
     unmoved = {name for name, where in now.items() if same(where, shown.get(name))}

@@ -1,4 +1,4 @@
-"""What the editor does with the files of the served folder."""
+"""The editor's operations on the files of the served folder."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from gspn_framework_package.visualizer.editing.open_document import (
 from gspn_framework_package.visualizer.editing.saving import changes_of, document_in, unfinished
 
 FEW_ROWS = 40
-"""A policy of more rows gets a file of its own in a new plan."""
+"""In a new plan, a policy with more rows gets its own file."""
 
 EMPTY: JsonObject = {
     "plan": {"actions": {}},
@@ -45,7 +45,7 @@ EMPTY: JsonObject = {
 
 
 class ConflictError(RefusedError):
-    """The files have changed since they were opened. ``theirs`` is what they say now."""
+    """The files have changed since they were opened. ``theirs`` is their present content."""
 
     def __init__(self, theirs: Opened) -> None:
         super().__init__(
@@ -57,7 +57,7 @@ class ConflictError(RefusedError):
 
 
 class Saved(NamedTuple):
-    """A document after saving: as it is on disk now, which files were written, and notes."""
+    """A document after saving: its state on the disk, the files that were written, and notes."""
 
     opened: Opened
     written: List[str]
@@ -65,7 +65,7 @@ class Saved(NamedTuple):
 
 
 class Workshop:
-    """The editor's hands on the served folder."""
+    """Gives the editor access to the served folder."""
 
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
@@ -74,7 +74,7 @@ class Workshop:
         self._locks: Dict[str, threading.Lock] = {}
 
     def open(self, path: str) -> Opened:
-        """Open a plan or net for editing. A bare net is completed to a plan.
+        """Open a plan or net for editing. A net alone is completed to a plan.
 
         :raises GspnError: it cannot be opened.
         """
@@ -82,7 +82,7 @@ class Workshop:
             return self._open(path)
 
     def _lock_of(self, path: str) -> threading.Lock:
-        """The lock of the folder of a plan: who reads or saves one does not hold up the others."""
+        """The lock of a plan's folder, so that reading or saving one plan does not block others."""
         folder = os.path.dirname(self._whole(path))
         with self._lock:
             return self._locks.setdefault(folder, threading.Lock())
@@ -100,23 +100,23 @@ class Workshop:
         return opened._replace(document=document, parts=opened.parts._replace(notes=notes))
 
     def read_only(self, opened: Opened) -> str:
-        """Why the document cannot be saved where it is; "" if it can."""
+        """Why the document cannot be saved in its place; "" if it can."""
         parts = opened.parts
         if not parts.plan_file:
-            return "it is only a net; save it as a plan, in a folder of its own"
+            return "it is only a net; save it as a plan in its own folder"
         if parts.thesis:
-            return "it is an input file of the thesis; save it as a plan, in a folder of its own"
+            return "it is an input file of the thesis; save it as a plan in its own folder"
         for file in parts.files:
             if not os.access(os.path.dirname(file), os.W_OK | os.X_OK):
-                return "nothing can be written in the folder of %s" % os.path.basename(file)
+                return "the folder of %s is not writable" % os.path.basename(file)
         return ""
 
     def save(self, path: str, etag: object, document: object) -> Saved:
-        """Save a document in the files that it was opened from.
+        """Save a document to the files that it was opened from.
 
         :param etag: the hash of the files that it was opened from.
         :raises ConflictError: the files have changed since.
-        :raises GspnError: it cannot be saved; then no file has changed.
+        :raises GspnError: it cannot be saved; in this case, no file has changed.
         """
         new = document_in(document)
         if not isinstance(etag, str):
@@ -137,11 +137,11 @@ class Workshop:
         return Saved(opened, [self._name(file) for file in changes.contents], changes.notes)
 
     def keep_draft(self, path: str, etag: object, document: object) -> bool:
-        """Keep unsaved work, or forget it.
+        """Store or delete unsaved work.
 
-        :param document: the document, or None to forget the draft. It may be unfinished.
+        :param document: the document, which may be unfinished; None to delete the draft.
         :returns: whether there is a draft now.
-        :raises GspnError: it cannot be kept.
+        :raises GspnError: it cannot be stored.
         """
         name = self._name(self._whole(path))
         with self._lock:
@@ -155,7 +155,7 @@ class Workshop:
         return True
 
     def _whole(self, path: str) -> str:
-        """The absolute path of a file that is open, which somebody may have deleted since."""
+        """The absolute path of an open file, which may have been deleted since."""
         try:
             return self.folder.resolve(self.folder.name(path))
         except UsageError:
@@ -179,12 +179,12 @@ class Workshop:
         return os.path.relpath(file, self.folder.root)
 
     def save_as(self, path: str, document: object, name: object) -> str:
-        """Save a document as a new plan in a folder of its own, with the functions and subnets that
-        it uses.
+        """Save a document as a new plan in its own folder, with the functions and subnets that it
+        uses.
 
         :param path: the file that it was opened from.
         :returns: the path of the new plan.
-        :raises GspnError: it cannot be saved; then there is no such folder.
+        :raises GspnError: it cannot be saved; in this case, no folder is created.
         """
         new = document_in(document)
         target = self._new_folder(name)
@@ -201,14 +201,16 @@ class Workshop:
                 raise self._undone(made, target, error) from None
 
     def new(self, template: object, name: object) -> str:
-        """Make a new plan: of a template, or with nothing in it.
+        """Create a new plan from a template, or an empty one.
 
         :returns: the path of the new plan.
-        :raises GspnError: there is no such template, or it cannot be written.
+        :raises GspnError: there is no such template, or the mark cannot be written.
         """
         known = template_names()
         if not isinstance(template, str) or (template and template not in known):
-            raise UsageError("there is no such template", hint="there are %s" % ", ".join(known))
+            raise UsageError(
+                "there is no such template", hint="the templates are %s" % ", ".join(known)
+            )
         target = self._new_folder(name)
         with self._lock:
             made = self._begin(target)
@@ -227,7 +229,7 @@ class Workshop:
     def _new_folder(self, name: object) -> str:
         if not isinstance(name, str) or not re.fullmatch(r"\w([\w .+-]{0,79}[\w+-])?", name):
             raise UsageError(
-                "that is not the name of a folder",
+                "that is not a valid name of a folder",
                 hint="letters, digits, '_', '-' and '.', at most 80",
             )
         target = os.path.join(self.folder.root, name)
@@ -242,7 +244,7 @@ class Workshop:
             os.mkdir(made)
         except OSError as error:
             raise InputError(
-                "cannot make it: %s" % error.strerror, file=os.path.basename(target)
+                "cannot create it: %s" % error.strerror, file=os.path.basename(target)
             ) from None
         return made
 
@@ -295,7 +297,7 @@ def template_names() -> List[str]:
 
 
 def contents_of(document: JsonObject) -> Dict[str, bytes]:
-    """The files of a new plan, by name: the net in PIPE XML if that can hold it."""
+    """The files of a new plan, by name; the net is in PIPE XML if that can represent it."""
     plan, net, policy = (document[key] for key in ("plan", "net", "policy"))
     contents: Dict[str, bytes] = {}
     first = {key: plan[key] for key in ("$schema", "plan", "description") if key in plan}
@@ -314,7 +316,7 @@ def contents_of(document: JsonObject) -> Dict[str, bytes]:
 
 
 def _in_pipe(data: JsonObject) -> Optional[bytes]:
-    """The net as a PIPE file; None if such a file cannot hold it."""
+    """The net as a PIPE file; None if PIPE cannot represent it."""
     try:
         net: Net = net_from_json(data)
         drawn = pipe.to_bytes(net)

@@ -113,7 +113,7 @@ def test_a_page_says_that_the_router_is_gone_and_goes_on_when_it_is_back(agents,
     shown = page("ann")
     wait_for(lambda: set(shown.phases().values()) == {"doing"}, 30)
     agents.hub.router.close()
-    wait_for(lambda: "does not answer; it is tried again" in shown.status["unreachable"], 30)
+    wait_for(lambda: "does not answer; trying again" in shown.status["unreachable"], 30)
     with pytest.raises(RefusedError, match="no connection with the team"):
         shown.watch.command("pause", {})
     agents.hub.reopen()

@@ -82,7 +82,7 @@ def test_a_log_that_was_moved_away_is_named_without_its_folder(
 ) -> None:
     os.remove(tmp_path / "log.jsonl")
     (alarm, _) = fleet.moments({"robot": "b"})["moments"]
-    with pytest.raises(LogError, match="has to be where it was") as caught:
+    with pytest.raises(LogError, match="must be where it was") as caught:
         Project(fleet=fleet).session(alarm["id"])
     assert str(tmp_path) not in str(caught.value)
     assert "log.jsonl" in str(caught.value)

@@ -96,7 +96,7 @@ def test_a_run_goes_on_under_the_plan_that_is_deployed(client):
     [
         ("renamed.json", {}, "is in 'A', which the new plan does not have as an action place"),
         ("renamed.json", {"map": {"A": "nowhere"}}, "'A' is mapped to 'nowhere'"),
-        ("renamed.json", {"map": ["A"]}, "'map' is an object"),
+        ("renamed.json", {"map": ["A"]}, "'map' must be an object"),
         ("broken.json", {}, "none"),
         ("partial.json", {}, "it changes 'synchronisation'"),
         ("none.json", {}, "there is no such file"),
@@ -135,8 +135,11 @@ def test_what_the_check_refuses_is_shown_and_not_deployed(client, tmp_path):
 def test_without_a_run_there_is_nothing_to_deploy_to(client):
     client.post("/api/open", {"path": "renamed.json"})
     answer = client.post("/api/deploy?id=file-renamed.json", {"path": "four.json"})
-    assert answer.status_code == 409 and "no run that takes another" in answer.get_json()["error"]
+    assert (
+        answer.status_code == 409
+        and "no run here that could follow another" in answer.get_json()["error"]
+    )
     client.do("stop", session="file-four.json")
     assert client.get("/api/deploy/targets").get_json()["runs"] == []
     state, text = deploy(client, "renamed.json")
-    assert state == "refused" and "no run that takes another plan goes on here" in text
+    assert state == "refused" and "there is no run here that could follow another plan" in text

@@ -211,7 +211,7 @@ def test_xml_that_nests_without_end_is_refused_by_the_parser():
     "name", ["../x.xml", "/etc/x.xml", "a/b.xml", "..", "", "x\\y.xml", "a\0.xml"]
 )
 def test_names_of_uploads_are_names_only(name):
-    with pytest.raises(GspnError, match="proper name"):
+    with pytest.raises(GspnError, match="valid name"):
         read_upload([{"name": name, "content": base64.b64encode(xml()).decode()}])
 
 

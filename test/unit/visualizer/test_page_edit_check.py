@@ -365,8 +365,8 @@ def test_only_rows_that_apply_to_a_place_are_said_to_match_too(tmp_path: Path) -
     found = choices(document, str(tmp_path / "plan.json"), str(tmp_path), marking)
     why = {place["place"]: place["why"] for place in found["places"]}
     assert why == {
-        "A": "row 1 of the policy applies; it goes before row 3, which also matches",
-        "B": "row 2 of the policy applies; it goes before row 3, which also matches",
+        "A": "row 1 of the policy applies; it takes precedence over row 3, which also matches",
+        "B": "row 2 of the policy applies; it takes precedence over row 3, which also matches",
         "C.X": "row 4 of the policy applies",
     }
 
@@ -411,7 +411,7 @@ def test_why_the_fields_of_an_action_are_not_known(monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(sys.modules, "gspn_framework_package.ros.message_fields", None)
     found = message_fields("publish", "std_msgs/String")
     assert found == {"sent": None, "received": None, "why": "this server runs without ROS"}
-    with pytest.raises(GspnError, match="'function' has no message"):
+    with pytest.raises(GspnError, match="'function' have no message"):
         message_fields("function", "std_msgs/String")
 
 
@@ -471,7 +471,7 @@ def test_a_process_that_dies_is_replaced(workers: CheckWorkers) -> None:
 
 def test_a_fault_in_a_process_is_an_answer(workers: CheckWorkers) -> None:
     found = workers.ask("d", "choices", 60.0, **asked(a_document(), marking=7))
-    assert "a marking is an object" in found["error"]
+    assert "a marking must be an object" in found["error"]
 
 
 def test_no_process_outlives_a_server_that_is_killed() -> None:

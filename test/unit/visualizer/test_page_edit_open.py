@@ -80,7 +80,7 @@ def test_a_document_is_what_the_files_say(folder):
 def test_a_bare_net_opens_as_a_plan_to_be_completed(folder):
     found = opened(editor(folder), "patrol/net.xml")
     assert found["files"] == {"plan": None, "net": "net.xml", "policy": None}
-    assert "folder of its own" in found["read_only"]
+    assert "its own folder" in found["read_only"]
     assert found["document"]["net"]["arcs"]
 
 

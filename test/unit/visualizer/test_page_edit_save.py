@@ -132,7 +132,7 @@ def test_what_the_net_file_cannot_hold_goes_into_the_plan(folder, editor):
     timed["servers"] = 3
     answer = editor.save("tokens", opened).get_json()
     assert answer["written"] == ["tokens/plan.json"] and answer["files"]["net"] is None
-    assert ".xml files cannot hold it" in answer["notes"][0]
+    assert ".xml files cannot represent it" in answer["notes"][0]
     assert content(folder)["tokens/net.xml"] == before["tokens/net.xml"]
     net = read_plan(str(folder / "tokens")).net
     assert net.transitions[net.transition_index[timed["name"]]].servers == 3
@@ -460,9 +460,9 @@ def test_a_full_disk_changes_nothing(folder, editor, monkeypatch):
 def test_a_folder_that_is_read_only_is_reported(folder, editor, monkeypatch):
     opened = editor.open("patrol")
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert "nothing can be written" in editor.open("patrol")["read_only"]
+    assert "is not writable" in editor.open("patrol")["read_only"]
     opened["document"]["plan"]["seed"] = 4
-    refused(editor, folder, "patrol", opened, (409,), "nothing can be written")
+    refused(editor, folder, "patrol", opened, (409,), "is not writable")
     monkeypatch.undo()
 
     opened_by_os = os.open

@@ -175,7 +175,7 @@ def test_tokens_are_read_from_a_file_that_nobody_else_can_read(tmp_path):
         file.chmod(0o600)
         assert read_tokens(str(file)) == expected
     file.chmod(0o640)
-    with pytest.raises(InputError, match="others may read it"):
+    with pytest.raises(InputError, match="other users may read it"):
         read_tokens(str(file))
     file.chmod(0o600)
     for data in (b"", b"\n" + b"b" * 16, b"\xff\xfe"):

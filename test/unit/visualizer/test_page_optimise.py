@@ -63,11 +63,11 @@ def test_the_form_becomes_a_request(plan):
         ({"rewards": [{"name": "", "value": "1"}]}, {"rewards.0.name": "choose a place"}),
         ({"rewards": [{"name": "fast_done", "value": ""}]}, {"rewards.0.value": "give a number"}),
         ({"rewards": [{"name": "Fast", "value": "1e999"}]}, {"rewards.0.value": "give a number"}),
-        ({"rewards": [{"name": "Fast", "value": "0"}]}, {"rewards": "other than 0"}),
+        ({"rewards": [{"name": "Fast", "value": "0"}]}, {"rewards": "must not be 0"}),
         ({"rewards": [{"name": "Gone", "value": 1}]}, {"rewards.0.name": "'Gone'"}),
         (
             {"rewards": [{"name": "Fast", "value": 1}, {"name": "Fast", "value": 2}]},
-            {"rewards": "'Fast' is there twice"},
+            {"rewards": "'Fast' occurs twice"},
         ),
         ({"aim": "reach", "at_least": [], "goal": ""}, {"goal": "write a condition"}),
         ({"aim": "reach", "at_least": [], "goal": "Gone == 1"}, {"goal": "no place 'Gone'"}),

@@ -103,7 +103,7 @@ def test_the_page_gets_the_picture_of_each_plan(session):
     assert [p["name"] for p in session.scene_at(0)["places"]] == list("ABCD")
     assert [p["name"] for p in session.scene_at(2)["places"]] == list("EXDBA")
     assert session.scene_at(2)["plan"]["name"] == "again"
-    with pytest.raises(InputError, match="no plan with the number 3"):
+    with pytest.raises(InputError, match="not followed a plan with the number 3"):
         session.scene_at(3)
 
 

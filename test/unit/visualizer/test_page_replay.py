@@ -81,7 +81,7 @@ def test_a_log_that_contradicts_itself_says_where(recorded, tmp_path):
     bad.write_text("".join(lines[:at]) + json.dumps(record) + "\n" + "".join(lines[at + 1 :]))
     hub = finished(Replay.of_file(str(bad)))
     assert any(
-        "cannot be followed" in n["text"] and ":%d" % (at + 1) in n["text"]
+        "cannot be read further" in n["text"] and ":%d" % (at + 1) in n["text"]
         for n in hub.board().notes
     )
 
@@ -208,8 +208,7 @@ def test_whatever_breaks_in_the_reading_ends_it_and_is_reported(recorded, monkey
     hub = finished(Replay.of_file(path))
     assert not hub.info["loading"]
     assert any(
-        "cannot be followed further: ZeroDivisionError" in note["text"]
-        for note in hub.board().notes
+        "cannot be read further: ZeroDivisionError" in note["text"] for note in hub.board().notes
     )
 
 
@@ -233,7 +232,7 @@ def test_a_line_that_is_no_record_ends_the_reading_and_is_named(recorded, tmp_pa
     bad.write_text("".join(lines) + line + "\n")
     hub = finished(Replay.of_file(str(bad)))
     assert any(
-        "cannot be followed" in note["text"] and "bad.jsonl:21" in note["text"]
+        "cannot be read further" in note["text"] and "bad.jsonl:21" in note["text"]
         for note in hub.board().notes
     )
     assert not any(str(tmp_path) in note["text"] for note in hub.board().notes)
@@ -300,7 +299,7 @@ def test_a_bag_says_from_when_on_its_run_follows_another_plan(recorded, tmp_path
     write_bag(tmp_path / "run.bag", heard)
     board = finished(BagReplay(str(tmp_path / "run.bag"), [plan])).board()
     assert tuple(board.marking) == firings[11].marking
-    assert "from 1.2 s on the run follows another plan" in board.notes[-1]["text"]
+    assert "from 1.2 s on, the run follows another plan" in board.notes[-1]["text"]
 
 
 def test_firings_that_a_bag_lacks_are_reported(recorded, tmp_path):
@@ -317,13 +316,13 @@ def test_a_bag_of_an_unknown_plan_or_without_firings_is_refused(recorded, tmp_pa
     _, firings, _ = recorded
     plan = read_plan(PLAN)
     write_bag(tmp_path / "run.bag", messages(plan, firings[:3]))
-    with pytest.raises(LogError, match="plan is not known"):
+    with pytest.raises(LogError, match="plan is unknown"):
         BagReplay(str(tmp_path / "run.bag"), [read_plan("plans/patrol")])
     write_bag(tmp_path / "empty.bag", [])
     with pytest.raises(LogError, match="no firings"):
         BagReplay(str(tmp_path / "empty.bag"), [plan])
     (tmp_path / "nonsense.bag").write_bytes(b"not a bag")
-    with pytest.raises(GspnError, match="not a rosbag"):
+    with pytest.raises(GspnError, match="not a readable rosbag"):
         BagReplay(str(tmp_path / "nonsense.bag"), [plan])
 
 

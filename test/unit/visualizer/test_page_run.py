@@ -248,7 +248,7 @@ def test_orders_do_what_they_say(served):
     wait_for(lambda: client.board(key)["marking"][3] == 1, what="the firing")
     assert client.do("leave", session=key, robot="r").status_code == 200
     wait_for(lambda: robot().get("phase") == "left", what="the robot to leave")
-    assert status(client, key)["stalled"] == "nobody is left"
+    assert status(client, key)["stalled"] == "no robot is left"
 
 
 @pytest.mark.parametrize(
@@ -422,7 +422,7 @@ def test_a_task_that_is_submitted_comes_in_once(served):
         answer = client.do("submit", session=key, **task)
         assert (answer.status_code, answer.get_json()["message"]) == (
             200,
-            "task o1 comes in by fill",
+            "task o1 enters by fill",
         )
     client.do("submit", session=key, transition="fill")
     found = wait_for(

@@ -51,7 +51,7 @@ export class Alarms {
     $("alarms").replaceChildren();
   }
 
-  /** Show the robots, and the full text of an alarm that had to be shortened. */
+  /** Show the robots, and the full text of an alarm that was shortened. */
   open(element) {
     this.showTab("robots");
     const text = element.firstChild;

@@ -177,7 +177,7 @@ export class AnalysisPanel extends EventTarget {
         false,
         h(
           "p.muted",
-          "Many independent runs, with confidence intervals; also for nets too large to analyse, or unbounded.",
+          "Many independent runs, with confidence intervals; also for unbounded nets and nets too large to analyse.",
         ),
         fields(runs),
         ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) })),
@@ -187,7 +187,7 @@ export class AnalysisPanel extends EventTarget {
         false,
         h(
           "p.muted",
-          "The runs above, for each value of robots, rate:TRANSITION, duration:, failure: or tokens:PLACE.",
+          "The runs above for each value of robots, rate:TRANSITION, duration:, failure: or tokens:PLACE.",
         ),
         fields(sweep),
         ask("Sweep", () => ({ sweep: sweepOf(sweep, this.simulationOf(runs)) })),
@@ -239,11 +239,11 @@ export class AnalysisPanel extends EventTarget {
   /** Ask the question that `read()` returns; `label`: the button pressed. Replaces the previous answer. */
   async ask(read, label) {
     if (this.refusal) {
-      toast(`no analysis: ${this.refusal}`);
+      toast(`analysis is not available: ${this.refusal}`);
       return;
     }
     if (this.job.running) {
-      toast("an analysis is running: wait, or cancel it", true);
+      toast("an analysis is running: wait for it or cancel it", true);
       return;
     }
     this.pieces.unpaint();
@@ -301,7 +301,7 @@ export class AnalysisPanel extends EventTarget {
     }
   }
 
-  /** Say below the question that there is no answer. */
+  /** Show below the question that there is no answer. */
   tellNoAnswer(why) {
     this.answers.append(h("p", h("span.badge.bad", "no answer"), why ? ` ${why}` : ""));
   }

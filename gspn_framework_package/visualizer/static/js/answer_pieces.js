@@ -71,7 +71,7 @@ export class AnswerPieces {
 
   way(steps) {
     if (!steps) return null;
-    const fired = steps.filter((name) => this.transitions.has(name)); // robots also wait in a step
+    const fired = steps.filter((name) => this.transitions.has(name)); // when time passes in steps, robots wait too
     const { mode, session } = this.model;
     return h(
       "div",
@@ -114,7 +114,7 @@ export class AnswerPieces {
     return (result[key] || []).map((found) => (found ? draw(found) : h("p", why)));
   }
 
-  /** A button that highlights a result on the net and explains it in the legend. */
+  /** A button that highlights a result on the net and shows a legend for it. */
   painter(label, title, marks, ramp = null) {
     return h("button", {
       text: label,

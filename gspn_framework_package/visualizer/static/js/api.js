@@ -1,7 +1,7 @@
 // Requests to this page's server, and the stream of news: server-sent events, or polling if they are not available.
 
 export class ApiError extends Error {
-  /** `data`: what else the server says: `fields` (name -> what is wrong with it), `exists`. */
+  /** `data`: the rest of the server's answer: `fields` (name -> what is wrong with it), `exists`. */
   constructor(message, status, data = {}) {
     super(message);
     this.status = status;
@@ -60,16 +60,17 @@ const SILENCE = 8000; // ms without even a ping after which the stream is consid
 const POLL = 500; // ms between polls
 const RETRY = 1000; // ms before another attempt
 
-/** Follows one open net. `onNews(news)` receives the messages of the server's hub, `onState(state, heard, why)` one of
- * waiting, open, polling, lost, gone (why), locked; `heard`: performance.now() of the server's last message. */
+/** Follows one open net. `onNews(news)` receives the messages of the server's hub, `onState(state, heard, why)` a
+ * state: waiting, open, polling, lost, gone (why) or locked; `heard`: performance.now() of the server's last message.
+ */
 export class NewsStream {
   constructor(id, onNews, onState) {
     this.id = id;
     this.onNews = onNews;
     this.onState = onState;
     this.cursor = "";
-    this.heard = performance.now(); // the server
-    this.begun = this.heard; // the stream, or its last sign of life
+    this.heard = performance.now(); // last message of the server
+    this.begun = this.heard; // last attempt to open the stream, or its last message
     this.closed = false;
     this.polls = false;
     this.watch = setInterval(() => this.check(), 1000);
@@ -168,7 +169,7 @@ export class NewsStream {
     }
   }
 
-  /** Begin anew, with all that is shown. */
+  /** Start again and load everything shown. */
   again() {
     this.source?.close();
     this.source = null;

@@ -1,20 +1,20 @@
-// The state shown at one moment, and how an event changes it. board.py describes the events and has the same rules; a
-// table of cases and random events check that the two agree (test_browser_board.py).
+// The state shown at one moment, and how an event changes it. board.py describes the events and implements the same
+// rules; a table of cases and random events verify that the two agree (test_browser_board.py).
 
 import { named } from "./phases.js";
 
 const NOTES_KEPT = 50;
 const SINCE = ["place", "phase"]; // a robot's `since` is the time at which one of these last changed
 
-const OF_VISIT = { held: {}, resumed_from: 0 }; // what belongs to a robot's visit, and its values in a new one
+const OF_VISIT = { held: {}, resumed_from: 0 }; // the fields of a robot's visit, with their initial values
 
-/** What is shown of a robot that enters a place (index). */
+/** The entry of a robot that enters a place (index). */
 function entered(robot, place) {
   const left = Object.entries(OF_VISIT).filter(([key]) => key in robot);
   return { ...robot, place, phase: named.entered, why: "", ...Object.fromEntries(left) };
 }
 
-/** Go on with the net of another plan: what survives keeps its firings and its robots. */
+/** Continue with the net of another plan: surviving elements keep their firings and robots. */
 function changePlan(board, event) {
   board.plan = event.plan;
   board.marking = event.marking.slice();

@@ -1,5 +1,5 @@
-// A colour and a short id for each robot: the same everywhere on the page, for every viewer, and in films of the world.
-// The server provides the palette, and model/robot_colours.py has the same rule.
+// A colour and a short id for each robot, the same everywhere on the page, for every viewer and in films of the world.
+// The server provides the palette; model/robot_colours.py implements the same rule.
 
 let palette = ["#3f6475"];
 

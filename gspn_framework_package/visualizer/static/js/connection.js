@@ -4,7 +4,7 @@ import { $, announceNow, attempt, clock, plural, seconds } from "./dom.js";
 import { get, post } from "./api.js";
 import { notice } from "./notice.js";
 
-const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which no news arrives
+const NOT_HEARD = ["lost", "gone", "locked"]; // connection states in which no news arrives
 
 export class Connection {
   constructor(page) {
@@ -49,7 +49,7 @@ export class Connection {
     if (ran && model.lostAt !== null && model.epoch !== ran.epoch) this.ranBefore = ran;
   }
 
-  /** After a lost connection: find out whether it is the same server, and what became of the run. */
+  /** After a lost connection: find out whether the server was restarted, and what happened to the run. */
   async askWhoIsThere() {
     const { model } = this.page;
     const before = this.page.hello;

@@ -1,5 +1,5 @@
-// The course of a run up to the board shown, for the time line. It is derived from the loaded events; whatever they do
-// not contain is left out.
+// The course of a run up to the board shown, for the time line. It is derived from the loaded events and shows nothing
+// that they do not contain.
 
 import { named, reportOf } from "./phases.js";
 
@@ -12,7 +12,7 @@ export function courseOf(model, whole = false) {
   if (model.mode !== "SIMULATE") return model.events.slice(0, last);
   const course = [];
   let firings = 0,
-    marks = 0; // so many earlier ones were undone
+    marks = 0; // that many earlier ones were undone
   for (let i = last - 1; i >= 0; i--) {
     const event = model.events[i];
     if (event.k === "undo") firings += 1;
@@ -27,18 +27,18 @@ export function courseOf(model, whole = false) {
   return course.reverse();
 }
 
-/** The name of a place (index) in a scene; undefined if nothing is said of it. */
+/** The name of a place (index) in a scene; undefined if there is none. */
 const nameOf = (scene, place) =>
   place === undefined ? undefined : (scene.places[place]?.name ?? NOWHERE);
 
-/** What each robot did from `begin` to `end` (s): name -> [[from, to, place, phase], ...]; a place by its name, since
- * the team may have changed its net. */
+/** What each robot did from `begin` to `end` (s): name -> [[from, to, place, phase], ...]; places by name, since the
+ * team may have changed its net. */
 export function lanesOf(model, begin, end) {
   const { base, board, events } = model;
   const last = model.indexAfter(board.n);
   const lanes = new Map();
   const leave = (lane, t) => {
-    const phase = lane.paused ? named.paused : lane.phase; // without one, nothing is known of the robot
+    const phase = lane.paused ? named.paused : lane.phase; // without one, the robot's state is unknown
     if (phase && reportOf(phase).shown && lane.place && t > begin && t > lane.at)
       lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
@@ -58,7 +58,7 @@ export function lanesOf(model, begin, end) {
     lane.phase = phase ?? lane.phase;
     lane.paused = paused ?? lane.paused;
   };
-  // whether the loaded events lead from a known board to the one shown; otherwise only the latter is known
+  // whether the loaded events lead from a known board to the one shown; if not, only the latter is known
   const known = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
   let scene = model.scenes.get((known ? base : board).plan || 0) || model.scene;
   for (const robot of (known ? base : board).robots.values())

@@ -1,21 +1,21 @@
-// Deploying: what another plan would change in a running team, the question, the votes, and the outcome.
+// Deploying: the changes that another plan makes in a running team, the confirmation, the votes and the outcome.
 
 import { h, ask, plural } from "./dom.js";
 import { get, post } from "./api.js";
 import { changeList } from "./edit/diff_view.js";
 
 const FINDINGS = 20; // findings of the check that are listed
-const POLL = 250; // ms between two questions for the votes
-const DROPPED = "\u0000"; // an option that no name can be: the tokens of a resource place are dropped
+const POLL = 250; // ms between two requests for the votes
+const DROPPED = "\u0000"; // not a valid name; stands for "drop the tokens of the resource place"
 
-/** The choices for what became of the names that the new plan does not have, and `read()`: the mapping. */
+/** The form that maps names missing from the new plan to its names; `read()` returns the mapping. */
 function mappingForm({ gone, names }) {
   if (!gone.length) return { element: null, read: () => ({}) };
   const fields = gone.map(({ name, kind }, index) => {
     const select = h(
       "select",
       { id: `dp-map-${index}`, "data-name": name },
-      h("option", { value: "", text: "is no more" }),
+      h("option", { value: "", text: "is gone" }),
       kind === "resource place" && h("option", { value: DROPPED, text: "drop its tokens" }),
       (names[kind] || []).map((to) => h("option", { value: to, text: `is now ${to}` })),
     );
@@ -29,8 +29,8 @@ function mappingForm({ gone, names }) {
     );
   const element = h(
     "section",
-    { "aria-label": "Names that are no more" },
-    h("p", "The new plan does not have these names. What became of them?"),
+    { "aria-label": "Names that are missing" },
+    h("p", "The new plan does not have these names. What replaces them?"),
     h(
       "div.form",
       { id: "dp-map" },
@@ -40,12 +40,12 @@ function mappingForm({ gone, names }) {
   return { element, read };
 }
 
-/** What the check says of the new plan, errors first. */
+/** Findings of the check for the new plan, errors first. */
 function verdictOf({ verdict, refused, findings }) {
   const words = { error: "Error", warning: "Warning" };
   return h(
     "section",
-    { "aria-label": "What the check says", id: "dp-verdict" },
+    { "aria-label": "Results of the check", id: "dp-verdict" },
     h("p", { class: refused ? "wrong" : "", text: `The check: ${verdict}.` }),
     findings.length > 0 &&
       h(
@@ -59,7 +59,7 @@ function verdictOf({ verdict, refused, findings }) {
 
 /** The votes in words. */
 function voteList(votes) {
-  const said = { null: "looks at the plan …", "": "can follow it" };
+  const said = { null: "is checking the plan …", "": "can follow it" };
   return h(
     "ul.ed-changes",
     { id: "dp-votes" },
@@ -72,9 +72,13 @@ function voteList(votes) {
   );
 }
 
-/** Show how the deployment goes until it is over; resolves to whether the run follows the plan. */
+/** Show the progress of the deployment until it ends; resolves to whether the run follows the plan. */
 async function follow(id, plan) {
-  const state = h("p", { id: "dp-state", role: "status", text: "The members look at the plan …" });
+  const state = h("p", {
+    id: "dp-state",
+    role: "status",
+    text: "The members are checking the plan …",
+  });
   const votes = h("div", voteList({}));
   const closed = { now: false };
   const dialog = ask(`Deploying “${plan}”`, [state, votes], [["Close", "", "primary"]]);
@@ -95,12 +99,12 @@ async function follow(id, plan) {
   state.className = done ? "" : "wrong";
   state.textContent = done
     ? `Deployed: ${found.says}.`
-    : `Not deployed; the run goes on as it did: ${found.says}.`;
+    : `Not deployed; the run continues as before: ${found.says}.`;
   await dialog;
   return done;
 }
 
-/** Deploy a plan to the run of the session `id`. `what`: {path} or {job}; `run`: the name of the run that is meant. */
+/** Deploy a plan to the run of the session `id`. `what`: {path} or {job}; `run`: the expected name of the run. */
 async function deployTo(id, what, run) {
   const look = await post("deploy/look", what, { id });
   const { element, read } = mappingForm(look);
@@ -111,7 +115,7 @@ async function deployTo(id, what, run) {
       h(
         "p",
         `The run “${run || look.present}” follows “${look.present}” now. ` +
-          "Its robots look at the new plan; if all can follow it, they go on under it without stopping.",
+          "Its robots check the new plan; if all of them can follow it, they switch to it without stopping.",
       ),
       verdictOf(look),
       h("h3", plural(look.changes.length, "change")),
@@ -129,14 +133,14 @@ async function deployTo(id, what, run) {
   return answer === "deploy" && follow(id, look.plan);
 }
 
-/** Deploy a plan to a run that this server shows: that of the session `id`, if there is one; otherwise asks which. */
+/** Deploy a plan to a run that this server shows: that of the session `id`, if there is one; otherwise ask which. */
 export async function deployToARun(what, id) {
   const { runs } = await get("deploy/targets");
   if (!runs.length)
-    throw new Error("no run is shown that could take the plan: start one, then deploy to it");
+    throw new Error("there is no run that could take the plan: start one, then deploy to it");
   let target = runs.find((each) => each.id === id) || runs[0];
   if (runs.length > 1 && target.id !== id) {
-    const chosen = await ask("Deploy to which run?", h("p", "Several runs go on."), [
+    const chosen = await ask("Deploy to which run?", h("p", "There are several runs."), [
       ["Cancel", ""],
       ...runs.map((each) => [each.run || each.title, each.id]),
     ]);

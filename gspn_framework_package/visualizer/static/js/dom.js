@@ -101,8 +101,8 @@ for (const end of ["pointerup", "pointercancel"])
     true,
   );
 
-/** Whether the pointer is pressed on something inside an element, which would miss the click if it were redrawn. (On
- * the element itself it is on its scroll bar, and not every browser reports when that is released.) */
+/** Whether the pointer is pressed on something inside an element, which would lose the click if it were redrawn. (A
+ * press on the element itself is on its scroll bar, and not every browser reports its release.) */
 export const isPressed = (element) =>
   pressed !== null && pressed !== element && element.contains(pressed);
 

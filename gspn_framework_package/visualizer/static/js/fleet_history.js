@@ -1,4 +1,4 @@
-// A fleet's history: what months of logs say of robots, places and days, and the way to each moment's replay.
+// A fleet's history: what months of logs show about robots, places and days, with a link to the replay of each moment.
 
 import { $, h, s, attempt, number, plural } from "./dom.js";
 import { get } from "./api.js";
@@ -20,8 +20,8 @@ const COLUMNS = [
   ["interventions", "Orders", (row) => number(row.interventions)],
 ];
 
-const asked = { by: "robot", since: "", until: "", robot: "", place: "" }; // kept while replays are looked at
-// the numbers of the newest questions: answers to older ones come too late
+const asked = { by: "robot", since: "", until: "", robot: "", place: "" }; // kept while the user looks at replays
+// numbers of the latest requests: answers to older ones are discarded
 let latest = 0,
   latestMoments = 0;
 
@@ -79,7 +79,7 @@ function filters(names, changed) {
 /** Ask for the report and show it. */
 async function ask(answer) {
   const mine = (latest += 1);
-  answer.inert = true; // its rows answer the question before
+  answer.inert = true; // its rows answer an earlier request
   const [told, daily] = await Promise.all([
     attempt(() => get("history/report", asked)),
     attempt(() => get("history/report", { ...asked, by: "day" })),
@@ -91,7 +91,7 @@ async function ask(answer) {
   await tellMoments({});
 }
 
-/** How the days went, as curves; none for less than two days. */
+/** Curves over the days; none for fewer than two days. */
 function plots(rows) {
   if (rows.length < 2) return [];
   const first = Date.parse(rows[0].day);
@@ -150,9 +150,9 @@ function share(value) {
   return [bar, `${(100 * value).toFixed(1)} %`];
 }
 
-/** The report; a click on a row shows what happened there. */
+/** The report; a click on a row shows the moments behind it. */
 function table({ rows, left_out: leftOut }) {
-  if (!rows.length) return h("p.muted", "Nothing is in the store for this.");
+  if (!rows.length) return h("p.muted", "The store contains nothing for this selection.");
   const group = asked.by;
   return h(
     "div.fleet-table",
@@ -192,13 +192,13 @@ function table({ rows, left_out: leftOut }) {
   );
 }
 
-/** The question of a row. */
+/** The request for the moments of a row. */
 function ofRow(row) {
   if (asked.by === "day") return { since: row.day, until: row.day };
   return { [asked.by]: row[asked.by] };
 }
 
-/** What happened: failures, alarms, orders and the longest waits, each with its replay. */
+/** The failures, alarms, orders and longest waits, each with a link to its replay. */
 async function tellMoments(narrower) {
   const mine = (latestMoments += 1);
   const told = await attempt(() => get("history/moments", { ...asked, ...narrower, by: "robot" }));

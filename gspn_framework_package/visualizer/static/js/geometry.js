@@ -6,7 +6,7 @@ export const BAR = { immediate: [4, 18], timed: [9, 18] };
 /** Distance from the centre of a symbol to its edge in the direction (dx, dy). */
 function reach(node, dx, dy) {
   if (node.kind === "place") return RADIUS;
-  if (!dx && !dy) return 0; // one symbol lies on the other
+  if (!dx && !dy) return 0; // the symbols overlap
   const [w, h] = BAR[node.kind];
   const length = Math.hypot(dx, dy) || 1;
   return Math.min(

@@ -1,5 +1,5 @@
-// The inspector describes the selected node. A place: its tokens and robots, since when, and what they do.
-// A transition: kind, rate or weight, number of firings, why it is not enabled.
+// The inspector describes the selected node. For a place: its tokens, and each robot there with its phase and since
+// when. For a transition: kind, rate or weight, number of firings, why it is not enabled.
 
 import { h, $, facts, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
@@ -51,7 +51,7 @@ export class Inspector extends EventTarget {
     } else if (wanted !== null && wanted !== index) this.askWhy(wanted);
   }
 
-  /** The last answer; pale if it refers to another moment than the one shown. */
+  /** The last answer; greyed out if it is about another moment than the one shown. */
   reasons(enabled) {
     const { why, model } = this;
     if (!why || why.enabled !== enabled || !why.reasons.length) return null;
@@ -72,7 +72,7 @@ export class Inspector extends EventTarget {
 
   close() {
     clearTimeout(this.timer);
-    this.timer = -1; // nothing is drawn any more
+    this.timer = -1; // this view is no longer drawn
   }
 
   /** Redraw, unless the user is typing or pressing a button. */
@@ -181,7 +181,7 @@ export class Inspector extends EventTarget {
     const kinds = {
       action: "action place",
       resource: place.queue
-        ? "queue: its tokens are tasks, the first to come is the first to go"
+        ? "queue: its tokens are tasks, first in, first out"
         : "resource place: its tokens are counters",
       plain: "place",
     };
@@ -199,7 +199,7 @@ export class Inspector extends EventTarget {
         ["Tokens", String(board.marking[index])],
         ["Initial tokens", String(place.tokens)],
         ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
-        ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
+        ["Action", place.action || (place.kind === "action" ? "none: done immediately" : null)],
       ]),
       breakpoint && h("div.buttons", breakpoint),
       place.queue && this.queue(place, board.marking[index]),
@@ -217,7 +217,7 @@ export class Inspector extends EventTarget {
     const tasks = queueOf(this.model.board, place.name);
     return [
       h("h3", "Tasks"),
-      tasks.length ? tasks.map(taskLine) : h("p.muted", "none is known"),
+      tasks.length ? tasks.map(taskLine) : h("p.muted", "none known"),
       tasks.length > 0 &&
         tasks.length < tokens &&
         h("p.muted", `and ${tokens - tasks.length} more`),

@@ -1,4 +1,4 @@
-// An analysis in the server's background: starts it, shows its progress with a button that cancels it, and its end.
+// Starts an analysis in the background on the server; shows its progress, a cancel button and its end.
 
 import { h, attempt, seconds } from "./dom.js";
 import { get, post } from "./api.js";
@@ -21,10 +21,9 @@ export class BackgroundJob {
 
   /**
    * Run an analysis to its end.
-   * `body`: the request. `most`: the number of states that fills the progress bar; 0: unknown.
-   * `started(answer)` is called when it runs, `found(result)` whenever there is more of the answer.
-   * Resolves to its last report, with `key`; to null if another panel or net has taken its place.
-   * Throws the server's error if it does not start.
+   * `body`: the request. `most`: the number of states at which the progress bar is full; 0: unknown. `started(answer)`
+   * is called once it runs, `found(result)` whenever more of the answer arrives. Resolves to its last report, with
+   * `key`; to null if another panel or net is shown now. Throws the server's error if it does not start.
    */
   async run(body, { most = 0, started = () => {}, found = () => {} }) {
     const job = (this.job = { key: null, unwanted: false });

@@ -8,7 +8,7 @@ export const TABS = ["inspector", "robots", "analysis", "optimise"];
 
 const TABLE = [
   ["Space", "pause the view, play; run and stop a simulation"],
-  ["→  ←", "a step, a step back"],
+  ["→  ←", "one step forward, one step back"],
   ["Shift + →", "n steps"],
   ["X", "fire the chosen transition"],
   ["R", "reset the simulation, for all viewers; ← undoes it"],
@@ -16,7 +16,7 @@ const TABLE = [
   ["L", "back to live"],
   ["F", "fit the net"],
   ["+  −", "zoom"],
-  ["/", "search; then ↓ and Enter go through the list"],
+  ["/", "search; then ↓ and Enter move through the list"],
   ["Shift + Enter", "in the list: fire"],
   ["1  2  3  4", "inspector, robots, analysis, optimise"],
   ["P  D  T", "fold and unfold: places and transitions, details, time line"],
@@ -35,7 +35,7 @@ const SYMBOLS = [
   ["open box", "an exponential transition"],
   ["green, with a triangle above", "enabled"],
   ["red dashed line with a small circle", "an inhibitor arc"],
-  ["number on an arc", "its weight, where it is not 1"],
+  ["number on an arc", "its weight, if it is not 1"],
 ];
 
 /** Show the keys of the page, or those of its editor. */
@@ -65,7 +65,7 @@ export function showHelp(editing = false) {
   );
 }
 
-/** Bind the keys, which act unless a field, a dialog or a button that uses them has the focus. */
+/** Bind the keys. They act unless a field, a dialog or a button that uses them has the focus. */
 export function bindKeys(page) {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || dialogOpen()) return;

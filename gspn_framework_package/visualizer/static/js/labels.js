@@ -1,5 +1,5 @@
-// Names next to the nodes: of readable size at every zoom, and only those that cover nothing. The selected node always
-// has its name; if there is no room for all, nodes with tokens and enabled transitions take precedence.
+// Names next to the nodes, readable at every zoom; names that would cover something are left out. The selected node is
+// always named; if space is short, nodes with tokens and enabled transitions take precedence.
 
 import { s } from "./dom.js";
 import { RADIUS, BAR } from "./geometry.js";
@@ -9,15 +9,15 @@ const FONT = 11;
 const FAMILY = 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 const BOLD = 1.12; // relative width of the selected node's name
 const SMALLEST = 9.5; // px
-const CROWDED = 0.28; // below this zoom only the most important names are shown
-const TINY = 0.1; // and below this one only that of the selected node
+const CROWDED = 0.28; // below this zoom, only the most important names are shown
+const TINY = 0.1; // below this one, only that of the selected node
 const FEW = 120;
-const FOLLOW = 400; // ms between two updates of the names that follow the tokens
+const FOLLOW = 400; // ms between two updates of names after tokens have moved
 const DRAWN = 700; // largest number of names drawn
 const CELL = 64;
 const ARCS = 1500; // names avoid arcs in nets with up to this many arcs
-const THOROUGH = 250; // up to this many nodes in view, every spot is tried
-const PUZZLED = 120; // and up to this many, names move to make room for others
+const THOROUGH = 250; // with up to this many nodes in view, every spot is tried
+const PUZZLED = 120; // with up to this many, names move to make room for others
 const SLIDES = [0, -0.33, 0.33, -0.66, 0.66, -1, 1]; // offsets of a name along its symbol, from the middle
 const GAP = 3; // px between a symbol and its name
 const FLAG = 11; // height of the triangle above an enabled transition, in units of the net
@@ -95,7 +95,7 @@ export class Labels {
     this.timer = setTimeout(() => this.place(), this.drawn ? 110 : 0);
   }
 
-  /** Tokens have moved: if only nodes with tokens are named, update the names from time to time. */
+  /** Tokens have moved: if only nodes with tokens are named, update the names occasionally. */
   follow() {
     if (this.few && !this.timer) this.timer = setTimeout(() => this.place(), FOLLOW);
   }
@@ -195,8 +195,8 @@ export class Labels {
     }
   }
 
-  /** Possible positions of a node's name: boxes, each with a `cost`. Below, above and beside the symbol; if few nodes
-   * are in view, also shifted along the symbol, and farther away. */
+  /** Possible positions of a node's name: boxes, each with a `cost`. Below, above, left and right of the symbol; if few
+   * nodes are in view, also shifted along the symbol and farther away. */
   spots({ node, sx, sy }) {
     const { k, line } = this;
     const [halfWidth, halfHeight] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
@@ -257,7 +257,7 @@ export class Labels {
     return spots.reduce((best, box) => (cost(box) < cost(best) ? box : best), spots[0]);
   }
 
-  /** Put a name in the place of others if those find another spot, for which further names may have to move. */
+  /** Put a name in the place of others if those can move to another spot, possibly by moving further names. */
   makeRoom(item, depth) {
     const spots = this.spots(item)
       .filter((box) => this.inRoom(box) && this.fixed.free(box))

@@ -1,5 +1,5 @@
-// The firing log: latest first, filtered by transition, robot or place. The arrow keys move through its lines,
-// Enter shows the net as it was after the selected one.
+// The firing log: latest first, filtered by transition, robot or place. The arrow keys move through its lines; Enter
+// shows the net after the selected firing.
 
 import { h, $, seconds, LIST_STEPS } from "./dom.js";
 import { courseOf } from "./course.js";
@@ -65,7 +65,7 @@ export class FiringLog extends RestingList {
 
   say(event) {
     const scene = this.model.sceneOf(event);
-    if (event.k === "plan") return `— the team goes on under the plan “${event.name}” —`;
+    if (event.k === "plan") return `— the team now follows the plan “${event.name}” —`;
     if (event.k === "fire") {
       const moves = event.m.map(([robot, from, to]) => {
         const ends = [

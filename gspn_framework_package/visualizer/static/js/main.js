@@ -117,7 +117,7 @@ class Page {
     else this.go(id);
   }
 
-  /** The history of the fleet whose store is served. */
+  /** Show the history of the fleet whose store is served. */
   openHistory() {
     hideOpening();
     this.showNoNet("History of the fleet", "History · GSPN");
@@ -132,7 +132,7 @@ class Page {
     document.title = ofPage;
   }
 
-  /** Show the moment that an address names: `slot=12` stands for the state after slot 12 of the log. */
+  /** Show the moment named in the address: `slot=12` is the state after slot 12 of the log. */
   async goToSlot(word) {
     const found = /^slot=([0-9]{1,15})$/.exec(word || "");
     const { model } = this;
@@ -176,7 +176,7 @@ class Page {
     if (cut) this.connection.tellCut("The last run of this plan was cut off.", cut);
   }
 
-  /** Make what shows the scene of the model. */
+  /** Build the views of the model's scene. */
   makeViews() {
     const { model } = this;
     this.view = new NetView($("net"), model, $("subnets"));
@@ -203,7 +203,7 @@ class Page {
     }
   }
 
-  /** The team follows another plan: show its net, with the same node selected if it is still there. */
+  /** The team follows another plan: show its net, and keep the same node selected if it still exists. */
   showScene() {
     const { model, selection } = this;
     const before = this.view.scene;
@@ -223,7 +223,7 @@ class Page {
     this.selection = index < 0 ? null : { kind: selection.kind, index };
     for (const part of [this.view, this.list, this.inspector]) part.select(this.selection);
     this.openTab(tab);
-    announce(`The team goes on under the plan ${model.scene.name}`);
+    announce(`The team now follows the plan ${model.scene.name}`);
   }
 
   closeNet() {
@@ -440,7 +440,8 @@ class Page {
     if (model.mode === "LIVE" && status.ended)
       says = `${status.fault ? "failed" : "over"}: ${status.ended}`;
     if (model.unheard)
-      says = "no robot of the team has been heard yet; this is the initial marking of the plan";
+      says =
+        "no robot of the team has been heard from yet; this is the initial marking of the plan";
     if (model.info.loading) says += ", still being read";
     if (model.stale) says = `as of ${clock(this.connection.lostSince)}; no contact since`;
     $("frame-name").replaceChildren(h("b", model.mode), says ? ` — ${says}` : "");
@@ -448,7 +449,7 @@ class Page {
     this.alarms.show(model, status);
   }
 
-  /** Show what can be started, stopped and ordered now, and otherwise why not. */
+  /** Show what can be started, stopped and ordered now, or why nothing can. */
   showOrders(status) {
     const { model, orders } = this;
     const { session, mode } = model;
@@ -480,7 +481,7 @@ class Page {
 
   bind() {
     $("open-screen").onclick = () => this.openScreen(true);
-    // a clicked tool button gives up the focus, so that Space is the page's key again
+    // a clicked tool button gives up the focus, so that Space works as a shortcut of the page again
     document.addEventListener("click", (event) => {
       if (event.detail) event.target.closest("#tools button, .zoom button, .scrub button")?.blur();
     });
@@ -547,7 +548,7 @@ class Page {
     const answer = await ask(
       "Start the execution?",
       [
-        h("p", `The actions of the plan “${scene.plan.name}” will run on this server, now.`),
+        h("p", `The actions of the plan “${scene.plan.name}” will run on this server now.`),
         h("p.muted", robots.length > 600 ? `${scene.plan.robots.length} robots` : robots),
       ],
       [

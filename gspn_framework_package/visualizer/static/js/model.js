@@ -7,7 +7,7 @@ import { applyEvent, boardOf, copyOf } from "./board.js";
 const KEPT = 20000; // events kept for the log and the time line
 const AHEAD = 5000; // events per request while a recorded run is played
 const PREPARED = 3; // s of playback for which events are loaded in advance
-const STALL = 250; // largest advance of the playback between two frames, in ms: a page that was hidden does not jump
+const STALL = 250; // largest advance of the playback between two frames, in ms: no jump after the page was hidden
 
 /** Fires: "scene" (another net is shown: the team follows another plan), "reset" (the board was replaced), "events"
  * (detail.events were added to the board), "head" (news behind a paused view), "latest" (detail.keys), "view"
@@ -16,19 +16,19 @@ export class Model extends EventTarget {
   constructor(session) {
     super();
     this.session = session;
-    this.scenes = new Map([[0, session.scene]]); // number of a plan that the run followed -> its scene
-    this.scene = session.scene; // of the plan that the board shown follows
-    this.arrived = Promise.resolve(); // settled when all news so far were taken in
-    this.waiting = 0; // messages that wait for it
+    this.scenes = new Map([[0, session.scene]]); // number of a plan followed by the run -> its scene
+    this.scene = session.scene; // number of the plan of the board shown
+    this.arrived = Promise.resolve(); // resolves when all news so far have been processed
+    this.waiting = 0; // number of messages waiting for it
     this.mode = "";
     this.info = {};
     this.epoch = "";
     this.board = null; // the board shown
-    // the latest board; while following, the same object as the board shown
+    // the latest board; the same object while following
     this.head = { n: 0, t: 0, status: {}, robots: new Map() };
     this.oldest = 0;
     this.events = []; // consecutive events
-    this.base = null; // the board before them; null if it is not known
+    this.base = null; // the board before them; null if unknown
     this.latest = {};
     this.following = true;
     this.lastEvent = null; // performance.now() of the last event, for its age
@@ -42,12 +42,12 @@ export class Model extends EventTarget {
     if (!this.closed) this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
-  /** Report nothing more: the views are gone, and answers that are still awaited come too late. */
+  /** Stop firing events: the views no longer exist, and pending answers are ignored. */
   close() {
     this.closed = true;
   }
 
-  /** Take in a message of the server's hub, in order, once the net of each plan in it is known. */
+  /** Process the messages of the server's hub in order, each once the net of every plan in it is loaded. */
   take(news) {
     const plans = this.plansIn(news);
     if (!this.waiting && plans.every((plan) => this.scenes.has(plan))) {
@@ -59,21 +59,21 @@ export class Model extends EventTarget {
       .then(() => this.loadScenes(plans, news.snapshot?.epoch))
       .then(
         () => this.takeIn(news),
-        () => this.emit("unread"), // the stream has to begin anew
+        () => this.emit("unread"), // the stream must be reopened
       )
       .finally(() => {
         this.waiting -= 1;
       });
   }
 
-  /** The numbers of the plans that a message is about. */
+  /** The numbers of the plans that a message refers to. */
   plansIn({ snapshot, events = [] }) {
     if (snapshot && snapshot.epoch !== this.epoch && this.scenes.size > 1)
-      this.scenes = new Map([[0, this.session.scene]]); // they were those of another run
+      this.scenes = new Map([[0, this.session.scene]]); // they belonged to another run
     return [snapshot?.board.plan || 0, ...events.map((event) => event.p || 0)];
   }
 
-  /** Load the scenes of these plans of the run, where they are not known yet. */
+  /** Load the scenes of these plans of the run, unless already known. */
   async loadScenes(plans, epoch = this.epoch) {
     for (const plan of new Set(plans)) {
       if (this.scenes.has(plan)) continue;
@@ -133,7 +133,7 @@ export class Model extends EventTarget {
     this.board = this.following ? board : copyOf(board);
     this.showScene();
     this.emit("reset", { another });
-    // where the server does not answer, the connection says so, and the next reset asks again
+    // if the server does not answer, the connection shows it, and the next reset asks again
     if (this.mode === "REPLAY") this.show(0).catch(() => {});
     else this.fetchPast();
   }
@@ -150,7 +150,7 @@ export class Model extends EventTarget {
     else this.emit("head");
   }
 
-  /** Say that the board shown went on by events; under another plan all of it is drawn anew. */
+  /** Announce that events were applied to the board shown; under another plan, all of it is redrawn. */
   tellEvents(events) {
     const { scene } = this;
     this.showScene();
@@ -158,19 +158,19 @@ export class Model extends EventTarget {
     else this.emit("reset", { another: false });
   }
 
-  /** Note that the server is connected (null), or the time of its last message if it is not. */
+  /** Record that the server is connected (null), or the time of its last message. */
   setHeard(lostAt) {
     if (this.lostAt !== null && lostAt !== null) return;
     this.lostAt = lostAt;
     this.emit("view");
   }
 
-  /** Whether the state shown may be out of date, without the server's news. A recorded run does not change. */
+  /** Whether the state shown may be out of date because the connection is lost. A recorded run does not change. */
   get stale() {
     return this.lostAt !== null && this.mode !== "REPLAY";
   }
 
-  /** Whether nothing is known of a live run yet: the board is the initial one of the plan. */
+  /** Whether nothing is known about a live run yet, so that the board is the plan's initial one. */
   get unheard() {
     return (
       this.mode === "LIVE" && this.head.status.running === false && this.head.status.ended === null
@@ -199,7 +199,7 @@ export class Model extends EventTarget {
     this.emit("past");
   }
 
-  /** Load events of this epoch, and the board before the first of them; null if there are none. */
+  /** Load events of this epoch and the board before the first of them; null if there are none. */
   async fetchEvents(after, to) {
     const { epoch } = this;
     const data = await get("events", { id: this.session.id, after, to });
@@ -220,7 +220,7 @@ export class Model extends EventTarget {
     this.events = this.events.slice(surplus);
   }
 
-  // -- looking back --------------------------------------------------------------------------------
+  // -- past states --------------------------------------------------------------------------------
 
   pause() {
     if (!this.following) return;
@@ -280,7 +280,7 @@ export class Model extends EventTarget {
     this.emit("past");
   }
 
-  /** Load more of the events that follow the loaded ones. */
+  /** Load more events after the loaded ones. */
   async fetchAhead() {
     const { epoch } = this;
     const tail = this.events.length ? this.events[this.events.length - 1].n : -1;
@@ -327,7 +327,7 @@ export class Model extends EventTarget {
     return low;
   }
 
-  /** Step one firing forward or backward in a view that does not follow. */
+  /** Step one firing forward or backward while the view is paused. */
   async stepView(direction) {
     this.pause();
     this.playing = false;
@@ -408,7 +408,7 @@ export class Model extends EventTarget {
     if (last === this.head.n && this.head.n - this.board.n < 200) {
       this.forward(this.head.n);
     } else if (last !== this.head.n) {
-      // they belong to another time
+      // they belong to another period
       this.events = [];
       this.base = copyOf(this.head);
     }

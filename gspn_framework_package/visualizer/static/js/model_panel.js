@@ -1,5 +1,5 @@
-// Predicted against observed, in a live run: a band of prediction with the observed line, and a strip for each place,
-// each robot and the team that shows how near its alarm is.
+// Predicted against observed, in a live run: a prediction band with the observed line, and a strip for each place, each
+// robot and the team that shows how close it is to its alarm.
 
 import { h, number } from "./dom.js";
 import { band, bandPlot } from "./plot.js";
@@ -27,7 +27,7 @@ export class ModelPanel {
     );
   }
 
-  /** The section with what is known now; null if there is nothing to say. */
+  /** The section with the present state of the comparison; null if there is none. */
   element() {
     const told = this.model.mode === "LIVE" ? this.model.latest.model : null;
     if (!told) return null;
@@ -53,7 +53,7 @@ export class ModelPanel {
     this.strips.replaceChildren(...told.streams.map((stream) => strip(stream)));
     this.say(
       this.stated,
-      `One false alarm in ${number(told.false_alarm_every / 86400)} days, of all strips together.`,
+      `One false alarm in ${number(told.false_alarm_every / 86400)} days, over all strips together.`,
     );
   }
 

@@ -86,7 +86,7 @@ export function structure(show, result) {
   );
 }
 
-/** How time was read, and what was assumed; nothing for a net. */
+/** How time was interpreted, and what was assumed; nothing for a net. */
 function timeFacts(show, timing, body) {
   if (!timing || !body.policy) return [];
   const split = Object.keys(timing.splits);

@@ -1,4 +1,4 @@
-// The arcs of the net: all arcs of one kind form one path, so that they are drawn in one go.
+// The arcs of the net: all arcs of one kind form a single path, which is fast to draw.
 
 import { s } from "./dom.js";
 import { arcShape, arcLine, arcEnd } from "./geometry.js";
@@ -10,11 +10,11 @@ const KINDS = {
   heads: "heads",
   circles: "circles",
 };
-export const SIZES = [1, 1.5, 2, 3, 4]; // enlargement of arrowheads, so that they stay visible when zoomed out
+export const SIZES = [1, 1.5, 2, 3, 4]; // scale factors of arrowheads, which keep them visible when zoomed out
 const MEETS = 3; // px by which a route may miss the centre of a node
 export const BEND = 16; // px by which two arcs between the same nodes bend apart
 
-/** A route of the server, if it leads from one end of an arc to the other, possibly after both were pushed alike. */
+/** A route from the server, if it connects the ends of an arc, possibly after both were shifted by the same amount. */
 function routeBetween({ from, to }, route) {
   if (!route) return null;
   const [dx, dy] = [from.x - route[0], from.y - route[1]];
@@ -48,7 +48,7 @@ export class Arcs {
     }));
   }
 
-  /** Compute the shapes of all arcs, or of one node's. `routes`: the server's, for nodes that are where it put them. */
+  /** Compute the shapes of all arcs, or of one node's. `routes`: the server's, for nodes at the positions it chose. */
   route(routes, only = null) {
     for (const arc of this.all) {
       if (only && arc.from !== only && arc.to !== only) continue;

@@ -2,15 +2,15 @@
 
 const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a fitted net
 const CULL = 800; // in nets with more nodes, only those in view are drawn
-const FAR = 0.14; // below this zoom tokens are too small to distinguish: a place with any is filled
-const SMALL = 0.35; // below this zoom a firing is a flash: travelling tokens would hardly be visible
+const FAR = 0.14; // below this zoom, tokens are too small to distinguish: a marked place is filled
+const SMALL = 0.35; // below this zoom, a firing is a flash: moving tokens would be hard to see
 const [NEAREST, FARTHEST] = [4, 0.02];
 const LARGEST_FIT = [1.6, 2.6]; // largest zoom of a fitted net, on a typical and on a very large screen
 const FLIGHT = 260; // ms
 const READABLE = 0.55; // from this zoom on, names are readable
 const EDGE = 24; // px from the edge within which a node counts as out of sight
-const INSIDE = 90; // px from the edge to which a node is brought that was out of sight
-const THIN = 0.5; // below this zoom lines are drawn thicker, so that they stay visible
+const INSIDE = 90; // a node that was out of sight is brought this far from the edge (px)
+const THIN = 0.5; // below this zoom, lines are drawn thicker so that they stay visible
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
@@ -72,8 +72,8 @@ export class Camera {
     this.set(next, px - ((px - x) * next) / k, py - ((py - y) * next) / k);
   }
 
-  /** Bring a node into sight. The view stays as it is if it is there, and moves no farther than it has to; only where
-   * tokens are too small to be told apart, it comes near enough to read names. */
+  /** Bring a node into sight, moving the view no more than needed. If tokens are too small to distinguish, zoom in
+   * until names are readable. */
   flyTo(node) {
     const { width, height } = this.size;
     const from = { ...this.now };
@@ -128,7 +128,7 @@ export class Camera {
     this.small = k < SMALL;
     this.view.arcs.zoomed(k);
     this.view.container.classList.toggle("far", k < FAR);
-    // every element below inherits it: in steps, so that not each step of a zoom has all of them restyled
+    // inherited by every element below; changed in steps, so that not every zoom step restyles all of them
     const bold = 2 ** (Math.round(4 * Math.log2(Math.max(1, THIN / k))) / 4);
     if (bold !== this.bold) this.view.container.style.setProperty("--bold", bold.toFixed(2));
     this.bold = bold;

@@ -1,4 +1,4 @@
-// The symbols of places and transitions: how each is built, its content, and how a result is highlighted on it.
+// The symbols of places and transitions: how each is drawn, what it contains, and how a result is highlighted on it.
 
 import { RADIUS, BAR, dots, discs } from "./geometry.js";
 import { natural, s } from "./dom.js";
@@ -39,7 +39,7 @@ export function buildTransition(node, transition) {
   );
 }
 
-/** Draw a place with so many tokens, some of which may be robots. */
+/** Draw a place with the given number of tokens, some of which may be robots. */
 export function drawPlace(node, tokens, robots) {
   const count = Math.max(0, tokens);
   if (robots.length && robots.length >= count && robots.length <= MOST) {

@@ -52,7 +52,7 @@ export class Pointer {
     return true;
   }
 
-  /** End a gesture that turns out to be another one. */
+  /** End a gesture that has become another one. */
   cancel() {
     if (this.gesture?.moved && this.gesture.node) this.view.dropNode(this.gesture.node);
     this.gesture = null;

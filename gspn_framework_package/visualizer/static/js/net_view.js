@@ -23,12 +23,12 @@ import { Subnets } from "./subnets.js";
 
 const TILED = 800; // nets with more nodes are drawn in tiles
 const TILE = 40; // nodes in a tile
-const MANY = 2000; // nets with more nodes are drawn every other frame
+const MANY = 2000; // in nets with more nodes, only every other frame is drawn
 const FLASH = 160; // ms
 
 /** Fires "select" (detail {kind, index}), "activate" (double click) and "frame" (detail.n, after drawing). */
 export class NetView extends EventTarget {
-  /** `folds`: the element for the list of the plan's subnets. */
+  /** `folds`: the element that contains the list of the plan's subnets. */
   constructor(container, model, folds) {
     super();
     this.container = container;
@@ -52,7 +52,7 @@ export class NetView extends EventTarget {
 
   // -- building ------------------------------------------------------------------------------------
 
-  /** Give every node its position: that of the layout, or the one it was dragged to. */
+  /** Give every node its position: from the layout, or where it was dragged to. */
   put(layout) {
     const { scene } = this;
     const moved = this.kept.read();
@@ -63,7 +63,7 @@ export class NetView extends EventTarget {
         index,
         name,
       };
-      node.home = moved.get(name) || [x, y]; // [node.x, node.y], but for subnets
+      node.home = moved.get(name) || [x, y]; // [node.x, node.y], except for subnets
       [node.x, node.y] = node.home;
       node.moved = moved.has(name);
       return node;
@@ -192,7 +192,7 @@ export class NetView extends EventTarget {
       const count = (p) => board.marking[p] - (this.pending.get(p) || 0);
       for (const p of this.dirty.places) {
         const entry = this.subnets.behind.get(p);
-        if (entry !== undefined) this.dirty.places.add(entry); // a set takes in what is added to it
+        if (entry !== undefined) this.dirty.places.add(entry); // iteration over a set includes elements added meanwhile
         drawPlace(this.places[p], this.subnets.tokens(p, count), here.get(p) || []);
         if (lost.has(p) || this.places[p].lost) drawLost(this.places[p], lost.get(p) || []);
       }
@@ -201,7 +201,8 @@ export class NetView extends EventTarget {
     }
     for (const t of this.dirty.transitions) drawEnabled(this.transitions[t], board.enabled.has(t));
     this.dirty.transitions.clear();
-    // The ranks of the names depend on what has just been drawn: requested earlier, they could be placed before it.
+    // The ranks of the names depend on what has just been drawn; requested earlier, the names could be placed before
+    // that.
     if (this.renamed) this.labels.later();
     else if (changed) this.labels.follow();
     this.renamed = false;

@@ -1,5 +1,5 @@
-// A bar above the net for events that the user must know of and may act on: a run that was cut off, a server that was
-// restarted. It stays until it is closed or the net is.
+// A bar above the net for events that the user must know about and can act on: a cut-off run, a restarted server. It
+// stays until it or the net is closed.
 
 import { $, h } from "./dom.js";
 

@@ -1,4 +1,4 @@
-// The input screen (thesis Figure 5.3): open a file of the served folder, or one of the viewer's own.
+// The input screen (thesis Figure 5.3): open a file from the served folder, or upload one.
 
 import { h, $, attempt } from "./dom.js";
 import { get, post } from "./api.js";
@@ -22,7 +22,7 @@ export async function openingScreen(hello) {
   const screen = $("opening");
   return new Promise((resolve) => {
     const wrong = h("p.wrong", { id: "opening-wrong", role: "alert", hidden: true });
-    // why a file cannot be opened stays on the screen until another one is tried
+    // the reason why a file cannot be opened stays on the screen until another file is tried
     const tried = async (action) => {
       wrong.hidden = true;
       try {
@@ -52,7 +52,7 @@ export async function openingScreen(hello) {
       "aria-label": "Your own files",
       onchange: async (event) => {
         await upload(event.target.files);
-        event.target.value = ""; // so that the same file can be chosen again
+        event.target.value = ""; // so that choosing the same file again has an effect
       },
     });
     const drop = h(
@@ -95,7 +95,7 @@ export async function openingScreen(hello) {
         h("h2", "Open a net or a plan"),
         h(
           "p.muted",
-          "Simulate and analyse a net, execute a plan of this folder, or replay a recorded run.",
+          "Simulate and analyse a net, execute a plan from this folder, or replay a recorded run.",
         ),
         h(
           "div.columns",

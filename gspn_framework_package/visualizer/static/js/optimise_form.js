@@ -1,4 +1,4 @@
-// The form of the Optimise tab: what a policy is to be the best for. What is wrong is said at its field.
+// The form of the Optimise tab: the aim of the policy to compute. Errors are shown at their fields.
 
 import { h, natural, question } from "./dom.js";
 
@@ -25,7 +25,7 @@ export class OptimiseForm {
   constructor(model) {
     this.model = model;
     this.controls = new Map(); // name of a field -> its control
-    this.parts = {}; // name of a part -> the elements that are shown or hidden together
+    this.parts = {}; // name of a part -> the elements shown or hidden together
     this.lists = {};
     this.element = h("div", this.aim(), this.constraints(), this.settings());
     this.element.addEventListener("input", ({ target }) => this.forget(target));
@@ -101,7 +101,7 @@ export class OptimiseForm {
       this.list(
         "never",
         "Never",
-        "Conditions that must never hold, not even while robots are lost.",
+        "Conditions that must never hold, even when robots are lost.",
         "Add a condition",
         (name) => [plain("Condition", name)],
         ({ entry }) => entry.value,
@@ -118,7 +118,7 @@ export class OptimiseForm {
       this.list(
         "uncertain",
         "Uncertain rates",
-        "Lowest and highest rate (1/s) of an exponential transition: the policy is the best for the worst of them.",
+        "Lowest and highest rate (1/s) of an exponential transition: the policy is the best for the worst rate.",
         "Add a rate",
         (name) => [
           this.nodes(`${name}.name`, "Uncertain", true),
@@ -130,7 +130,7 @@ export class OptimiseForm {
     );
   }
 
-  /** The places in which a robot chooses, and so may be allowed to wait. */
+  /** The places where a robot chooses, and so may be allowed to wait. */
   waiting() {
     const { places, transitions, arcs } = this.model.scene;
     const decides = new Set(
@@ -150,7 +150,7 @@ export class OptimiseForm {
       h(
         "p.muted",
         this.mayWait.length
-          ? "Places where a robot may stay although it could go on."
+          ? "Places where a robot may stay although it could leave."
           : "No robot chooses in any place of this plan.",
       ),
       this.mayWait.length > 3 &&
@@ -190,7 +190,7 @@ export class OptimiseForm {
           "fitted",
           "Rates",
           this.select([
-            ["fitted", "as learned, where the plan says"],
+            ["fitted", "as learned, where the plan has them"],
             ["nominal", "those of the net"],
           ]),
         ),
@@ -198,7 +198,7 @@ export class OptimiseForm {
           "teams",
           "Teams",
           this.select([
-            ["plan", "the plan's, and those that losses leave"],
+            ["plan", "the plan's, and the smaller ones after losses"],
             ["own", "the plan's only"],
             ["all", "of every size up to the plan's"],
           ]),
@@ -214,7 +214,7 @@ export class OptimiseForm {
     );
   }
 
-  /** A list of entries that grows and shrinks. `controls(name)` makes those of an entry, `value(controls)` reads
+  /** A list to which entries can be added. `controls(name)` creates the controls of an entry, `value(controls)` reads
    * them. */
   list(name, title, says, adds, controls, value) {
     const entries = h("div.entries");
@@ -281,7 +281,7 @@ export class OptimiseForm {
     return this.entryControl(name, label, this.numeric({ value }));
   }
 
-  /** A choice among all places and transitions, or among the exponential transitions. */
+  /** A menu of all places and transitions, or of the exponential transitions. */
   nodes(name, label, timed = false) {
     const { places, transitions } = this.model.scene;
     const group = (title, nodes) =>
@@ -319,7 +319,7 @@ export class OptimiseForm {
     this.controls.get("rewards").textContent = costs ? "Add a cost" : "Add a reward";
   }
 
-  // -- reading, and what is wrong --------------------------------------------------------------------
+  // -- reading, and errors --------------------------------------------------------------------
 
   value(name) {
     return this.controls.get(name).value;
@@ -365,7 +365,7 @@ export class OptimiseForm {
     return this.controls.get(list) || this.controls.get("aim");
   }
 
-  /** Say at each field what is wrong with it: {name: text}. The uppermost one gets the focus. */
+  /** Show errors at their fields: {name: text}. The topmost field gets the focus. */
   tell(fields) {
     this.clear();
     for (const [name, text] of Object.entries(fields)) {
@@ -387,7 +387,7 @@ export class OptimiseForm {
     for (const error of this.element.querySelectorAll(".wrong")) this.remove(error);
   }
 
-  /** What was wrong with a field is being changed. */
+  /** Clear the error of a field that is being changed. */
   forget(control) {
     for (const error of this.element.querySelectorAll(".wrong"))
       if (error.control === control || error.control.contains(control)) this.remove(error);

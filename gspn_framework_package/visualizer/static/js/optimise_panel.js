@@ -1,5 +1,5 @@
-// The Optimise tab: asks the server for the best policy, shows it beside the present one, and saves it where the
-// operator says so. Nothing is replaced unasked.
+// The Optimise tab: asks the server for the best policy, compares it with the present one, and saves it if the operator
+// accepts. It never replaces anything unasked.
 
 import { $, h, announce, ask, attempt, question, toast } from "./dom.js";
 import { get, post } from "./api.js";
@@ -9,7 +9,7 @@ import { OptimiseForm } from "./optimise_form.js";
 import { ChoiceList, ChoicePainter, OptimiseViews, markingText } from "./optimise_views.js";
 import { PolicyTable, choiceText } from "./policy_table.js";
 
-const FOLLOW = 150; // ms between two looks at the marking on display
+const FOLLOW = 150; // ms between two updates for the marking shown
 
 /** Fires "choose" (detail {kind, index, fly}) and "saved" (detail {path, open}). */
 export class OptimisePanel extends EventTarget {
@@ -28,7 +28,7 @@ export class OptimisePanel extends EventTarget {
     this.shown = null; // the key of the answer that is shown
   }
 
-  /** The tab is opened. It is built when that happens for the first time. */
+  /** The tab is opened; its content is built the first time. */
   open() {
     if (!this.built) this.build();
     if (this.refusal && this.model.scene.plan) this.showLatest();
@@ -39,13 +39,13 @@ export class OptimisePanel extends EventTarget {
     const muted = (text) => h("p.muted", text);
     if (!this.model.scene.plan) {
       this.panel.replaceChildren(
-        muted("A policy is computed for a plan. This is a net without robots and actions."),
+        muted("A policy needs a plan. This is a net without robots and actions."),
       );
       return;
     }
     if (this.refusal) {
       this.panel.replaceChildren(
-        muted(`Policies are not computed from here: ${this.refusal}.`),
+        muted(`Policies cannot be computed here: ${this.refusal}.`),
         this.status,
         this.answers,
       );
@@ -87,7 +87,7 @@ export class OptimisePanel extends EventTarget {
 
   async optimise() {
     if (this.job.running) {
-      toast("a policy is being computed: wait, or cancel it", true);
+      toast("a policy is being computed: wait for it or cancel it", true);
       return;
     }
     this.form.clear();
@@ -110,7 +110,7 @@ export class OptimisePanel extends EventTarget {
     }
   }
 
-  /** For those who may only look: the latest answer that the server has for this plan. */
+  /** For read-only viewers: the latest answer that the server has for this plan. */
   async showLatest() {
     const { model } = this;
     const latest = await get("optimised", { id: model.session.id }).catch(() => null);
@@ -159,7 +159,7 @@ export class OptimisePanel extends EventTarget {
     this.answers.scrollIntoView({ block: "nearest" });
   }
 
-  /** The choices of a row, by the places that they leave. */
+  /** The choices of a row, by the places they leave. */
   asChoices(choose) {
     const { places, transitions, arcs } = this.model.scene;
     const found = new Map();
@@ -174,15 +174,15 @@ export class OptimisePanel extends EventTarget {
     return [...found.values()];
   }
 
-  // -- the marking on display --------------------------------------------------------------------------
+  // -- the marking shown --------------------------------------------------------------------------
 
-  /** The button that shows the choices in the marking on display, and keeps doing so. */
+  /** The button that shows the choices in the marking shown, and follows it. */
   following() {
     this.here = h("p.muted", { hidden: true });
     this.follow = h("button", {
       id: "op-follow",
       "aria-pressed": "false",
-      text: "Follow the marking on display",
+      text: "Follow the marking shown",
       onclick: () => {
         if (this.follow.getAttribute("aria-pressed") === "true") {
           this.stopFollowing();
@@ -211,11 +211,11 @@ export class OptimisePanel extends EventTarget {
     }, FOLLOW);
   }
 
-  /** Show the choices at the marking on display. `first`: the user has just asked for that. */
+  /** Show the choices in the marking shown. `first`: the user has just asked for them. */
   async look(first = false) {
     const { model, shown } = this;
     if (!first && !this.painter.on) {
-      this.stopFollowing(); // something else is painted, or the marks were cleared
+      this.stopFollowing(); // something else is highlighted, or the marks were cleared
       return;
     }
     const at = model.board.n;
@@ -228,7 +228,7 @@ export class OptimisePanel extends EventTarget {
       toast(answer.error);
       return;
     }
-    this.painter.paint(answer.choices, "The marking on display");
+    this.painter.paint(answer.choices, "The marking shown");
     this.here.hidden = false;
     this.here.textContent = answer.choices.length
       ? answer.choices
@@ -241,7 +241,7 @@ export class OptimisePanel extends EventTarget {
     if (model.board.n !== at) this.later();
   }
 
-  // -- keeping it ----------------------------------------------------------------------------------------
+  // -- saving it ----------------------------------------------------------------------------------------
 
   keeping(report) {
     const { session } = this.model;
@@ -254,8 +254,7 @@ export class OptimisePanel extends EventTarget {
       oninput: () => this.tellSaving(""),
     });
     this.saving = h("p", { id: "op-saving", role: "status", hidden: true });
-    const refusal =
-      this.refusal || (session.saves ? "" : "it does not come from a plan file of this server");
+    const refusal = this.refusal || (session.saves ? "" : "the plan is not a file of this server");
     return h(
       "section.question.keeping",
       { "aria-label": "Keep or discard" },
@@ -266,7 +265,7 @@ export class OptimisePanel extends EventTarget {
           : [
               h(
                 "p.muted",
-                "Saves the plan with the new policy as a new file beside the present one, which stays as it is.",
+                "Saves the plan with the new policy as a new file next to the present one, which is not changed.",
               ),
               h("div.form", h("label", { for: "op-name", text: "Save as" }), name),
             ],
@@ -288,7 +287,7 @@ export class OptimisePanel extends EventTarget {
           h("button", {
             id: "op-deploy",
             text: "Deploy to the team…",
-            title: this.refusal || "Have the running team follow the plan with this policy",
+            title: this.refusal || "Make the running team follow the plan with this policy",
             disabled: Boolean(this.refusal),
             onclick: () => attempt(() => deployToARun({ job: report.key }, session.id)),
           }),
@@ -298,7 +297,7 @@ export class OptimisePanel extends EventTarget {
     );
   }
 
-  /** Say how saving went; `wrong`: what is wrong with the name. */
+  /** Show the result of saving; `wrong`: what is wrong with the name. */
   tellSaving(text, wrong = false, ...more) {
     const name = $("op-name");
     this.saving.hidden = !text;
@@ -328,7 +327,7 @@ export class OptimisePanel extends EventTarget {
         "Replace the file?",
         [
           h("p", "The file ", h("strong", file), " exists already."),
-          h("p", "If you replace it, the plan in it is lost."),
+          h("p", "If you replace it, its plan is lost."),
         ],
         [
           ["Keep it", "", "primary"],
@@ -362,7 +361,7 @@ export class OptimisePanel extends EventTarget {
     this.dispatchEvent(new CustomEvent("saved", { detail: { path, open } }));
   }
 
-  /** Forget the answer that is shown. `asked`: the user did it. */
+  /** Discard the answer shown. `asked`: the user requested it. */
   discard(asked = false) {
     this.stopFollowing();
     this.painter.clear();

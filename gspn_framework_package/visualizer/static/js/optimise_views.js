@@ -1,4 +1,4 @@
-// A computed policy beside the present one: in words and tables, and painted on the net.
+// Compares a computed policy with the present one: in words and tables, and highlighted on the net.
 
 import { $, facts, h, natural, number, plural, question, table, LIST_STEPS } from "./dom.js";
 import { choiceText, percent } from "./policy_table.js";
@@ -8,7 +8,7 @@ const SENSITIVITIES = 12;
 const precise = (value) =>
   typeof value === "number" ? String(Number(value.toPrecision(10))) : String(value ?? "–");
 const signed = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
-/** A marking in words: places with tokens only. */
+/** A marking in words, with marked places only. */
 export const markingText = (counts) =>
   Object.entries(counts)
     .filter(([, count]) => count)
@@ -37,7 +37,7 @@ export class OptimiseViews {
     return typeof value === "number" ? `${number(value)}${unit ? ` ${unit}` : ""}` : String(value);
   }
 
-  /** What else was asked, in words. */
+  /** The further settings of the request, in words. */
   asked({ never, may_wait: waiting, uncertain, timing, fitted }) {
     const rates = Object.entries(uncertain).map(
       ([name, [low, high]]) => `${name} from ${number(low)} to ${number(high)} per second`,
@@ -45,16 +45,16 @@ export class OptimiseViews {
     return [
       never.length && `Never ${never.join("; never ")}`,
       waiting.length && `Robots may wait in ${[...waiting].sort(natural).join(", ")}`,
-      rates.length && `The best for the worst rates of ${rates.join(", ")}`,
+      rates.length && `Best for the worst rates of ${rates.join(", ")}`,
       `Time as ${timing === "run" ? "the plan runs" : "in the net alone"}`,
-      fitted ? "Rates as learned, where the plan says" : "Rates of the net",
+      fitted ? "Rates as learned, where the plan has them" : "Rates of the net",
     ]
       .filter(Boolean)
       .map((text) => `${text}.`)
       .join(" ");
   }
 
-  /** Present against best. */
+  /** Compare present and best. */
   result(answer) {
     const { objective, present_policy: present, gain, simulation } = answer;
     const rows = [
@@ -75,7 +75,7 @@ export class OptimiseViews {
         gain === null || gain === undefined
           ? "–"
           : Math.abs(gain) < 5e-7
-            ? "none: the present policy is among the best"
+            ? "none: the present policy is already optimal"
             : `${gain > 0 ? "+" : ""}${percent(gain)}`,
       ],
     ];
@@ -85,18 +85,18 @@ export class OptimiseViews {
         ? "There is no certified interval for the best value."
         : answer.exact === false
           ? `By simulation, its value is ${interval}; whether there is a better one is not known.`
-          : `The best possible value is ${interval}: that is certified.`;
+          : `The best possible value is certified to be ${interval}.`;
     const waits = answer.silent
-      ? ` In ${plural(answer.silent, "case")} robots first let robots in another place choose, which takes no time.`
+      ? ` In ${plural(answer.silent, "case")} robots let those in another place choose first, which takes no time.`
       : "";
     return question(
-      "Present against best",
+      "Present and best",
       true,
       h("p", "Aim: ", objective.text, "."),
       h("p.muted", this.asked(answer.asked)),
       facts(rows),
       h("p", bounds),
-      simulation && h("p", "Simulated as they run: ", simulation.text, "."),
+      simulation && h("p", "Simulated as executed: ", simulation.text, "."),
       h("p.muted", `The new policy has ${plural(answer.rows, "row")}.${waits}`),
       answer.undecided.length > 0 && [
         h("p", h("span.badge.warn", "not decided")),
@@ -110,7 +110,7 @@ export class OptimiseViews {
     return question(
       "Teams",
       false,
-      h("p.muted", "Choices are also computed for the teams that losses leave."),
+      h("p.muted", "Choices are also computed for the smaller teams after losses."),
       table(
         "table",
         ["Robots", "States", "Value", "Best from", "to"],
@@ -156,9 +156,9 @@ export class OptimiseViews {
     const known = [...sensitivities].sort((a, b) => size(b) - size(a));
     if (!known.length) return null;
     return question(
-      "What the value depends on",
+      "Sensitivity of the value",
       false,
-      h("p.muted", "By how much the value changes if a transition becomes 1 % faster."),
+      h("p.muted", "The change of the value if a transition becomes 1 % faster."),
       table(
         "table",
         ["Transition", "Rate (1/s)", "Change"],
@@ -261,7 +261,7 @@ export class ChoiceList {
   }
 }
 
-/** Paints choices on the net, present and best in marks that differ in their lines and words. */
+/** Highlights choices on the net: present and best differ in line style and wording. */
 export class ChoicePainter {
   constructor(model, view) {
     this.view = view;
@@ -270,12 +270,12 @@ export class ChoicePainter {
     this.legend = h("span.legend-words");
   }
 
-  /** Whether what the net shows now was painted here. */
+  /** Whether the present highlighting comes from here. */
   get on() {
     return $("legend").contains(this.legend) && !$("legend").hidden;
   }
 
-  /** `choices`: [{place, present, best}], `present` null if it is not known. `title` says where they are. */
+  /** `choices`: [{place, present, best}], `present` is null if unknown. `title` says which marking they are for. */
   paint(choices, title) {
     const marks = { places: {}, transitions: {} };
     for (const { place, present, best } of choices) {

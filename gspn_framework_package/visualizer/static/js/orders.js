@@ -8,7 +8,7 @@ import { reportOf } from "./phases.js";
 export const ONLY_LOOK = "the viewer's token is read-only";
 const KEPT = 6;
 
-/** The JSON object in a text; an error that says what is wrong with it. */
+/** The JSON object in a text; throws an error that says what is wrong. */
 function jsonObject(text) {
   let value;
   try {
@@ -17,7 +17,7 @@ function jsonObject(text) {
     throw new Error(`the data is not JSON: ${error.message}`, { cause: error });
   }
   if (value === null || typeof value !== "object" || Array.isArray(value))
-    throw new Error('the data is a JSON object, such as {"pose": [1, 2]}');
+    throw new Error('the data must be a JSON object, such as {"pose": [1, 2]}');
   return value;
 }
 
@@ -45,7 +45,7 @@ export class Orders extends EventTarget {
     return this.page.model;
   }
 
-  /** Whether this run accepts such orders at all. */
+  /** Whether this run accepts orders of this kind. */
   offers(command) {
     const { model } = this;
     return (
@@ -59,7 +59,7 @@ export class Orders extends EventTarget {
   get refusal() {
     if (!this.page.mayAct) return ONLY_LOOK;
     if (this.model.stale) return "no contact with the server";
-    if (this.model.unheard) return "no robot of the team has been heard yet";
+    if (this.model.unheard) return "no robot of the team has been heard from yet";
     return "";
   }
 
@@ -81,7 +81,7 @@ export class Orders extends EventTarget {
   button(command, about, act, form = this.table[command]) {
     if (!this.offers(command)) return null;
     const refusal =
-      this.refusal || (this.model.following ? "" : "the view is paused: go back to live first");
+      this.refusal || (this.model.following ? "" : "the view is paused: return to live first");
     return h("button", {
       text: form.label,
       class: form.style || "",
@@ -228,12 +228,12 @@ export class Orders extends EventTarget {
     return h("input", { ...about, type: "text", placeholder, maxlength: 200, autocomplete: "off" });
   }
 
-  /** The names of the places and transitions at which a robot stops. */
+  /** The names of the places and transitions with a breakpoint. */
   get breakpoints() {
     return this.model.info.breakpoints || [];
   }
 
-  /** The button that sets or removes the breakpoint of a node; null if no robot can stop there. */
+  /** The button that sets or removes the breakpoint of a node; null if no robot can stop at it. */
   breakpoint(node) {
     const { breakpoints } = this;
     const has = breakpoints.includes(node.name);

@@ -1,12 +1,12 @@
 // The panels around the net: each can be folded and resized, by pointer and by keys, and this browser remembers it.
-// Three forms of the page: wide (all panels at once), medium (the list or the details), narrow (one panel, under the
+// The page has three layouts: wide (all panels at once), medium (the list or the details), narrow (one panel, below the
 // net).
 
 import { $ } from "./dom.js";
 
 const KEPT = "gspn-panels";
 const PANELS = ["left", "right", "bottom"];
-const [NARROW, MEDIUM] = [640, 1000]; // px: pages below the first are narrow, below the second medium; as in panels.css
+const [NARROW, MEDIUM] = [640, 1000]; // px: below the first a page is narrow, below the second medium; as in panels.css
 const STEP = 24; // px that a key moves a separator
 const CENTRE = 280; // px reserved for the net
 const LOG = [180, 240]; // least width in px of the log, and of the time line beside it
@@ -14,7 +14,7 @@ const LOG = [180, 240]; // least width in px of the log, and of the time line be
 const between = (low, value, high) =>
   Math.round(Math.max(low, Math.min(Math.max(low, high), value)));
 
-/** The size of each part that has not been resized. */
+/** The default size of each part. */
 const DEFAULT = {
   left: (width) => between(190, width * 0.16, 300),
   right: (width) => between(290, width * 0.242, 560),
@@ -166,7 +166,7 @@ export class Panels {
 
   bind(separator, element) {
     const upright = element.getAttribute("aria-orientation") === "vertical";
-    const grows = separator === "left" ? 1 : -1; // the others grow to the left, and upwards
+    const grows = separator === "left" ? 1 : -1; // the other panels grow to the left or upwards
     const now = () => Number(element.getAttribute("aria-valuenow"));
     element.onkeydown = (event) => {
       const steps = upright ? { ArrowRight: 1, ArrowLeft: -1 } : { ArrowDown: 1, ArrowUp: -1 };

@@ -4,8 +4,8 @@
 const UNHEARD = { word: "", tone: "" };
 
 let table = {}; // phase -> {word, tone, and flags}
-/** The phases that the page has to name itself: of a robot that a firing has moved into a place (`entered`), that is
- * `paused`, that is `waiting`, and that had not finished when the run `stopped`. */
+/** The phases that the page has to name itself: of a robot that has just entered a place (`entered`), is `paused` or
+ * `waiting`, or had not finished when the run ended (`stopped`). */
 export const named = {};
 
 export function setPhases(phases) {
@@ -16,7 +16,7 @@ export function setPhases(phases) {
 /** The word, the tone and the flags of a phase. */
 export const reportOf = (phase) => table[phase] || table[""] || UNHEARD;
 
-/** The same for the phase shown for a robot on a board with that status; `reported_phase` in Python. */
+/** The same for the phase to show for a robot on a board with this status; in Python, `reported_phase`. */
 export function robotReport(robot, status) {
   const own = reportOf(robot.phase);
   if (own.outlasts) return own;

@@ -92,13 +92,14 @@ export function barPlot(bars) {
   return plot;
 }
 
-/** The 95 % band of a count at a time; `growth`: rate, variance by chance per second, by doubt per square second. */
+/** The 95 % band of a count at a time; `growth`: rate, variance per second (chance), variance per square second
+ * (uncertain rate). */
 export function band([rate, chance, doubt], time) {
   const half = 1.96 * Math.sqrt(chance * time + doubt * time * time);
   return [Math.max(rate * time - half, 0), rate * time + half];
 }
 
-/** A band of prediction with the observed line. `curve`: {name, growth, points: [[time, count], ...]}. */
+/** A prediction band with the observed line. `curve`: {name, growth, points: [[time, count], ...]}. */
 export function bandPlot({ name, growth, points }) {
   const end = Math.max(points[points.length - 1][0], 1e-9);
   const times = Array.from({ length: 41 }, (_, i) => (end * i) / 40);
@@ -106,8 +107,8 @@ export function bandPlot({ name, growth, points }) {
   const plot = curvePlot(
     [
       { name: `${name}, observed`, points: [[0, 0], ...points] },
-      { name: "predicted, lower end", points: edges.map(([time, low]) => [time, low]) },
-      { name: "predicted, upper end", points: edges.map(([time, , high]) => [time, high]) },
+      { name: "predicted, lower bound", points: edges.map(([time, low]) => [time, low]) },
+      { name: "predicted, upper bound", points: edges.map(([time, , high]) => [time, high]) },
     ],
     "time (s)",
   );

@@ -1,4 +1,4 @@
-// The rows of a computed policy, a page at a time: those that differ from the present policy first.
+// The rows of a computed policy, one page at a time; those that differ from the present policy come first.
 
 import { h, attempt, number, table } from "./dom.js";
 import { get } from "./api.js";
@@ -60,7 +60,7 @@ export class PolicyTable {
     const end = this.start + page.rows.length;
     const [changed, total] = [page.changed, page.total].map((n) => n.toLocaleString("en"));
     this.says.textContent =
-      `${changed} of ${total} rows choose differently in a marking that is listed above; they come first. ` +
+      `${changed} of ${total} rows choose differently in a marking listed above; they come first. ` +
       "A place that a row does not name may hold any number.";
     this.body.replaceChildren(...page.rows.map((row) => this.row(page.places, row)));
     this.position.textContent = page.rows.length

@@ -1,4 +1,4 @@
-// What the page shows of data, tasks and events: the server sends short texts.
+// Shows data, tasks and events; the server sends short texts.
 
 import { h } from "./dom.js";
 
@@ -9,11 +9,11 @@ const ofName = (named, name) => new Map(entriesOf(named)).get(name);
 /** The tasks in a queue (place name), the next one first: [id, data]. */
 export const queueOf = (board, place) => ofName(board.data?.queues, place) || [];
 
-/** The ids of the tasks that wait outside for a transition. */
+/** The ids of the tasks that wait outside to enter by a transition. */
 export const waitingFor = (board, transition) =>
   (board.data?.waiting || []).filter(([name]) => name === transition).map(([, id]) => id);
 
-/** Data as lines: name and value. */
+/** Data as lines of name and value. */
 export const dataLines = (named) =>
   entriesOf(named).map(([name, value]) => h("div.datum", h("span.name", name), ` ${value}`));
 
@@ -33,10 +33,10 @@ export function robotExtras(robot) {
   ].filter(Boolean);
 }
 
-/** The end of a task's way, for people. */
+/** One end of a task's move, in words. */
 const end = (name) => name.replace(/^(place|robot) /, "") || "outside";
 
-/** What a firing shows beside its moves: its cause and the tasks. */
+/** What the log shows for a firing in addition to its moves: its cause and tasks. */
 export function firingExtras(event) {
   const tasks = (event.tk || []).map(([id, from, to]) => `task ${id}: ${end(from)} → ${end(to)}`);
   return { cause: event.why ? ` (${event.why})` : "", tasks };

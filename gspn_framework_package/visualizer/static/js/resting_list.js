@@ -1,27 +1,27 @@
-// The base of the lists that show what changes often.
+// Base class of lists whose content changes often.
 
 import { isPressed } from "./dom.js";
 
-const SHARE = 25; // a list rests for so many times as long as drawing it took
+const SHARE = 25; // a list rests for this multiple of the time that drawing it took
 
-/** A list that is drawn now and then. A subclass has `draw()`. */
+/** A list that limits how often it is drawn. A subclass defines `draw()`. */
 export class RestingList extends EventTarget {
-  /** `pause`: ms for which it rests at least. */
+  /** `pause`: minimum ms between two drawings. */
   constructor(list, pause) {
     super();
     this.list = list;
     this.pause = pause;
     this.timer = 0;
-    this.cost = 0; // ms that the last drawing took
+    this.cost = 0; // duration of the last drawing, in ms
   }
 
-  /** Something has changed: draw it, but only a few times a second and with a small share of the time. */
+  /** Something has changed: draw the list, but only a few times a second and for a small share of the time. */
   later() {
     if (!this.timer)
       this.timer = setTimeout(() => this.update(), Math.max(this.pause, SHARE * this.cost));
   }
 
-  /** Draw it now; while the pointer is pressed on a row, which would miss its click, later. */
+  /** Draw it now, or later if the pointer is pressed on a row, which would lose its click. */
   update() {
     clearTimeout(this.timer);
     this.timer = 0;
@@ -36,6 +36,6 @@ export class RestingList extends EventTarget {
 
   close() {
     clearTimeout(this.timer);
-    this.timer = -1; // nothing is drawn any more
+    this.timer = -1; // this view is no longer drawn
   }
 }

@@ -61,7 +61,7 @@ export function robotCard(model, robot, buttons = []) {
   );
 }
 
-/** What a robot did not take, the most frequent kinds. */
+/** The kinds of messages that a robot refused most often. */
 function refusedText(refused) {
   const kinds = refused.slice(0, 3).map((kind) => {
     const sender = kind.robot || "somebody";
@@ -81,7 +81,7 @@ export class RobotsPanel {
     this.orders = orders;
     this.panel = $("robots");
     this.comparison = new ModelPanel(model);
-    // name -> {element, looks}: a card is only redrawn if it looks different, so that its buttons stay
+    // name -> {element, looks}: a card is only redrawn if it has changed, so that its buttons stay in place
     this.cards = new Map();
     this.update();
     this.clock = setInterval(() => {
@@ -123,7 +123,7 @@ export class RobotsPanel {
             ? "A simulation moves anonymous tokens. Robots appear in a live run or a replay."
             : model.head.status.stalled
               ? "No robot is left."
-              : "No robot has been heard yet.",
+              : "No robot has been heard from yet.",
         ),
       );
     }
@@ -146,7 +146,7 @@ export class RobotsPanel {
     }
   }
 
-  /** Show a viewer, who may only look, why there are no buttons. */
+  /** Show a read-only viewer why there are no buttons. */
   look() {
     if (this.model.mode !== "LIVE" || !this.orders.refusal || this.model.head.status.ended)
       return null;

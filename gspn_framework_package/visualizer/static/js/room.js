@@ -22,7 +22,7 @@ export class Room {
     if (on) this.update();
   }
 
-  /** Draw the news; the panel opens by itself when a world first reports. */
+  /** Draw the latest positions; the panel opens by itself at the first report of a world. */
   news() {
     if (!this.offered && this.model.latest.room) {
       this.offered = true;

@@ -1,17 +1,17 @@
-// A firing sequence that is played step by step, wherever its stage fires it: in the simulation, or on a canvas.
+// Plays a firing sequence step by step on a stage: the simulation, or the editor's canvas.
 
 import { h } from "./dom.js";
 
 const PAUSE = 700; // ms between two steps while it plays
 
 /** Plays the transitions `steps` (names) on a stage: {begin(), fire(name), back()}, each of which resolves to whether
- * it was done. Fires "change". */
+ * it succeeded. Fires "change". */
 export class FiringSequence extends EventTarget {
   constructor(steps, stage) {
     super();
     this.steps = steps;
     this.stage = stage;
-    this.at = null; // how many steps have fired; null: it has not begun
+    this.at = null; // number of steps fired; null before the start
     this.playing = false;
     this.busy = false;
   }
@@ -20,7 +20,7 @@ export class FiringSequence extends EventTarget {
     return this.at === this.steps.length;
   }
 
-  /** Fire the next step; begin first if it has not begun. Resolves to whether that was done. */
+  /** Fire the next step; begin first if it has not begun. Resolves to whether that succeeded. */
   next() {
     return this.alone(async () => {
       if (this.at === null && !(await this.begin())) return false;
@@ -38,7 +38,7 @@ export class FiringSequence extends EventTarget {
     });
   }
 
-  /** Play what is left of it, or all of it again. */
+  /** Play the remaining steps, or all again. */
   async play() {
     if (this.playing) return;
     this.playing = true;
@@ -77,7 +77,7 @@ export class FiringSequence extends EventTarget {
   }
 }
 
-/** The buttons of a sequence: previous step, play, next step, and where it is. */
+/** The buttons of a sequence: previous step, play, next step; and its position. */
 export function sequenceControls(sequence) {
   const button = (label, name, press) =>
     h("button", { text: label, title: name, "aria-label": name, onclick: press });
@@ -89,7 +89,7 @@ export function sequenceControls(sequence) {
   const where = h("span.muted", { role: "status" });
   const show = () => {
     const { at, steps, playing, busy, ended } = sequence;
-    if (playing && !where.isConnected) sequence.playing = false; // another answer took its place
+    if (playing && !where.isConnected) sequence.playing = false; // another answer has replaced it
     previous.disabled = busy || playing || !at;
     next.disabled = busy || playing || ended;
     play.textContent = playing ? "❚❚ Stop" : "▶ Play";

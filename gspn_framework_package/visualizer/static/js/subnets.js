@@ -1,11 +1,11 @@
 // Subnets of a plan: each folds into one node, which stands for all its places. That node is the subnet's entry, under
-// the name of the subnet; the others are hidden behind it. An unfolded subnet is drawn as in its own plan, around its
-// entry, and pushes what is around it aside. A list of buttons folds and unfolds, and counts the robots.
+// the subnet's name; the others are hidden. An unfolded subnet is drawn as in its own plan, around its entry, and
+// pushes the nodes around it aside. A list of buttons folds and unfolds, and counts the robots.
 
 import { h } from "./dom.js";
 
 export class Subnets {
-  /** `list`: the element for the buttons. A subnet of more than one node is folded at first. */
+  /** `list`: the element for the buttons. Initially, subnets with more than one node are folded. */
   constructor(view, list) {
     this.view = view;
     this.list = list;
@@ -30,7 +30,7 @@ export class Subnets {
     list.hidden = !this.all.length;
   }
 
-  /** Hide what is folded, and put every node where it is drawn. Before arcs are routed. */
+  /** Hide folded subnets and set the position of every node. Must run before arcs are routed. */
   apply() {
     const { view } = this;
     for (const node of view.nodes) {
@@ -69,7 +69,7 @@ export class Subnets {
     });
   }
 
-  /** Push the nodes of the drawing around an unfolded subnet as far as its own drawing reaches from its entry. */
+  /** Push the surrounding nodes away from an unfolded subnet as far as its drawing extends from its entry. */
   makeRoom(subnet) {
     const entry = this.view.places[subnet.entry];
     if (entry.folded) return;
@@ -81,7 +81,7 @@ export class Subnets {
       const reach = [...subnet.inside].map((node) => node[axis] - entry[axis]);
       const [low, high] = [Math.min(...reach), Math.max(...reach)];
       const pushes = around.map((node) => {
-        const other = beside.find(({ inside }) => inside.has(node)); // it stays in one piece
+        const other = beside.find(({ inside }) => inside.has(node)); // another unfolded subnet stays in one piece
         const at = (other ? this.view.places[other.entry] : node)[axis] - entry[axis];
         return at > 0 ? high : at < 0 ? low : 0;
       });
@@ -94,7 +94,7 @@ export class Subnets {
     this.view.refold();
   }
 
-  /** Unfold whatever hides a node, which somebody wants to see. */
+  /** Unfold the subnets that hide a node the user wants to see. */
   show(node) {
     if (!node?.folded || node.folded === node) return;
     const kind = node.kind === "place" ? "places" : "transitions";
@@ -102,13 +102,13 @@ export class Subnets {
     this.view.refold();
   }
 
-  /** The tokens to draw in a place: those of all robots' places where it stands for a subnet. */
+  /** The tokens to draw in a place; for a folded subnet, those of all its robot places. */
   tokens(p, count) {
     const subnet = this.standsFor.get(p);
     return subnet ? subnet.robots.reduce((sum, inner) => sum + count(inner), 0) : count(p);
   }
 
-  /** Write the number of robots on the buttons, as many as their tokens, whether heard or not. */
+  /** Show the number of robots on the buttons: the number of their tokens, whether or not they have been heard from. */
   count(board) {
     this.all.forEach((subnet, i) => {
       const inside = subnet.robots.reduce((sum, p) => sum + board.marking[p], 0);

@@ -1,4 +1,4 @@
-// A sweep: its form, and its points as a table and as plots of each measure over what is varied.
+// A sweep: its form, and its points as a table, and plots of each measure over the varied parameter.
 
 import { h, number, table } from "./dom.js";
 import { curvePlot, CURVES } from "./plot.js";
@@ -13,7 +13,7 @@ const listed = (text) =>
     .map((part) => part.trim())
     .filter(Boolean);
 
-/** The fields that a sweep adds to those of simulated runs: {key: {label, input}}. */
+/** The fields of a sweep in addition to those of simulated runs: {key: {label, input}}. */
 export function sweepFields(text) {
   return {
     vary: { label: "Vary", input: text("an-sweep-vary", "robots=1..5") },
@@ -22,7 +22,7 @@ export function sweepFields(text) {
   };
 }
 
-/** The question of a sweep. `simulate`: what is asked of the runs at each point. */
+/** The request for a sweep. `simulate`: the request for the runs at each point. */
 export function sweepOf(fields, simulate) {
   const value = (key) => fields[key].input.value.trim();
   return {

@@ -1,5 +1,5 @@
 // The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits). A simulation
-// has no robots: the lanes show the token counts of places instead. The scrubber is below.
+// has no robots, so the lanes show token counts of places. The scrubber is below.
 
 import { $, h, attempt, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
@@ -38,7 +38,7 @@ export class TimeLine extends EventTarget {
     this.canvas.onclick = (event) => this.clicked(event);
     this.canvas.onwheel = (event) => {
       const { scrollHeight, clientHeight } = this.canvas.parentElement;
-      if (scrollHeight > clientHeight + 1 && !event.ctrlKey) return; // the wheel scrolls the lanes
+      if (scrollHeight > clientHeight + 1 && !event.ctrlKey) return; // then the wheel scrolls the lanes
       event.preventDefault();
       this.zoom(event.deltaY > 0 ? 1 : -1);
     };
@@ -174,7 +174,7 @@ export class TimeLine extends EventTarget {
     const course = courseOf(model);
     const have = course.length ? end - course[0].t : 0;
     this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
-    const begin = Math.max(0, end - this.shownSpan); // a short run fills the lanes from the left
+    const begin = Math.max(0, end - this.shownSpan); // a short run starts at the left
     const lanes = this.segments(begin, end);
     const names = [...lanes.keys()].sort(natural);
     const [top, bottom] = EDGE;
@@ -239,14 +239,14 @@ export class TimeLine extends EventTarget {
     c.textAlign = "left";
     c.fillStyle = ink("--ink-2");
     if (step >= 8) c.fillText("firings", 14, y0);
-    let drawn = Infinity; // position of the last one drawn: only one is drawn per pixel
+    let drawn = Infinity; // position of the last firing drawn: at most one per pixel
     for (let i = course.length - 1; i >= 0; i--) {
       const event = course[i];
       if (event.t < begin) break;
       if (event.k !== "fire" || drawn - x(event.t) < 0.5) continue;
       drawn = x(event.t);
       const transition = model.sceneOf(event).transitions[event.tr];
-      const tall = transition.event ? 0.46 : 0.32; // an event stands out
+      const tall = transition.event ? 0.46 : 0.32; // firings by events are taller
       c.fillStyle = transition.event ? eventful : transition.timed ? timed : immediate;
       c.fillRect(x(event.t) - 0.75, y0 - step * tall, 1.5, step * tall * 2);
     }

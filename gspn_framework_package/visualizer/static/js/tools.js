@@ -1,15 +1,15 @@
-// The tools above the net: those of thesis Figure 5.4 in a simulation, those of the view in a live run or a replay.
+// The tools above the net: those of thesis Figure 5.4 in a simulation, controls of the view in a live run or a replay.
 
 import { h, $, ask, attempt, announce, table, toast, plural, number } from "./dom.js";
 import { post } from "./api.js";
 import { ONLY_LOOK } from "./orders.js";
 
 /** The simulation as the stage of a firing sequence (sequence.js) from `start`, a marking; null: the initial one. The
- * sequence fires as a team may, in which an immediate transition does not wait for those of higher priority. */
+ * sequence fires as a team does: an immediate transition does not wait for others of higher priority. */
 export function simulationStage(page, start) {
   const { model } = page;
   const simulate = (command, fields) => {
-    if (page.model !== model) return Promise.resolve(null); // another net is open now
+    if (page.model !== model) return Promise.resolve(null); // another net is open by now
     if (model.mode === "SIMULATE") return page.tools.simulate(command, fields);
     toast("firing sequences play in the simulation: press Simulate first");
     return Promise.resolve(null);
@@ -89,7 +89,7 @@ export class Tools {
   fireChosen() {
     const { selection } = this.page;
     if (selection?.kind !== "transition") {
-      toast("choose a transition first, in the net or the list", true);
+      toast("select a transition first, in the net or the list", true);
       return null;
     }
     return this.fire(selection.index);
@@ -169,7 +169,7 @@ export class Tools {
         h(
           "p.muted",
           "Relative to the other transitions enabled at the same time. Empty: by rate or weight. " +
-            "They change which transition fires, not how long it takes.",
+            "They affect which transition fires, not when.",
         ),
         table("table", ["Transition", h("th", "In the net"), "Now", h("th", "Probability")], rows),
       ],
@@ -248,9 +248,9 @@ export class Tools {
         rule(),
         act(
           "fire-chosen",
-          "Fire chosen",
+          "Fire selected",
           () => this.fireChosen(),
-          "Fire the chosen transition (X)",
+          "Fire the selected transition (X)",
         ),
         act(
           "probabilities",

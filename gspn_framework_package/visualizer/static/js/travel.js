@@ -1,5 +1,5 @@
-// Tokens that travel when a transition fires: from its input places to it, and on to its output places.
-// A place does not show a token before it arrives. If too many are in flight, the transition only flashes.
+// Tokens that travel when a transition fires: from its input places to it, and then to its output places. A place shows
+// a token only once it arrives. If too many tokens are moving, the transition only flashes.
 
 import { s } from "./dom.js";
 import { colourOf } from "./colours.js";

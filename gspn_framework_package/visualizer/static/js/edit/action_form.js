@@ -1,4 +1,4 @@
-// What a robot does in a place: chosen from the kinds of action that there are, with what each of them needs.
+// What a robot does in a place: a choice among the kinds of action, and the fields of the chosen kind.
 
 import { h } from "../dom.js";
 import { problemOfData, valueField } from "./data_form.js";
@@ -10,7 +10,7 @@ import { group, objectForm } from "./schema_form.js";
 
 const TITLES = {
   none: "nothing: done at once",
-  function: "a function of the plan's folder",
+  function: "a function in the plan's folder",
   server: "an action server",
   service: "a call of a service",
   publish: "publish a message",
@@ -96,7 +96,7 @@ export function actionField(form, lens, title, schema) {
   );
 }
 
-/** What may be chosen for a kind of action: [text, value, help]. */
+/** The choices for a kind of action: [text, value, help]. */
 function offered({ functions, plans, ros }, kind, allowed) {
   const list = {
     function: (functions ?? []).map(({ name, doc }) => [name, name, doc]),
@@ -117,14 +117,14 @@ function offered({ functions, plans, ros }, kind, allowed) {
 
 const GROUPS = {
   function: "Functions",
-  server: "Action servers that run",
-  service: "Services that run",
+  server: "Running action servers",
+  service: "Running services",
   publish: "Publish on",
   wait_for: "Wait for",
   plan: "Plans",
 };
 
-/** A choice of what exists: one click makes the whole action. */
+/** A menu of what exists: choosing an entry fills in the whole action. */
 function palette(form, lens, title, kind, allowed) {
   if (!form.palette) return null;
   const entries = Object.entries(offered(form.palette, kind, allowed)).filter(
@@ -135,7 +135,7 @@ function palette(form, lens, title, kind, allowed) {
   const select = h(
     "select",
     { "data-key": `${lens.key} palette` },
-    h("option", { value: "", text: "choose from what there is …" }),
+    h("option", { value: "", text: "choose an existing one …" }),
     entries.map(([name, list]) =>
       h(
         "optgroup",
@@ -151,7 +151,7 @@ function palette(form, lens, title, kind, allowed) {
     const chosen = all[Number(select.value)][1];
     const before = lens.get();
     const same = kindOfAction(chosen) === (before === undefined ? undefined : kindOfAction(before));
-    // what else the action says stays, if it is of the same kind
+    // an action of the same kind keeps its other settings
     const value =
       same && before && typeof before === "object"
         ? { ...before, ...(typeof chosen === "string" ? { function: chosen } : chosen) }
@@ -173,7 +173,7 @@ function hints(form, kind, value, place) {
       function: { names: of(functions), placeholder: "module.function" },
       settings: {
         names: () => (known?.parameters ?? []).map(parameterName),
-        // of the type that the function takes
+        // of the type that the function expects
         start: (_, name) => known?.parameters.find((it) => it.name === name)?.default ?? "",
       },
       server: { placeholder: "the name of the place" },
@@ -212,7 +212,7 @@ function hints(form, kind, value, place) {
   };
 }
 
-/** The button that opens the file of a subnet, once that is in the plan. */
+/** The button that opens the file of a subnet, once the plan refers to it. */
 function opener(form, lens, value) {
   const key = nodeKey("place", lens.name);
   if (!value.plan || lens.get()?.plan !== value.plan) return null;

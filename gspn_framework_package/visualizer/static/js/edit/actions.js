@@ -1,4 +1,4 @@
-// What the user can do to the net, by pointer, key or button: each is one edit of the document.
+// What the user can do to the net by pointer, key or button; each action is one edit of the document.
 
 import { attempt, plural } from "../dom.js";
 import { post } from "../api.js";
@@ -27,7 +27,7 @@ export const WORDS = {
 };
 const NEXT = 100; // px from a node to one that is added after it
 
-let kept = ""; // what was copied last, where the system's clipboard cannot be read
+let kept = ""; // the last copy, used where the system's clipboard cannot be read
 
 export class Actions {
   constructor(mode) {
@@ -39,7 +39,7 @@ export class Actions {
     return this.mode.document.net;
   }
 
-  /** The chosen keys of one kind: "place", "transition" or "arc". */
+  /** The selected keys of one kind: "place", "transition" or "arc". */
   chosen(...kinds) {
     return [...this.mode.selection].filter((key) =>
       kinds.some((kind) => key.startsWith(`${kind}:`)),
@@ -53,14 +53,14 @@ export class Actions {
     return done;
   }
 
-  /** Change the net, and give all nodes positions if one has got one. */
+  /** Change the net; if any node now has a position, give all of them one. */
   placed(net, positions = new Map()) {
     return moveNodes(net, positions, () => this.mode.canvas.positions());
   }
 
   // -- adding --------------------------------------------------------------------------------------
 
-  /** A node of the kind "place", "timed" or "immediate" that is new. */
+  /** A new node of the kind "place", "timed" or "immediate". */
   fresh(what, x, y, taken = new Set()) {
     const position = this.mode.canvas.toDocument(x, y);
     const name = freeName(this.net, FIRST[what], taken);
@@ -92,17 +92,17 @@ export class Actions {
     return key;
   }
 
-  /** The kind of node that follows another one. */
+  /** The kind of node that usually follows this one. */
   kindAfter(key) {
     return key.startsWith("place:") ? this.after : "place";
   }
 
-  /** Add a node by key: where the pointer is, or after the chosen node (`joined`: with an arc), or in the middle. */
+  /** Add a node by key: at the pointer, after the selected node (`joined`: with an arc), or in the middle. */
   addHere(what, joined = false) {
     const { canvas, selection } = this.mode;
     const from = [...selection].find((key) => canvas.byKey.has(key));
     if (joined && !from) {
-      this.mode.say("Choose the node that the arc comes from.");
+      this.mode.say("Select the node that the arc comes from.");
       return;
     }
     const at = canvas.byKey.get(from);
@@ -115,7 +115,7 @@ export class Actions {
     this.mode.added = { key, state: this.mode.document.state };
   }
 
-  /** Make an arc between two nodes; says why not. */
+  /** Make an arc between two nodes, or say why it is not possible. */
   connect(from, to) {
     const problem = problemOfArc(this.net, from, to);
     if (problem) {
@@ -139,7 +139,7 @@ export class Actions {
     const { state, said } = without(mode.document.state, keys);
     const text = `Delete ${this.listed(keys)}`;
     this.edit(text, () => state);
-    if (said.length) mode.say(`${text}; with it went ${said.join(", ")}.`);
+    if (said.length) mode.say(`${text}; also removed: ${said.join(", ")}.`);
     mode.choose([]);
   }
 
@@ -149,7 +149,7 @@ export class Actions {
       : plural(keys.length, "element");
   }
 
-  /** Add tokens to the chosen places, and weight to the chosen arcs. Returns whether any are chosen. */
+  /** Add tokens to the selected places, and weight to the selected arcs. Returns whether any are selected. */
   count(by) {
     const places = this.chosen("place");
     const arcs = this.chosen("arc");
@@ -183,7 +183,8 @@ export class Actions {
   /** Set the weight of an arc. Returns why not, or "". */
   setWeight(key, text) {
     const weight = Number(text);
-    if (!Number.isSafeInteger(weight) || weight < 1) return "a weight is a whole number from 1 on";
+    if (!Number.isSafeInteger(weight) || weight < 1)
+      return "a weight is a whole number of at least 1";
     this.edit(`Weight ${weight} of ${this.listed([key])}`, ({ net }) => ({
       net: changeArcs(net, [key], (arc) => this.weighing(arc, weight)),
     }));
@@ -195,7 +196,7 @@ export class Actions {
     const places = new Set(this.net.places.map(({ name }) => name));
     const fit = this.net.arcs.filter((arc) => arcs.includes(arcKey(arc)) && places.has(arc.from));
     if (!fit.length) {
-      this.mode.say("Choose arcs from a place to a transition: only those can inhibit.");
+      this.mode.say("Select arcs from a place to a transition: only those can inhibit.");
       return;
     }
     const on = fit.some((arc) => !arc.inhibitor);
@@ -213,7 +214,7 @@ export class Actions {
   toggleTimed() {
     const keys = this.chosen("transition");
     if (!keys.length) {
-      this.mode.say("Choose transitions, to make them timed or immediate.");
+      this.mode.say("Select the transitions to make timed or immediate.");
       return;
     }
     const timed = keys.some((key) => !findNode(this.net, key).data.timed);
@@ -236,13 +237,13 @@ export class Actions {
 
   // -- moving --------------------------------------------------------------------------------------
 
-  /** The drawn nodes that are chosen. */
+  /** The selected nodes, as drawn. */
   chosenNodes() {
     const { canvas, selection } = this.mode;
     return [...selection].map((key) => canvas.byKey.get(key)).filter(Boolean);
   }
 
-  /** Put nodes where they are drawn now, or at the given points of the drawing: name -> [x, y]. */
+  /** Store the positions at which nodes are drawn now, or the given ones: name -> [x, y]. */
   move(label, points, merge = null) {
     const { canvas } = this.mode;
     const positions = new Map([...points].map(([name, [x, y]]) => [name, canvas.toDocument(x, y)]));
@@ -264,7 +265,7 @@ export class Actions {
   arrange(how, title) {
     const nodes = this.chosenNodes();
     if (nodes.length < 2) {
-      this.mode.say("Choose at least two nodes.");
+      this.mode.say("Select at least two nodes.");
       return;
     }
     this.move(title, arranged(how, nodes));
@@ -294,12 +295,12 @@ export class Actions {
     this.mode.say(`${plural(this.mode.selection.size, "element")} chosen`);
   }
 
-  /** The text of what is chosen; it is also kept here. */
+  /** The selection as text; it is also kept here. */
   copy() {
     const { mode } = this;
     const text = copied(mode.document.state, mode.selection, mode.canvas.positions());
     if (!text) {
-      mode.say("Choose places or transitions to copy.");
+      mode.say("Select places or transitions to copy.");
       return "";
     }
     kept = text;
@@ -313,18 +314,18 @@ export class Actions {
     return text;
   }
 
-  /** Paste a text, or what was copied last. */
+  /** Paste a text, or the last copy. */
   paste(text = kept) {
     const part = parsed(text);
     if (part) this.insert(part, "Paste");
-    else this.mode.say("The clipboard holds no part of a net.");
+    else this.mode.say("The clipboard does not contain a part of a net.");
   }
 
   duplicate() {
     const { mode } = this;
     const text = copied(mode.document.state, mode.selection, mode.canvas.positions());
     if (text) this.insert(parsed(text), "Duplicate");
-    else mode.say("Choose places or transitions to duplicate.");
+    else mode.say("Select places or transitions to duplicate.");
   }
 
   insert(part, word) {
@@ -332,7 +333,7 @@ export class Actions {
     const nodes = [...part.places, ...part.transitions];
     const { scale } = canvas;
     const drawn = nodes.map(({ position: [x, y] }) => [x * scale, y * scale]);
-    // beside the original, farther where something is already
+    // next to the original, or farther away if that spot is taken
     let shift = 0;
     const taken = (d) =>
       drawn.some(([x, y]) =>
@@ -359,14 +360,14 @@ export class Actions {
 
   // -- subnets -------------------------------------------------------------------------------------
 
-  /** Open the file of the subnet that a place stands for. Returns whether it stands for one. */
+  /** Open the file of the subnet that a place stands for. Returns false if the place stands for none. */
   openSubnet(key) {
     const { canvas, opened, page } = this.mode;
     const node = canvas.byKey.get(key);
     const file = node?.type === "place" ? canvas.subnetOf(node.name) : null;
     if (!file) return false;
     const parts = opened.path.split("/");
-    if (parts[parts.length - 1].includes(".")) parts.pop(); // a file; otherwise a folder with a plan
+    if (parts[parts.length - 1].includes(".")) parts.pop(); // a file; anything else is a folder with a plan
     for (const part of file.split("/"))
       if (part === "..") parts.pop();
       else if (part !== "." && part !== "") parts.push(part);

@@ -1,7 +1,7 @@
-// Where nodes go: the grid and the guides that a dragged node snaps to, and aligning and distributing several.
+// The grid and the guides that a dragged node snaps to, and the alignment and distribution of several nodes.
 
 export const GRID = 10; // px between the lines of the grid
-const NEAR = 7; // px within which a node snaps to the line of another
+const NEAR = 7; // px within which a node snaps to the line of another node
 
 const onGrid = (value) => Math.round(value / GRID) * GRID;
 
@@ -32,7 +32,7 @@ export function snapped(x, y, others, k) {
   return { x: line("x", x), y: line("y", y), guides };
 }
 
-/** What can be done to several nodes: [word, title]. */
+/** The ways to arrange several nodes: [word, title]. */
 export const ARRANGEMENTS = [
   ["left", "Align left"],
   ["centre", "Align centres"],
@@ -40,8 +40,8 @@ export const ARRANGEMENTS = [
   ["top", "Align tops"],
   ["middle", "Align middles"],
   ["bottom", "Align bottoms"],
-  ["across", "Distribute across"],
-  ["down", "Distribute down"],
+  ["across", "Distribute horizontally"],
+  ["down", "Distribute vertically"],
 ];
 
 /** New positions of nodes {name, x, y}: name -> [x, y]. */

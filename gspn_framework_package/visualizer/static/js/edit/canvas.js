@@ -1,5 +1,5 @@
-// The drawing of the document that is being edited. Two states of a document share all that did not change, so only
-// the elements of changed objects are drawn again: an edit of a large net costs as much as one of a small net.
+// The drawing of the document that is being edited. Two states of a document share everything unchanged, so only the
+// elements of changed objects are redrawn: an edit costs the same in a large net as in a small one.
 
 import { s } from "../dom.js";
 import { arcShape, arcLine, arcEnd, boundsOf } from "../geometry.js";
@@ -9,15 +9,15 @@ import { at, buildPlace, buildTransition, drawPlace } from "../net_nodes.js";
 import { BEND, SIZES } from "../net_arcs.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 
-const NEAREST = 44; // px between two nodes below which the positions of a file are spread
-const SPREAD = 68; // px to which they are spread
+const NEAREST = 44; // a file whose nodes are closer than this (px) is spread out
+const SPREAD = 68; // px between its closest nodes after that
 const GAP = 96; // px between the nodes of a net without positions
-const FEW = 60; // nodes that an edit may change and that are then drawn in the upper sheet
-const MOST_LIFTED = 300; // nodes that are in the upper sheet before all go back
+const FEW = 60; // an edit that changes up to this many nodes has them drawn in the upper sheet
+const MOST_LIFTED = 300; // with more nodes in the upper sheet, all go back
 const QUIET = 600; // ms without a change after which they go back
 const LEVELS = ["error", "warning", "note"]; // of marks
 
-/** How far the positions of a file are spread, so that no symbols lie over each other. */
+/** The factor by which the positions of a file are spread so that no symbols overlap. */
 function spreadOf(positions) {
   let nearest = Infinity;
   const sorted = [...positions].sort((a, b) => a[0] - b[0]);
@@ -29,9 +29,9 @@ function spreadOf(positions) {
   return nearest < NEAREST ? SPREAD / nearest : 1;
 }
 
-/** Fires "frame" after drawing. Keys of elements are those of the selection: "place:NAME", "arc:FROM>TO". */
+/** Fires "frame" after drawing. Elements have the same keys as in the selection: "place:NAME", "arc:FROM>TO". */
 export class Canvas extends EventTarget {
-  /** `scale`: how far the document's positions are spread; without it, as far as they need. */
+  /** `scale`: the factor by which the document's positions are spread; if absent, the smallest sufficient one. */
   constructor(container, document, scale = null) {
     super();
     this.container = container;
@@ -46,8 +46,8 @@ export class Canvas extends EventTarget {
     this.size = 1;
     this.own = new Map(); // positions of nodes that have none in the document
     this.shown = null; // the state that is drawn
-    this.loose = false; // whether an arc has lost a node, or lacks one
-    this.counts = null; // tokens that are shown instead of those of the document
+    this.loose = false; // whether an arc lacks a node
+    this.counts = null; // tokens shown instead of the document's
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
     this.layer = {
@@ -71,7 +71,7 @@ export class Canvas extends EventTarget {
     this.labels = new Labels(this);
     this.camera = new Camera(this);
     this.changed = () => {
-      this.camera.fitted = false; // what is being edited stays where it is
+      this.camera.fitted = false; // an element that is being edited stays where it is
       this.show();
     };
     document.addEventListener("change", this.changed);
@@ -103,17 +103,17 @@ export class Canvas extends EventTarget {
     return this.own.get(data.name);
   }
 
-  /** A position of the drawing, as the document has it. */
+  /** Convert a position from the drawing to the document. */
   toDocument(x, y) {
     return [x, y].map((value) => Math.round((value / this.scale) * 100) / 100 + 0);
   }
 
-  /** The positions of all nodes, as the document has them: name -> [x, y]. */
+  /** The positions of all nodes in the document's units: name -> [x, y]. */
   positions() {
     return new Map(this.nodes.map((node) => [node.name, this.toDocument(node.x, node.y)]));
   }
 
-  /** Use the server's layout for nodes that have no position: they are shown there, the document stays as it is. */
+  /** Show nodes that have no position where the server's layout puts them; the document is not changed. */
   useLayout({ places, transitions }) {
     for (const [name, [x, y]] of Object.entries({ ...places, ...transitions }))
       this.own.set(name, [x * this.scale, y * this.scale]);
@@ -121,7 +121,7 @@ export class Canvas extends EventTarget {
     this.camera.fit();
   }
 
-  /** A spot where no node is, near [x, y] or the middle of the view. */
+  /** A spot without nodes, near [x, y] or the middle of the view. */
   freeSpot(x, y) {
     if (x === undefined) {
       const { width, height } = this.container.getBoundingClientRect();
@@ -140,7 +140,7 @@ export class Canvas extends EventTarget {
     return [x, y];
   }
 
-  /** A point of the container, in the drawing. */
+  /** Convert a point from the container to the drawing. */
   toDrawing(px, py) {
     const { k, x, y } = this.camera.now;
     return [(px - x) / k, (py - y) / k];
@@ -152,7 +152,7 @@ export class Canvas extends EventTarget {
 
   // -- drawing what changed ------------------------------------------------------------------------
 
-  /** Draw the present state: the difference to the one that is drawn. */
+  /** Draw the present state by redrawing what differs from the state already drawn. */
   show() {
     const { state } = this.document;
     const before = this.shown;
@@ -185,7 +185,7 @@ export class Canvas extends EventTarget {
     return typeof action?.plan === "string" ? action.plan : null;
   }
 
-  /** Returns whether nodes came or went. */
+  /** Returns whether nodes were added or removed. */
   showNodes(kind, list) {
     const seen = new Set();
     const touched = [];
@@ -256,12 +256,12 @@ export class Canvas extends EventTarget {
     drawPlace(node, shown ?? node.data.tokens ?? 0, []);
   }
 
-  /** Put a node where the document has it. */
+  /** Draw a node at its position in the document. */
   place(node) {
     this.moveTo(node, ...this.positionOf(node.data));
   }
 
-  /** Show a node somewhere; the document stays as it is. */
+  /** Draw a node at another position, without changing the document. */
   moveTo(node, x, y) {
     if (node.x === x && node.y === y) return;
     [node.x, node.y] = [x, y];
@@ -270,8 +270,8 @@ export class Canvas extends EventTarget {
     this.request();
   }
 
-  /** Draw some nodes and their arcs in a sheet of their own until nothing has changed for a while: a change of them
-   * does not have all others drawn again. */
+  /** Draw some nodes and their arcs in a separate sheet until nothing has changed for a while, so that changing them
+   * does not redraw all others. */
   lift(nodes) {
     if (this.lifted.size > MOST_LIFTED) this.settle();
     for (const node of nodes) {
@@ -292,7 +292,7 @@ export class Canvas extends EventTarget {
     }, time);
   }
 
-  /** Put what was lifted back. */
+  /** Put the lifted nodes back. */
   settle() {
     clearTimeout(this.quiet);
     this.quiet = 0;

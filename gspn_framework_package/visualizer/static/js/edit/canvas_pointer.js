@@ -1,5 +1,5 @@
-// Gestures on the drawing: choosing, moving, the rubber band, and arcs that are drawn from the handles of a node. A
-// gesture changes the document once, when it ends; until then only the drawing shows it.
+// Gestures on the drawing: selecting, moving, the rubber band, and drawing arcs from the handles of a node. A gesture
+// changes the document once, when it ends; until then, only the drawing changes.
 
 import { s } from "../dom.js";
 import { RADIUS, BAR } from "../geometry.js";
@@ -9,7 +9,7 @@ import { snapped } from "./arrange.js";
 import { problemOfArc } from "./net_edits.js";
 
 const HANDLE = 36; // px from the centre of a node to its handles
-const REACH = 58; // px around a node within which its handles stay
+const REACH = 58; // the handles of a node stay while the pointer is this close (px)
 const ARC = 7; // px from the pointer within which an arc is hit
 const SIDES = [
   [1, 0],
@@ -29,7 +29,7 @@ export class CanvasPointer extends Pointer {
   constructor(mode) {
     super(mode.canvas);
     this.mode = mode;
-    this.here = null; // the pointer in the drawing, while it is over it
+    this.here = null; // position of the pointer, while it is over the drawing
     this.layer = this.view.layer.over;
     this.handles = s("g.handles");
     this.band = s("rect.band", { visibility: "hidden" });
@@ -51,7 +51,7 @@ export class CanvasPointer extends Pointer {
     return this.view.toDrawing(...this.point(event));
   }
 
-  /** The node at a point of the drawing, `slack` px larger than it is drawn. */
+  /** The node at a point of the drawing; it counts as `slack` px larger than drawn. */
   nodeAt([x, y], slack = 4) {
     let [best, least] = [null, Infinity];
     for (const node of this.view.nodes) {
@@ -123,7 +123,7 @@ export class CanvasPointer extends Pointer {
     const point = this.drawing(event);
     const handle = event.target.closest("[data-handle]");
     const node = handle ? this.handled : this.nodeAt(point);
-    // a finger moves what a tap has chosen, and else the view
+    // a finger moves what a tap has selected; otherwise, the view
     const touches = event.pointerType === "touch" && !(node && mode.selection.has(node.key));
     const looks = event.button === 1 || mode.panning || touches;
     const kind = looks
@@ -170,7 +170,7 @@ export class CanvasPointer extends Pointer {
     else if (gesture.kind === "band") this.stretch();
   }
 
-  /** Begin to move: the chosen nodes, or the one under the pointer. */
+  /** Begin to move the selected nodes, or the one under the pointer. */
   take(event) {
     const { mode, gesture } = this;
     if (!mode.selection.has(gesture.node.key))
@@ -214,7 +214,7 @@ export class CanvasPointer extends Pointer {
     );
   }
 
-  /** Where an arc that is being drawn would end: {node, x, y, problem}. */
+  /** Where the arc being drawn would end: {node, x, y, problem}. */
   target() {
     const { gesture, view, here, mode } = this;
     const node = this.nodeAt(here, 10);
@@ -274,7 +274,7 @@ export class CanvasPointer extends Pointer {
     this.guides.replaceChildren();
   }
 
-  /** End a gesture without an edit: everything is shown where the document has it. */
+  /** End a gesture without an edit: draw everything at its position in the document. */
   cancel() {
     for (const node of this.gesture?.nodes || []) this.view.place(node);
     this.clear();
@@ -311,7 +311,8 @@ export class CanvasPointer extends Pointer {
     this.name(event, added);
   }
 
-  /** Let a node that was added be named at once: what is typed next is its name. Fingers get no keyboard for it. */
+  /** Ask for the name of a node just added: the next keys typed become its name. (Not after a touch, which would open
+   * the on-screen keyboard.) */
   name(event, key) {
     if (key && event.pointerType !== "touch") this.mode.beginRename(key);
   }
@@ -350,7 +351,7 @@ export class CanvasPointer extends Pointer {
       if (!mode.actions.openSubnet(key)) mode.beginRename(key);
       return;
     }
-    if (event.pointerType === "touch") return; // fingers only look
+    if (event.pointerType === "touch") return; // touch does not edit
     const spot = snapped(x, y, view.nodes, view.camera.now.k);
     const what = event.shiftKey ? "timed" : event.altKey ? "immediate" : "place";
     this.name(event, mode.actions.add(what, spot.x, spot.y));

@@ -1,16 +1,16 @@
-// The check while editing: marks at the nodes, the list of findings, and what would happen at a marking. What is shown
-// is called checked only if the server has checked this very state.
+// The check while editing: marks at the nodes, the list of findings, and "What would happen here?". A state is called
+// checked only if the server has checked exactly this state.
 
 import { h, plural } from "../dom.js";
 import { post } from "../api.js";
 import { onlyMoved } from "./plan_document.js";
 
 const QUIET = 150; // ms without an edit after which the state is checked
-const LISTED = 60; // findings of one level that are listed
+const LISTED = 60; // findings listed per level
 const LEVELS = { error: "Error", warning: "Warning", note: "Note" };
 const RANK = { error: 3, warning: 2, note: 1 };
 
-/** The keys of the selection that a finding is about; of an arc its ends too, which can have a mark. */
+/** The keys of the elements that a finding is about; for an arc, also its ends, which can carry a mark. */
 function keysOf(elements) {
   const keys = [];
   for (const { kind, name } of elements)
@@ -23,10 +23,10 @@ export class Checks {
   constructor(mode) {
     this.mode = mode;
     mode.findings = [];
-    this.page = Math.random().toString(36).slice(2); // other pages' checks go on beside these
+    this.page = Math.random().toString(36).slice(2); // checks of other pages run at the same time
     this.revision = 0;
     this.timer = 0;
-    this.asked = null; // the state that is being checked, or was; the check reads no positions
+    this.asked = null; // the state being checked, or checked last; positions do not matter to the check
     this.state = h("p.ed-check-state", { id: "ed-check-state", role: "status" });
     this.again = h("button", { text: "Check again", hidden: true, onclick: () => this.check() });
     this.list = h("div.ed-findings", { id: "ed-findings" });
@@ -40,7 +40,7 @@ export class Checks {
         h(
           "label.check",
           {
-            title: "Transitions may create and destroy agents; robots they may not.",
+            title: "Transitions may create and destroy agents, but not robots.",
           },
           this.agents,
           " for agents without ROS (gspn run), not for robots",
@@ -51,7 +51,7 @@ export class Checks {
     this.chip = mode.button("look", {
       id: "ed-verdict",
       label: "Check",
-      title: "What the check says",
+      title: "Results of the check",
       onclick: () => mode.showPanel("checks"),
     });
     this.changed = () => this.later();
@@ -71,13 +71,13 @@ export class Checks {
 
   later() {
     if (this.asked && onlyMoved(this.asked, this.mode.document.state)) return;
-    this.revision += 1; // answers that come now are of another state
+    this.revision += 1; // answers that arrive now are about another state
     this.showState("checking", "Checking … the findings below are those before the last edit.");
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.check(), QUIET);
   }
 
-  /** Check the present state: quickly first, then as far as gspn check goes if that left something open. */
+  /** Check the present state quickly; if a question stays open, check again with the limits of gspn check. */
   async check() {
     clearTimeout(this.timer);
     const { state } = this.mode.document;
@@ -103,7 +103,7 @@ export class Checks {
     }
   }
 
-  /** The answer of the server; null if another state is to be checked by now. */
+  /** The server's answer; null if the state has changed since. */
   async ask(state, revision, full) {
     const answer = await post(
       "edit/check",
@@ -119,7 +119,7 @@ export class Checks {
     const count = (level) => findings.filter((finding) => finding.level === level).length;
     const warnings = count("warning");
     const more = warnings ? `, ${plural(warnings, "warning")}` : "";
-    const errors = count("error"); // without any, what there is cannot be judged yet
+    const errors = count("error"); // an empty net cannot be judged yet
     if (!valid)
       return errors ? `Not valid: ${plural(errors, "error")}${more}` : `Not finished${more}`;
     return doubts.length ? `May run, but ${doubts.join(", and ")}${more}` : `May run${more}`;
@@ -190,14 +190,14 @@ export class Checks {
       witness?.length
         ? h("button", {
             text: `Play ${plural(witness.length, "step")}`,
-            title: `How it comes about: ${witness.slice(0, 20).join(", ")}${witness.length > 20 ? ", …" : ""}`,
+            title: `Firings that lead to it: ${witness.slice(0, 20).join(", ")}${witness.length > 20 ? ", …" : ""}`,
             onclick: () => this.mode.play(witness, markings),
           })
         : "",
     );
   }
 
-  /** Choose what a finding is about, and fly there. */
+  /** Select the elements that a finding is about, and move the view there. */
   go(keys, rows) {
     if (keys.length) {
       this.mode.choose(keys);

@@ -1,5 +1,4 @@
-// Parts of a net as text: what copy puts on the clipboard, and what paste takes from there. Whatever else is on it, or
-// text that somebody wrote, is refused as a whole.
+// Parts of a net as text, for copy and paste. Paste refuses any text that is not exactly of this form.
 
 import { freeName } from "./net_edits.js";
 
@@ -24,7 +23,8 @@ function isPositive(value) {
 const isName = (value) => typeof value === "string" && value.trim() !== "";
 const isObject = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
 
-/** The chosen nodes of a state, the arcs between them, and the actions of the places, as text; "" without nodes. */
+/** The selected nodes of a state, the arcs between them and the actions of the places, as text; "" if there are none.
+ */
 export function copied(state, keys, positions) {
   const { net, plan } = state;
   const withPlace = (node) => ({ ...node, position: positions.get(node.name) });
@@ -42,7 +42,7 @@ export function copied(state, keys, positions) {
   return JSON.stringify({ [MARK]: 1, places, transitions, arcs, actions, resources }, null, 1);
 }
 
-/** What `text` holds: {places, transitions, arcs, actions, resources}; null if it is no part of a net. */
+/** What `text` holds: {places, transitions, arcs, actions, resources}; null if it is not a part of a net. */
 export function parsed(text) {
   let data;
   try {
@@ -91,7 +91,7 @@ export function parsed(text) {
   };
 }
 
-/** A part with names that the net does not have yet, put elsewhere by `move(x, y)`. */
+/** A copy of a part with names that are new to the net, its positions changed by `move(x, y)`. */
 export function fitted(part, net, move) {
   const names = new Map();
   const taken = new Set();

@@ -23,7 +23,7 @@ const EMPTY = {
   null: null,
 };
 
-/** Whether a value stands for data: {from: NAME}. */
+/** Whether a value refers to data: {from: NAME}. */
 export const isReference = (value) =>
   typeOf(value) === "object" &&
   Object.keys(value).join() === "from" &&
@@ -31,11 +31,11 @@ export const isReference = (value) =>
 
 export const kindOf = (value) => (isReference(value) ? "data" : typeOf(value));
 
-/** Why this is no name of data; "" if it is one. */
+/** Why this is not a name of data; "" if it is. */
 export function problemOfData(name) {
   return /^((robot|team|task)\.)?[A-Za-z_][A-Za-z0-9_]{0,99}$/.test(name)
     ? ""
-    : "a name of data has letters, digits and _; robot., team. or task. may come before it";
+    : "a name of data consists of letters, digits and _, after an optional robot., team. or task.";
 }
 
 /** The control of a value that comes from data: its name. */
@@ -53,7 +53,7 @@ export const dataField = (form, lens, label, attributes) =>
     },
   );
 
-/** The controls of one value: its kind, and what it is. `label` names it for screen readers. */
+/** The controls of one value: its kind and its content. `label` names it for screen readers. */
 export function valueField(form, lens, label, { kinds = null, remove = null } = {}) {
   const value = lens.get();
   const kind = kindOf(value);
@@ -85,7 +85,7 @@ export function valueField(form, lens, label, { kinds = null, remove = null } = 
   return h("div.value", h("div.entry", chooser, control, remove), below);
 }
 
-/** The fields of an object with any names. `start`: name -> the value of a new one. */
+/** The fields of an object whose keys are free. `start`: name -> the value of a new one. */
 export function fields(
   form,
   lens,
@@ -113,12 +113,12 @@ export function fields(
     ),
     form.namer(
       lens.key,
-      `Name of a further field of ${label}`,
+      `Name of another field of ${label}`,
       (name) =>
         !name
           ? "a name is needed"
           : name in (lens.get() ?? {})
-            ? "there is one of this name"
+            ? "this name exists already"
             : check(name),
       (name) => {
         form.wanted = inside(name).key;
@@ -161,7 +161,7 @@ function items(form, lens, label) {
   );
 }
 
-/** The names of data that the actions of a plan are known to write, or read. */
+/** The names of data that the plan's actions are known to write or read. */
 export function dataNames(plan) {
   const names = new Set(["task.id"]);
   const walk = (value) => {

@@ -1,5 +1,5 @@
-// The visual difference of two documents: what was added is green on the drawing, what changed is amber, what was
-// removed is a red ghost; and the list of all changes.
+// The visual difference of two documents: on the drawing, added elements are green, changed ones amber, removed ones
+// red ghosts; a list shows all changes.
 
 import { $, h, s, plural } from "../dom.js";
 import { post } from "../api.js";
@@ -28,7 +28,7 @@ export function inWords({ what, kind, name, key, from, to }) {
     : `${subject}: ${said(value)}`;
 }
 
-/** The list of changes; `choose(change)`, if given, is called for a change that is pressed. */
+/** The list of changes; `choose(change)`, if given, is called when a change is clicked. */
 export function changeList(changes, choose = null) {
   const items = changes.slice(0, LISTED).map((change) => {
     const text = `${SIGNS[change.what]} ${inWords(change)}`;
@@ -41,10 +41,10 @@ export function changeList(changes, choose = null) {
     );
   });
   if (changes.length > LISTED) items.push(h("li.muted", `and ${changes.length - LISTED} more`));
-  return changes.length ? h("ul.ed-changes", items) : h("p.muted", "There is no difference.");
+  return changes.length ? h("ul.ed-changes", items) : h("p.muted", "There are no differences.");
 }
 
-/** The changes from one document to another, as the server finds them. */
+/** The changes from one document to another, computed by the server. */
 export async function changesBetween(mode, from, to) {
   const { changes } = await post("edit/diff", { from, to }, { id: mode.id });
   return changes || [];
@@ -55,7 +55,7 @@ export class DiffView {
   constructor(mode) {
     this.mode = mode;
     mode.diff = this;
-    this.shown = null; // {title, from, to}: to null is the present state
+    this.shown = null; // {title, from, to}; `to` is null for the present state
     this.ghosts = s("g.diff-ghosts");
     this.asked = 0;
     this.body = h("div", { id: "ed-changes" });
@@ -77,7 +77,7 @@ export class DiffView {
           h("button", {
             id: "ed-diff-running",
             text: "Against what runs",
-            title: "What differs from the plan that is open in the page, which a run of it uses",
+            title: "Differences from the plan that is open in the page, which its run uses",
             onclick: () => this.show({ title: "Against what runs", from: "running" }),
           }),
           this.closeButton,
@@ -102,8 +102,8 @@ export class DiffView {
     return this.show({ title: "Not saved", from: () => this.mode.document.saved });
   }
 
-  /** Show what has changed. `from`: a document, a function that returns one, "saved" or "running"; `to`: a document;
-   * without it the present one, whatever is edited meanwhile. */
+  /** Show the changes. `from`: a document, a function that returns one, "saved" or "running"; `to`: a document;
+   * if absent, the present one, including later edits. */
   show({ title, from, to = null }) {
     this.shown = { title, from, to };
     this.mode.showPanel("diff");
@@ -116,14 +116,12 @@ export class DiffView {
     this.clear();
     this.title.textContent = "";
     this.closeButton.hidden = true;
-    this.body.replaceChildren(
-      h("p.muted", "Changes are drawn green, amber and red where they are."),
-    );
+    this.body.replaceChildren(h("p.muted", "Changes are drawn in place: green, amber and red."));
   }
 
   later() {
     if (!this.shown) return;
-    this.asked += 1; // what is shown is no longer so
+    this.asked += 1; // the changes shown are out of date
     this.title.textContent = `${this.shown.title} …`;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.update(), QUIET);

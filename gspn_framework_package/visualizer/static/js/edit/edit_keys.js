@@ -2,28 +2,28 @@
 
 import { attempt, dialogOpen } from "../dom.js";
 
-const TYPING = 400; // ms within which a second key makes a name of two, after a node was added by key
+const TYPING = 400; // ms within which a second key turns both into a name, after a node was added by key
 
 /** What the help says: [keys, what they do]. */
 export const EDIT_KEYS = [
-  ["P  T  I", "add a place, a timed or an immediate transition, where the pointer is"],
-  ["Shift + P  T  I", "the same, with an arc from the chosen node"],
-  ["A", "an arc from the chosen node: ← → or the list choose its end, Enter makes it"],
+  ["P  T  I", "add a place, a timed or an immediate transition at the pointer"],
+  ["Shift + P  T  I", "the same, with an arc from the selected node"],
+  ["A", "an arc from the selected node: ← → or the list choose its end, Enter makes it"],
   ["any name", "after a node was added: its name"],
-  ["F2, Enter", "rename the chosen node; the weight of the chosen arc"],
-  ["+  −", "tokens of the chosen places, weight of the chosen arcs; else zoom"],
-  ["H", "make the chosen arcs inhibitor arcs, and back"],
-  ["X", "make the chosen transitions timed or immediate"],
-  ["← → ↑ ↓", "move what is chosen (with Shift: farther); if nothing is, the view"],
-  ["Ctrl + ← → ↑ ↓", "choose the next node in that direction (with Shift: that one too)"],
-  ["↑ ↓ in the list", "choose the next element (with Shift: that one too)"],
-  ["Ctrl + ↑ ↓, Space", "in the list: go to the next element; choose it, or no longer"],
-  ["Delete", "delete what is chosen"],
-  ["Ctrl + A", "choose everything"],
+  ["F2, Enter", "rename the selected node; edit the weight of the selected arc"],
+  ["+  −", "tokens of the selected places, weight of the selected arcs; otherwise zoom"],
+  ["H", "make the selected arcs inhibitor arcs, and back"],
+  ["X", "make the selected transitions timed or immediate"],
+  ["← → ↑ ↓", "move the selection (with Shift: farther), or the view if nothing is selected"],
+  ["Ctrl + ← → ↑ ↓", "select the next node in that direction (Shift: add it to the selection)"],
+  ["↑ ↓ in the list", "select the next element (Shift: add it to the selection)"],
+  ["Ctrl + ↑ ↓, Space", "in the list: go to the next element; select or deselect it"],
+  ["Delete", "delete the selection"],
+  ["Ctrl + A", "select everything"],
   ["Ctrl + C  X  V  D", "copy, cut, paste, duplicate"],
   ["Ctrl + Z,  Ctrl + Y", "undo, redo (also Ctrl + Shift + Z)"],
   ["Ctrl + S", "save"],
-  ["Ctrl + Enter", "open the subnet of the chosen place"],
+  ["Ctrl + Enter", "open the subnet of the selected place"],
   ["Space + drag", "move the view (also the middle button, or a finger)"],
   ["F", "fit the net"],
   ["/", "search the list"],
@@ -39,13 +39,13 @@ const isField = (target) =>
   target.matches?.("input:not([type=checkbox]):not([type=radio]), textarea, select") ||
   target.isContentEditable;
 
-/** Keys that come after a node was added by key. They may be the beginning of its name, or go on drawing: a key that
- * draws waits a moment for a second one. P, T and I with Shift draw, one after the other. */
+/** Keys pressed after a node was added by key. They may start its name or draw the next node, so a drawing key waits a
+ * moment for a second key. Shift + P, T or I always draws. */
 class Typed {
   constructor(mode, act) {
     this.mode = mode;
     this.act = act;
-    this.waiting = []; // events whose meaning is open
+    this.waiting = []; // key events not interpreted yet
     this.timer = 0;
   }
 
@@ -56,7 +56,7 @@ class Typed {
     return fresh && !this.mode.tool ? added.key : null;
   }
 
-  /** Take a key. Returns whether it is dealt with. */
+  /** Handle a key. Returns whether it was used. */
   take(event) {
     const { added } = this;
     const writes = event.key.length === 1 && event.key !== " " && !event.altKey;
@@ -78,7 +78,7 @@ class Typed {
     return true;
   }
 
-  /** What waits was meant for the drawing. */
+  /** The waiting keys were meant for the drawing. */
   draw() {
     clearTimeout(this.timer);
     for (const event of this.waiting.splice(0)) this.act(event);

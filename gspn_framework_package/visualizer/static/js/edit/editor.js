@@ -1,4 +1,4 @@
-// Between the page and the mode EDIT: opening, leaving, and the documents that are left open meanwhile.
+// Between the page and the mode EDIT: opens and leaves it, and keeps the documents that stay open.
 
 import { $, attempt } from "../dom.js";
 import { get } from "../api.js";
@@ -13,8 +13,8 @@ export class Editor {
     this.page = page;
     this.mode = null;
     this.kept = new Map(); // key -> {opened, document}: what was opened since the editor was entered
-    this.left = new Map(); // the same of before: an edit can be undone later, as long as the files stay as they are
-    this.trail = []; // keys of the files that led to the open one
+    this.left = new Map(); // the same for earlier visits: an edit can be undone later while the files are unchanged
+    this.trail = []; // keys of the files on the path to the open one
     $("ed-open").onclick = () => page.edit(page.model.session.id);
     $("ed-close").onclick = () => page.go(this.id);
     addEventListener("beforeunload", (event) => {
@@ -38,7 +38,7 @@ export class Editor {
     $("ed-close").hidden = !this.mode;
   }
 
-  /** Edit a file. What was changed in other files since the editor was entered is kept. */
+  /** Edit a file. Changes to other files since the editor was entered are kept. */
   async open(key) {
     hideOpening();
     const { page } = this;
@@ -67,7 +67,7 @@ export class Editor {
     this.mode.addEventListener("frame", () => (document.body.dataset.ready = "0"), { once: true });
   }
 
-  /** Open the file of a subnet; a path of crumbs leads back. */
+  /** Open the file of a subnet; breadcrumbs lead back. */
   enter(key) {
     this.trail.push(this.id);
     this.page.edit(key);

@@ -1,5 +1,5 @@
-// The list beside the drawing: the places, transitions and arcs of the document, searchable. It shows what is chosen
-// and chooses; everything that can be done to the drawing can be done from here with keys.
+// The list next to the drawing: the places, transitions and arcs of the document, searchable. It shows and changes the
+// selection; from here, keys can do everything that the pointer does on the drawing.
 
 import { h, $, natural, LIST_STEPS } from "../dom.js";
 import { RestingList } from "../resting_list.js";
@@ -20,9 +20,9 @@ export class ElementList extends RestingList {
     });
     super(list, PAUSE);
     this.mode = mode;
-    this.rows = new Map(); // key -> the row that is drawn
-    this.at = null; // the key of the element that the keys have come to
-    this.made = 0; // rows so far: each has an id of its own
+    this.rows = new Map(); // key -> the row drawn for it
+    this.at = null; // key of the element with the keyboard focus
+    this.made = 0; // number of rows made so far, for unique ids
     this.items = [];
     this.search = h("input", {
       id: "ed-search",
@@ -101,7 +101,7 @@ export class ElementList extends RestingList {
       ["Arcs", arcs],
     ];
     this.items = groups.flatMap(([, items]) => items);
-    // the first ones, or those around the one that the keys have come to
+    // the first ones, or those around the focused one
     const at = this.items.findIndex(({ key }) => key === (this.mode.arcEnd ?? this.at));
     const first = at < ROWS_DRAWN ? 0 : at - ROWS_DRAWN / 2;
     const before = this.rows;
@@ -128,7 +128,7 @@ export class ElementList extends RestingList {
     this.mark();
   }
 
-  /** Let the list have these rows; those that are there already stay where they are. */
+  /** Show these rows in the list; rows already in it stay in place. */
   put(rows) {
     const stays = new Set(rows);
     for (const row of [...this.list.children]) if (!stays.has(row)) row.remove();
@@ -138,7 +138,7 @@ export class ElementList extends RestingList {
       else this.list.insertBefore(row, at);
   }
 
-  /** The row of an element: the one that shows it already, if that is as it would be now. */
+  /** The row of an element: the existing one if it is up to date. */
   row(item, before = null) {
     const shows = JSON.stringify(item);
     if (before?.shows === shows) return before;
@@ -184,13 +184,13 @@ export class ElementList extends RestingList {
     else this.choose(key, event.shiftKey);
   }
 
-  /** Let the keys come to an element, which is not chosen by that. */
+  /** Move the keyboard focus to an element without selecting it. */
   goTo(key) {
     this.at = key;
     this.mark();
   }
 
-  /** Choose an element; while an arc is being made, it is the arc's end. */
+  /** Select an element; while an arc is being made, make it the arc's end. */
   choose(key, more = false) {
     const { mode } = this;
     if (mode.tool === "arc" && mode.arcStart) {
@@ -211,7 +211,7 @@ export class ElementList extends RestingList {
     const row = this.rows.get(at);
     if (!row) {
       this.list.removeAttribute("aria-activedescendant");
-      if (this.items.some(({ key }) => key === at)) this.update(); // it is not drawn yet
+      if (this.items.some(({ key }) => key === at)) this.update(); // not drawn yet
       return;
     }
     if (arcEnd) row.setAttribute("aria-selected", "true");

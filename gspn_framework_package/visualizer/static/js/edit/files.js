@@ -1,4 +1,4 @@
-// The files of the document: saving, also against somebody else's change, drafts, and the export.
+// The files of the document: saving, conflicts with changes by somebody else, drafts, export.
 
 import { $, h, ask, attempt, toast } from "../dom.js";
 import { post } from "../api.js";
@@ -6,11 +6,11 @@ import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
 import { pngOf, svgOf } from "./picture.js";
 
-const QUIET = 1500; // ms without an edit after which the draft is kept
-const AGAIN = 15_000; // ms after which a draft that could not be kept is tried again
+const QUIET = 1500; // ms without an edit after which the draft is stored
+const AGAIN = 15_000; // ms before another attempt to store a draft
 const CHANGED = 412; // status: the files have changed on the disk
 
-/** Formats of the export: [name, what it is, ending of the file]. */
+/** Formats of the export: [name, description, file extension]. */
 const FORMATS = [
   ["zip", "the plan's folder, in one file (zip)", ".zip"],
   ["svg", "a picture (SVG)", ".svg"],
@@ -28,7 +28,7 @@ function download(blob, name) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
-/** A name that a folder can have, for a plan or net of any name. */
+/** A valid folder name for a plan or net of any name. */
 const folderName = (name) =>
   name
     .replace(/[^\p{L}\p{N}_ .+-]+/gu, "_")
@@ -48,8 +48,9 @@ export class Files {
     mode.files = this;
     this.timer = 0;
     this.saving = null;
-    this.kept = null; // the state that the draft holds
-    this.draft = mode.document.dirty ? null : mode.opened.draft || null; // not decided upon yet
+    this.kept = null; // the state stored as the draft
+    // the draft found on opening, until the user decides about it
+    this.draft = mode.document.dirty ? null : mode.opened.draft || null;
     this.saveButton = mode.button("file", {
       id: "ed-save",
       label: "Save",
@@ -61,7 +62,7 @@ export class Files {
     mode.button("file", {
       id: "ed-deploy",
       label: "Deploy…",
-      title: "Deploy this plan, as it is saved, to a running team",
+      title: "Deploy this plan, as last saved, to a running team",
       onclick: () => attempt(() => this.deploy()),
     });
     this.note = h("span.muted", { id: "ed-draft-state" });
@@ -76,7 +77,7 @@ export class Files {
     this.refresh();
   }
 
-  /** Why the document cannot be saved where it is; "" if it can. */
+  /** Why the document cannot be saved in its place; "" if it can. */
   get readOnly() {
     return this.mode.opened.read_only || "";
   }
@@ -114,7 +115,7 @@ export class Files {
 
   // -- saving --------------------------------------------------------------------------------------
 
-  /** Deploy the saved plan to a run that goes on. */
+  /** Deploy the saved plan to a running team. */
   async deploy() {
     if (this.mode.document.dirty) throw new Error("save the changes first, then deploy the plan");
     await deployToARun({ path: this.mode.id.slice("file-".length) }, this.mode.id);
@@ -148,7 +149,7 @@ export class Files {
     }
   }
 
-  /** Send a state to the files, which must be as `etag` says. */
+  /** Write a state to the files if they still match `etag`. */
   async put(state, etag) {
     const { mode } = this;
     const { etag: now, files } = await this.request("save", { etag, document: state });
@@ -156,11 +157,12 @@ export class Files {
     this.draft = null;
     this.hideBanner();
     mode.document.markSaved(state);
-    mode.say(mode.document.dirty ? "Saved, without the last edit." : "Saved.");
+    mode.say(mode.document.dirty ? "Saved, except for the last edit." : "Saved.");
     toast("Saved", true);
   }
 
-  /** The files have changed on the disk: ask whose state is to count. Resolves to whether mine was saved. */
+  /** The files have changed on the disk: ask which version to keep. Resolves to whether the user's version was saved.
+   */
   async settle(state, theirs) {
     const { mode } = this;
     const list = h("div", h("p.muted", "Comparing …"));
@@ -173,7 +175,10 @@ export class Files {
       h(
         "div",
         { id: "ed-conflict" },
-        h("p", "The files have changed since you opened or saved them. From theirs to yours:"),
+        h(
+          "p",
+          "The files have changed since you opened or saved them. Changes from their version to yours:",
+        ),
         list,
       ),
       [
@@ -188,16 +193,16 @@ export class Files {
     return false;
   }
 
-  /** Use the state of the files; undo brings back the own one. */
+  /** Use the state of the files; undo restores the user's version. */
   take({ etag, document: theirs }) {
     const { mode } = this;
     mode.opened.etag = etag;
     mode.document.edit("Use the changed files", () => theirs);
     mode.document.markSaved();
-    mode.say("These are the changed files. Undo brings back your version.");
+    mode.say("These are the changed files. Undo restores your version.");
   }
 
-  /** Save the document as a new plan, and go on with that one. Resolves to whether that was done. */
+  /** Save the document as a new plan and continue with that one. Resolves to whether it was saved. */
   async saveAs() {
     const { mode } = this;
     const { state } = mode.document;
@@ -213,7 +218,7 @@ export class Files {
       "Save as a new plan",
       [
         this.readOnly && h("p", `It cannot be saved here: ${this.readOnly}.`),
-        h("div.form", h("label", { for: "ed-save-name", text: "Name of its folder" }), name),
+        h("div.form", h("label", { for: "ed-save-name", text: "Name of the new folder" }), name),
       ],
       [
         ["Cancel", ""],
@@ -242,7 +247,7 @@ export class Files {
       return;
     }
     if (this.draft) {
-      this.note.textContent = "No draft is kept until you decide about the one above";
+      this.note.textContent = "No draft is stored until you decide about the one above";
       return;
     }
     this.note.textContent = "";
@@ -258,20 +263,20 @@ export class Files {
       await this.request("draft", { etag: mode.opened.etag, document: state });
       this.kept = state;
       if (state === mode.document.state && mode.document.dirty)
-        this.note.textContent = `Draft kept at ${new Date().toLocaleTimeString()}`;
+        this.note.textContent = `Draft stored at ${new Date().toLocaleTimeString()}`;
     } catch (error) {
-      this.note.textContent = `No draft is kept: ${error.message}`;
+      this.note.textContent = `The draft could not be stored: ${error.message}`;
       if (!this.closed) this.timer = setTimeout(() => this.keepDraft(), AGAIN);
     }
   }
 
-  /** Forget the draft: its content is saved, or undone. */
+  /** Delete the draft: its changes were saved or undone. */
   async dropDraft() {
     this.kept = null;
     try {
       await this.request("draft", { etag: this.mode.opened.etag, document: null });
     } catch {
-      // it is offered when the plan is opened again, and can be discarded then
+      // if this fails, the draft is offered when the plan is opened again and can be discarded then
     }
   }
 
@@ -289,7 +294,7 @@ export class Files {
         this.hideBanner();
         mode.diff?.hide();
         mode.document.edit("Continue the draft", () => draft.document);
-        if (older) mode.opened.etag = draft.etag; // saving it will ask about what changed since
+        if (older) mode.opened.etag = draft.etag; // saving it will ask about changes made since
         this.refresh();
       }),
       decide("Compare", "ed-draft-compare", () =>
@@ -344,7 +349,7 @@ export class Files {
     this.mode.say(`Exported as ${name}.`);
   }
 
-  /** A file that the server makes, and notes on what it does not say. */
+  /** A file made by the server, with notes on what the format cannot express. */
   async fromServer(body) {
     const id = new URLSearchParams({ id: this.mode.id });
     const response = await fetch(`/api/edit/export?${id}`, {
@@ -362,7 +367,7 @@ export class Files {
   close() {
     this.closed = true;
     clearTimeout(this.timer);
-    if (!this.draft && !this.saving) this.keepDraft(); // edits of the last moment
+    if (!this.draft && !this.saving) this.keepDraft(); // edits made just before
     this.mode.document.removeEventListener("change", this.changed);
     this.mode.document.removeEventListener("saved", this.changed);
   }

@@ -1,6 +1,6 @@
-// The ground of the editor's forms. A lens is a place in the document that a control reads and writes. What is typed
-// is checked at once; a value that is not valid stays in the form, with the reason beside it, and never enters the
-// document. A form follows the document: every edit, undo and redo redraws it, and the focus stays where it was.
+// Base of the editor's forms. A lens is a place in the document that a control reads and writes. Input is checked at
+// once; an invalid value stays in the form with the reason next to it and never enters the document. Every edit, undo
+// and redo redraws the form; the focus stays where it was.
 
 import { h, isPressed } from "../dom.js";
 import { actOnChoice, completionsOf, selectOf } from "./menus.js";
@@ -11,7 +11,7 @@ let ids = 0;
 /** An id that no other element has. */
 export const newId = () => `ed-field-${++ids}`;
 
-/** An object or a list with one entry replaced, or left out where `value` is undefined. */
+/** A copy of an object or list with one entry replaced, or removed if `value` is undefined. */
 export function withEntry(whole, name, value) {
   if (Array.isArray(whole)) {
     const list = [...whole];
@@ -25,8 +25,8 @@ export function withEntry(whole, name, value) {
   return result;
 }
 
-/** Where a value is in the document. `key` names it ("plan.timeout.Fetch"); `pattern` is the key with * for the names
- * that people gave; `get()` reads it (undefined: it is not there), `put(value, label, merge)` makes the edit. */
+/** The place of a value in the document. `key` names it ("plan.timeout.Fetch"); `pattern` is the key with * for names
+ * given by users; `get()` reads it (undefined: absent), `put(value, label, merge)` makes the edit. */
 export class Lens {
   constructor(key, get, put, pattern = key) {
     this.key = key;
@@ -35,8 +35,8 @@ export class Lens {
     this.put = put;
   }
 
-  /** An entry of the object or list here. `given`: its name was given by people, or it is an index. `drop`: without
-   * entries, the object itself goes too. */
+  /** An entry of the object or list here. `given`: the name was given by a user, or is an index. `drop`: remove the
+   * object with its last entry. */
   at(name, { given = false, drop = false, list = false } = {}) {
     const lens = new Lens(
       `${this.key}.${name}`,
@@ -52,7 +52,7 @@ export class Lens {
     return lens;
   }
 
-  /** The same place with other words for its value. `part`: what of it is shown, for the key. */
+  /** The same place with its value in another form. `part` extends the key: the part that is shown. */
   as(read, write, part = "") {
     const lens = new Lens(
       part ? `${this.key}.${part}` : this.key,
@@ -68,21 +68,22 @@ export class Lens {
 /** Stands for the values of several nodes that differ. */
 export const MIXED = Symbol("several values");
 
-/** A panel with a form. A subclass has `content()`, which returns the elements, and may add what else redraws it. */
-const SHARE = 4; // a form rests for so many times as long as drawing it took
+/** A panel with a form. A subclass defines `content()`, which returns the elements, and may add further events that
+ * redraw it. */
+const SHARE = 4; // a form rests for this multiple of the time that drawing it took
 
 export class FormPanel {
   constructor(mode, name, title) {
     this.mode = mode;
     this.element = h("div.ed-form", { id: `ed-${name}` });
-    this.drafts = new Map(); // key -> {text or value, problem, base}: what is not valid, and so not in the document
+    this.drafts = new Map(); // key -> {text or value, problem, base}: invalid input, which is not in the document
     this.open = new Map(); // key -> whether that section is unfolded
-    this.session = 0; // counts the visits of fields: what is typed in one visit is undone together
+    this.session = 0; // counts visits to fields: the input of one visit is undone together
     this.typing = false;
     this.stale = true;
     this.timer = 0;
-    this.next = 0; // when it may be drawn again
-    this.wanted = null; // key of the control that gets the focus when the form is drawn next
+    this.next = 0; // the earliest time of the next drawing
+    this.wanted = null; // key of the control that gets the focus at the next drawing
     this.element.addEventListener("focusin", () => this.session++);
     this.element.addEventListener("focusout", () => setTimeout(() => this.settle()));
     this.element.addEventListener("toggle", ({ target }) => this.fold(target), true);
@@ -102,11 +103,11 @@ export class FormPanel {
     target.addEventListener(event, () => this.refresh(), { signal: this.ends.signal });
   }
 
-  /** Undo and redo work in a field too, unless somebody is typing in it: then the field itself undoes. */
+  /** Undo and redo also work in a field, unless the user is typing in it: then they are the field's own. */
   key(event) {
     if (!(event.ctrlKey || event.metaKey) || event.altKey) return;
     const key = event.key.toLowerCase();
-    if (key === "s" && this.typing) event.target.dispatchEvent(new Event("change")); // it is saved too
+    if (key === "s" && this.typing) event.target.dispatchEvent(new Event("change")); // input in a field is saved too
     const redo = key === "y" || (key === "z" && event.shiftKey);
     if (this.typing || !(redo || key === "z")) return;
     event.preventDefault();
@@ -115,7 +116,7 @@ export class FormPanel {
     else this.mode.undo();
   }
 
-  /** Whether what is shown here may differ between two states. Moving nodes concerns few panels. */
+  /** Whether this panel may look different in two states. Moving nodes affects few panels. */
   concerns(before, after) {
     return !onlyMoved(before, after);
   }
@@ -136,7 +137,7 @@ export class FormPanel {
     if (target.dataset?.fold) this.open.set(target.dataset.fold, target.open);
   }
 
-  /** Redraw, unless somebody is typing here; then when the field is left. */
+  /** Redraw now, or when the field is left if the user is typing. */
   refresh() {
     this.stale = true;
     this.settle();
@@ -146,7 +147,7 @@ export class FormPanel {
     if (!this.stale || this.typing || this.timer) return;
     const wait = this.next - performance.now();
     if (wait > 0 && !this.element.contains(document.activeElement)) {
-      // edits made elsewhere that follow each other quickly are not all shown
+      // of edits made elsewhere in quick succession, not all are shown
       this.timer = setTimeout(() => {
         this.timer = 0;
         this.settle();
@@ -157,7 +158,7 @@ export class FormPanel {
       setTimeout(() => this.settle(), 50);
       return;
     }
-    if (this.element.closest("[hidden]")) return; // asking for its size would lay out the whole page
+    if (this.element.closest("[hidden]")) return; // reading its size would lay out the whole page
     const begun = performance.now();
     this.draw();
     const now = performance.now();
@@ -167,7 +168,7 @@ export class FormPanel {
   draw() {
     this.stale = false;
     for (const [key, draft] of this.drafts)
-      if (draft.read() !== draft.base) this.drafts.delete(key); // somebody else has changed it
+      if (draft.read() !== draft.base) this.drafts.delete(key); // another edit has changed it
     const active = this.element.contains(document.activeElement) ? document.activeElement : null;
     const key = this.wanted ?? active?.dataset.key;
     const range =
@@ -175,7 +176,7 @@ export class FormPanel {
         ? [active.selectionStart, active.selectionEnd]
         : null;
     this.wanted = null;
-    // one that was unfolded or folded just now: its event has not come yet
+    // a section folded or unfolded just now, whose event has not arrived yet
     for (const details of this.element.querySelectorAll("details[data-fold]"))
       if (details.open !== details.drawnOpen) this.fold(details);
     this.element.replaceChildren(...[this.content()].flat(9).filter(Boolean));
@@ -192,13 +193,13 @@ export class FormPanel {
       try {
         found.setSelectionRange(...range);
       } catch {
-        /* this kind of control has no selection */
+        /* this kind of control has no text selection */
       }
   }
 
   // -- lenses ----------------------------------------------------------------------------------------
 
-  /** A key of the plan. Without entries, a key that may be left out is left out. */
+  /** A key of the plan. An optional key without entries is removed. */
   plan(key, drop = key !== "actions") {
     const plan = new Lens(
       "plan",
@@ -218,8 +219,8 @@ export class FormPanel {
     );
   }
 
-  /** A value that enters the document only as a whole: as long as `check(value)` says what is wrong with it, it is
-   * kept in the form. */
+  /** A value that enters the document only as a whole: while `check(value)` finds something wrong, it is kept in the
+   * form. */
   whole(lens, check) {
     const whole = new Lens(
       lens.key,
@@ -245,7 +246,7 @@ export class FormPanel {
     return whole;
   }
 
-  /** The line that says why a whole is not in the document. */
+  /** The line that says why such a value is not in the document. */
   verdict(lens) {
     const problem = this.drafts.get(lens.key)?.problem ?? "";
     return h("p.wrong", {
@@ -263,7 +264,7 @@ export class FormPanel {
 
   // -- controls --------------------------------------------------------------------------------------
 
-  /** A section that can be folded. A body that is a function is made when the section is unfolded. */
+  /** A section that can be folded. If the body is a function, it is called when the section is unfolded. */
   section(key, title, open, ...body) {
     const unfolded = this.open.get(key) ?? open;
     const lazy = typeof body[0] === "function";
@@ -295,13 +296,13 @@ export class FormPanel {
     );
   }
 
-  /** Make an edit that a control stands for. */
+  /** Make the edit of a control. */
   put(lens, value, label, merge = null) {
     return lens.put(value, label, merge && `${merge}#${this.session}`);
   }
 
-  /** A text field. `parse(text)` returns [value] or, as a text, what is wrong; `show(value)` returns the text.
-   * `late`: the value is taken when the field is left or Enter is pressed, not with every key. `names`: completions. */
+  /** A text field. `parse(text)` returns [value], or a text that says what is wrong; `show(value)` returns the text.
+   * `late`: take the value when the field is left or Enter is pressed, not with every key. `names`: completions. */
   text(lens, label, options = {}) {
     const {
       parse = (text) => [text || undefined],
@@ -357,7 +358,7 @@ export class FormPanel {
       read(!late);
     });
     input.addEventListener("change", () => {
-      this.typing = true; // the focus may be moving: what it moves to must not be redrawn now
+      this.typing = true; // the focus may be moving: its target must not be redrawn now
       read(true);
       this.typing = false;
       setTimeout(() => this.settle());
@@ -374,7 +375,7 @@ export class FormPanel {
     return completionsOf(input, newId(), [...new Set(names)]);
   }
 
-  /** A number. `blank`: the value of an empty field; without it, an empty field is wrong. */
+  /** A number. `blank`: the value of an empty field; if absent, the field must not be empty. */
   number(lens, label, { check = () => "", whole = false, blank, ...options } = {}) {
     return this.text(lens, label, {
       inputmode: whole ? "numeric" : "decimal",
@@ -391,7 +392,7 @@ export class FormPanel {
     });
   }
 
-  /** A choice. `options`: [value, text]; the values are any. */
+  /** A menu. `options`: [value, text]; values may be of any type. */
   choice(lens, label, options, { what = label, put = null, ...attributes } = {}) {
     const value = lens.get();
     const known = options.findIndex(([it]) => it === value);
@@ -426,7 +427,7 @@ export class FormPanel {
     return h("button", { type: "button", text, "data-key": key, onclick: act, ...attributes });
   }
 
-  /** The button that removes an entry; the focus goes to `next` (a key). */
+  /** The button that removes an entry; the focus then goes to `next` (a key). */
   remove(key, what, act, next) {
     return this.button(
       `${key} remove`,
@@ -439,7 +440,7 @@ export class FormPanel {
     );
   }
 
-  /** A choice that adds what is chosen. */
+  /** A menu that adds the entry chosen. */
   adder(key, label, names, add) {
     const select = selectOf({ "data-key": `${key} add`, "aria-label": label }, [
       { value: "", text: `${label} …` },
@@ -450,7 +451,7 @@ export class FormPanel {
     return select;
   }
 
-  /** A field and a button that add an entry with a name. `check(name)` says what is wrong with it. */
+  /** A field and a button that add a named entry. `check(name)` says what is wrong with the name. */
   namer(key, label, check, add, names = null) {
     const input = h("input", {
       type: "text",

@@ -1,5 +1,5 @@
-// Values that `gspn fit` learns from logs: durations, outcomes, failures, rates. Each may say what it was learned
-// from; a value that is changed by hand no longer comes from there.
+// Values that `gspn fit` learns from logs: durations, outcomes, failures, rates. Each may record its source; a change
+// by hand removes the source.
 
 import { h, number, plural } from "../dom.js";
 import { changed } from "./plan_document.js";
@@ -9,7 +9,7 @@ import { numbersField, objectForm, schemaField, wordOf } from "./schema_form.js"
 const without = (value) => changed(value, { of: undefined });
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
-/** A lens at a value that may say what it was learned from: if something else of it is changed, that goes. */
+/** A lens at a value that may record what it was learned from: any other change to the value removes that record. */
 function learned(lens) {
   return lens.as(
     (value) => value,
@@ -20,7 +20,7 @@ function learned(lens) {
   );
 }
 
-/** What a value was learned from, in words. */
+/** The source of a learned value, in words. */
 export function evidenceText(of) {
   if (!of) return "";
   const from = of.logs?.length ? ` in ${of.logs.join(", ")}` : "";
@@ -45,7 +45,7 @@ const START = { mean: 1, phases: 2, shape: 2, sigma: 0.5, low: 0, high: 2 };
 
 const kindOf = (value) => value?.distribution ?? "exponential";
 
-/** The mean of a duration, as far as the form needs one. */
+/** The mean of a duration, where the form needs it. */
 function meanOf(value) {
   const kind = kindOf(value);
   if (kind === "uniform") return (value.low + value.high) / 2;
@@ -77,17 +77,17 @@ export function durationProblem(value) {
   }
   if (kind === "hyper-erlang") {
     const sum = value.branches.reduce((total, branch) => total + branch.probability, 0);
-    if (Math.abs(sum - 1) > 1e-6) return `the probabilities add up to ${number(sum)}, not to 1`;
+    if (Math.abs(sum - 1) > 1e-6) return `the probabilities add up to ${number(sum)}, not 1`;
   }
   if (FOLLOWS.includes(kind) && value.mean !== undefined) {
     const mean = meanOf(value);
     if (Math.abs(value.mean - mean) > 0.01 * mean)
-      return `the mean follows as ${number(mean)} s: leave it out`;
+      return `the mean follows from the rest (${number(mean)} s): leave it out`;
   }
   return "";
 }
 
-/** The value with another distribution, of the same mean as far as that is known. */
+/** The value with another distribution, with the same mean if that is known. */
 function withKind(value, kind) {
   const mean = meanOf(value) || 1;
   const result = { distribution: kind };
@@ -152,7 +152,7 @@ export const learnedForm =
     ];
   };
 
-/** What the value was learned from: in words, and as a form. */
+/** The source of the value: in words, and as a form. */
 function evidence(form, schema, lens, title) {
   const of = lens.at("of");
   const part = resolved(schema.properties.of, form.schema);
@@ -171,11 +171,11 @@ function evidence(form, schema, lens, title) {
               title,
             ),
             form.remove(of.key, "what it was learned from", () =>
-              form.put(of, undefined, `Remove what ${title} was learned from`),
+              form.put(of, undefined, `Remove the source of ${title}`),
             ),
           ]
-        : form.button(`${of.key} add`, "Say what it was learned from", () =>
-            form.put(of, { observations: 0 }, `Say what ${title} was learned from`),
+        : form.button(`${of.key} add`, "Record what it was learned from", () =>
+            form.put(of, { observations: 0 }, `Record what ${title} was learned from`),
           ),
     ),
   ];

@@ -1,13 +1,13 @@
-// Menus and completions. Making a thousand options takes a browser longer than all the rest of a form, so those of a
-// long list are made when somebody turns to the control.
+// Menus and completions. A thousand options take a browser longer than the rest of a form, so those of a long list are
+// made when the user reaches the control.
 
 import { h } from "../dom.js";
 
-const SHORT = 30; // options that are made at once
+const SHORT = 30; // number of options made at once
 
 const option = ({ value, text, selected }) => h("option", { value, text, selected });
 
-/** Call `act` once, before somebody can open the menu or the completions of a control. */
+/** Call `act` once, before the user can open the menu or the completions of a control. */
 function whenUsed(control, act) {
   const ends = new AbortController();
   const { signal } = ends;
@@ -43,8 +43,8 @@ export function completionsOf(input, id, names) {
   return list;
 }
 
-/** Call `act(value)` when somebody chooses an entry of a menu that stands at "" otherwise. Arrow keys and letters on
- * the closed menu only look for an entry, which Enter takes: browsers report each entry on the way as chosen. */
+/** Call `act(value)` when the user chooses an entry of a menu that otherwise shows "". Arrow keys and letters on the
+ * closed menu only move to an entry, which Enter chooses; browsers would report each entry on the way as chosen. */
 export function actOnChoice(menu, act) {
   let looking = false;
   const rest = () => {

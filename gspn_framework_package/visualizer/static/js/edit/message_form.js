@@ -1,16 +1,16 @@
-// The goal, request or message of an action as a form: the fields of its type, with the default of each. What is not
-// filled in is not written. Where the type is not known, any fields can be given.
+// The goal, request or message of an action as a form: the fields of its type with their defaults. Fields left empty
+// are not written. If the type is not known, any fields can be given.
 
 import { h } from "../dom.js";
 import { get } from "../api.js";
 import { dataField, fields, isReference, kindOf, valueField } from "./data_form.js";
 import { typeOf } from "./schema.js";
 
-const known = new Map(); // "kind type" -> {sent, received, why}; null: asked for
+const known = new Map(); // "kind type" -> {sent, received, why}; null: requested
 
 const ASKED = { why: "asking the server for its fields …", waiting: true };
 
-/** The fields of the messages of an action, as far as they are known by now; the form is redrawn when they come. */
+/** The fields of an action's messages, if known already; the form is redrawn when they arrive. */
 export function messagesOf(form, kind, type) {
   if (!type) return { why: "" };
   const key = `${kind} ${type}`;
@@ -22,11 +22,11 @@ export function messagesOf(form, kind, type) {
       .then(() => form.refresh());
   }
   const found = known.get(key);
-  if (found?.failed) known.delete(key); // it is asked for again when the form is drawn next
+  if (found?.failed) known.delete(key); // requested again at the next drawing
   return found ?? ASKED;
 }
 
-/** The fields of a message by their paths: "pose.position.x". Those in arrays are left out. */
+/** The fields of a message by their paths: "pose.position.x". Fields inside arrays are left out. */
 export function pathsOf(tree, before = "") {
   return (tree ?? []).flatMap(({ name, array, fields: inside }) => [
     before + name,
@@ -34,7 +34,7 @@ export function pathsOf(tree, before = "") {
   ]);
 }
 
-/** How the goal, request or message of an action is drawn: a hint for the schema form. */
+/** A hint for the schema form: how to draw the goal, request or message of an action. */
 export const messageHint = (messages, type) => ({
   draw: (form, lens, title) => [
     h(
@@ -48,7 +48,7 @@ export const messageHint = (messages, type) => ({
   ],
 });
 
-/** A message: its fields, or data in their place. `drop`: it goes when its last field goes. */
+/** A message: its fields, or data instead. `drop`: remove the message with its last field. */
 function message(form, lens, label, tree, drop) {
   const value = lens.get();
   if (isReference(value)) return fromData(form, lens, label);
@@ -88,7 +88,8 @@ function one(form, lens, label, field) {
   return h("div.typed-part", details, toggle(form, lens, label));
 }
 
-/** A row of a form: the name, the value or the data that it comes from, and the button that changes between both. */
+/** A row of a form: the name, the value or the data that it comes from, and the button that switches between the two.
+ */
 function row(form, lens, label, title, draw, remove = null) {
   return h(
     "div.typed",
@@ -98,7 +99,7 @@ function row(form, lens, label, title, draw, remove = null) {
   );
 }
 
-/** The button that takes a value from data, or no longer. */
+/** The button that switches between a value given here and one taken from data. */
 function toggle(form, lens, label) {
   const on = isReference(lens.get());
   const key = `${lens.key} source`;
@@ -107,13 +108,13 @@ function toggle(form, lens, label) {
     "data",
     () => {
       form.wanted = key;
-      form.put(lens, on ? undefined : { from: "task.id" }, `Change where ${label} comes from`);
+      form.put(lens, on ? undefined : { from: "task.id" }, `Change the source of ${label}`);
     },
     {
       class: "source",
       "aria-label": `${label} from data`,
       "aria-pressed": String(on),
-      title: on ? "Give the value here" : "Take the value from data of the robot, team or task",
+      title: on ? "Give the value here" : "Take the value from the data of the robot, team or task",
     },
   );
 }
@@ -121,10 +122,10 @@ function toggle(form, lens, label) {
 const fromData = (form, lens, label) =>
   dataField(form, lens, label, { "aria-label": `${label}: name of the data`, what: label });
 
-/** A value that its field cannot hold, as it was written. */
+/** A value that its field cannot hold, shown as written. */
 function misfit(form, lens, label, wanted) {
   return [
-    h("p.wrong", `It is ${kindOf(lens.get())}; the type needs ${wanted}.`),
+    h("p.wrong", `The value is ${kindOf(lens.get())}; the type requires ${wanted}.`),
     valueField(form, lens, label, { remove: removal(form, lens, label, `${lens.key} source`) }),
   ];
 }
@@ -134,7 +135,7 @@ const removal = (form, lens, label, next) =>
 
 const BITS = /^(u?)int(8|16|32|64)$/;
 
-/** The numbers that an integer type holds; those beyond what JavaScript holds exactly are left out. */
+/** The range of an integer type; types with values that JavaScript cannot represent exactly are left out. */
 function rangeOf(type) {
   const name = { char: "uint8", byte: "int8" }[type] ?? type;
   const found = name.match(BITS);
@@ -148,11 +149,13 @@ function rangeOf(type) {
 function problemOfNumber(type, value) {
   const range = rangeOf(type);
   if (!range) return "";
-  if (!Number.isInteger(value)) return `${type} is a whole number`;
-  return value < range[0] || value > range[1] ? `${type} is ${range[0]} to ${range[1]}` : "";
+  if (!Number.isInteger(value)) return `${type} must be a whole number`;
+  return value < range[0] || value > range[1]
+    ? `${type} must be from ${range[0]} to ${range[1]}`
+    : "";
 }
 
-/** The control of a field that is one value. */
+/** The control of a field with a single value. */
 function leaf(form, lens, label, { type, default: absent }) {
   const value = lens.get();
   const aria = { "aria-label": label, what: label };
@@ -186,7 +189,7 @@ function leaf(form, lens, label, { type, default: absent }) {
   });
 }
 
-/** A time: the latest, the present time, or seconds. */
+/** A time: the latest, now, or in seconds. */
 function moment(form, lens, label, type) {
   const seconds = (it) => it.secs + it.nsecs / 1e9;
   return form.text(lens, label, {
@@ -202,7 +205,7 @@ function moment(form, lens, label, type) {
       if (wanted === "now") return type === "time" ? ["now"] : "a duration is a number of seconds";
       const value = Number(wanted);
       if (!Number.isFinite(value) || (type === "time" && value < 0))
-        return `'${wanted}' is no number of seconds${type === "time" ? ", nor the word now" : ""}`;
+        return `'${wanted}' is not a number of seconds${type === "time" ? " or the word now" : ""}`;
       const secs = Math.floor(value);
       return [{ secs, nsecs: Math.round((value - secs) * 1e9) }];
     },
@@ -210,7 +213,7 @@ function moment(form, lens, label, type) {
   });
 }
 
-/** An array: numbers in one field, all else one below the other. */
+/** An array: numbers in one field, other items one below the other. */
 function list(form, lens, label, field) {
   const { type, length, fields: inside } = field;
   const value = lens.get();
@@ -222,7 +225,7 @@ function list(form, lens, label, field) {
       "aria-label": label,
       what: label,
       late: true,
-      placeholder: length ? `${length} numbers with spaces between` : "numbers with spaces between",
+      placeholder: length ? `${length} numbers with spaces between` : "numbers separated by spaces",
       show: (it) => (it ?? []).join(" "),
       parse: (text) => numbersIn(text, type, length),
     });
@@ -257,7 +260,7 @@ function list(form, lens, label, field) {
 
 const blankOf = (field) => (field.fields ? {} : field.default);
 
-/** An item of a list: emptied, it has its default; it stays where it is. */
+/** An item of a list. If emptied, it takes its default and keeps its position. */
 const kept = (lens, field) =>
   lens.as(
     (it) => it,

@@ -1,4 +1,4 @@
-// The mode EDIT: its part of the page, and what its parts share. Each panel and each tool is a part of its own.
+// The mode EDIT: its section of the page, and what its parts share. Each panel and each tool is a separate part.
 
 import { $, h, announce, ask, attempt, nextTab, withArticle } from "../dom.js";
 import { post } from "../api.js";
@@ -20,13 +20,13 @@ import { PlanPanel } from "./plan_panel.js";
 import { PolicyPanel } from "./policy_panel.js";
 import { PropertyPanel } from "./property_panel.js";
 
-/** The parts of the editor, made in this order, each with the mode. A part may have `close()`. */
+/** The parts of the editor. They are constructed in this order with the mode; a part may have `close()`. */
 const PARTS = [PropertyPanel, PlanPanel, PolicyPanel, Checks, WhatHappens, DiffView, Files];
 
 /** The names of the groups of the tool bar, in their order. */
 const GROUPS = ["file", "history", "add", "change", "arrange", "look"];
 
-/** One document that is being edited. Fires "select" (detail: the Set of chosen keys) and "frame". */
+/** One document being edited. Fires "select" (detail: the Set of selected keys) and "frame". */
 export class EditMode extends EventTarget {
   /** `opened`: the answer to GET edit; `document`: the one that was left open, if any; `crumbs`: the files that led
    * here, [[id, name], ...]. */
@@ -38,12 +38,12 @@ export class EditMode extends EventTarget {
     this.document = kept || new PlanDocument(opened.document);
     this.selection = new Set();
     this.panels = new Map(); // name -> {tab, panel}
-    this.tool = null; // "place", "timed", "immediate" or "arc": what the pointer does
-    this.arcStart = this.arcEnd = null; // keys of the nodes of the arc that is being made
-    this.panning = false; // whether the pointer drags the view
-    this.witness = null; // the sequence that is being played
+    this.tool = null; // the active tool: "place", "timed", "immediate" or "arc"
+    this.arcStart = this.arcEnd = null; // keys of the nodes of the arc being made
+    this.panning = false; // whether dragging moves the view
+    this.witness = null; // the sequence being played
     this.files = null; // the part that saves
-    this.added = null; // {key, state}: the node that a key has added, and the state of the document since then
+    this.added = null; // {key, state}: the node last added by key, and the state of the document then
     this.build(crumbs);
     this.canvas = new Canvas($("ed-net"), this.document, opened.scale);
     this.actions = new Actions(this);
@@ -97,7 +97,7 @@ export class EditMode extends EventTarget {
             id: "ed-net",
             tabindex: "0",
             role: "application",
-            "aria-label": "The drawing. The list of nodes beside it holds the same.",
+            "aria-label": "The drawing. The list of nodes next to it has the same content.",
           }),
           h("div.zoom", { id: "ed-zoom", role: "group", "aria-label": "View" }),
         ),
@@ -115,7 +115,7 @@ export class EditMode extends EventTarget {
     );
   }
 
-  /** Nodes without positions are shown as the server lays them out. */
+  /** Show nodes without positions where the server's layout puts them. */
   async layOut() {
     const { places, transitions } = this.document.net;
     if ([...places, ...transitions].every((node) => node.position)) return;
@@ -123,13 +123,13 @@ export class EditMode extends EventTarget {
       const layout = await post("edit/layout", { document: this.document.state }, { id: this.id });
       if (!this.closed) this.canvas.useLayout(layout);
     } catch (error) {
-      this.say(`The nodes are drawn on a grid, for they cannot be laid out: ${error.message}.`);
+      this.say(`The nodes are drawn on a grid because they cannot be laid out: ${error.message}.`);
     }
   }
 
-  // -- what the parts use --------------------------------------------------------------------------
+  // -- services for the parts --------------------------------------------------------------------------
 
-  /** Say something under the drawing, and to screen readers. */
+  /** Show a text under the drawing and announce it to screen readers. */
   say(text) {
     $("ed-status").textContent = text;
   }
@@ -176,8 +176,8 @@ export class EditMode extends EventTarget {
     }
   }
 
-  /** Add a button to a group of the tool bar (one of GROUPS): {label, title, key, onclick}, where `key` is the name of
-   * the key that does the same. Returns the element. */
+  /** Add a button to a group of the tool bar (one of GROUPS): {label, title, key, onclick}, where `key` names the key
+   * with the same effect. Returns the element. */
   button(group, { label, title = label, key = "", onclick, ...attributes }) {
     const element = h("button", {
       text: label,
@@ -191,7 +191,7 @@ export class EditMode extends EventTarget {
     return element;
   }
 
-  /** Choose elements, by their keys; those that do not exist are left out. */
+  /** Select elements by their keys; keys of missing elements are ignored. */
   choose(keys) {
     const { canvas } = this;
     this.selection = new Set(
@@ -236,7 +236,7 @@ export class EditMode extends EventTarget {
       key: "Ctrl+Y",
       onclick: () => this.redo(),
     });
-    // with the pointer, the next click puts the node; by key, it is put at once
+    // with the pointer, the next click places the node; by key, it is placed at once
     const add = (what, label, key) =>
       this.button("add", {
         id: `ed-add-${what}`,
@@ -264,13 +264,13 @@ export class EditMode extends EventTarget {
     };
     const change = (id, label, title, key, onclick) =>
       this.button("change", { id, label, title, key, onclick });
-    change("ed-delete", "Delete", "Delete what is chosen", "Delete", () => actions.remove());
+    change("ed-delete", "Delete", "Delete the selection", "Delete", () => actions.remove());
     change("ed-more", "+", "More tokens, or a higher weight", "+", () => actions.count(1));
     change("ed-less", "−", "Fewer tokens, or a lower weight", "−", () => actions.count(-1));
-    change("ed-inhibit", "Inhibit", "Make the chosen arcs inhibitor arcs, and back", "H", () =>
+    change("ed-inhibit", "Inhibit", "Make the selected arcs inhibitor arcs, and back", "H", () =>
       actions.toggleInhibitor(),
     );
-    change("ed-timed", "Other kind", "Timed or immediate: the other kind of transition", "X", () =>
+    change("ed-timed", "Other kind", "Switch transitions between timed and immediate", "X", () =>
       actions.toggleTimed(),
     );
     this.arrangeMenu();
@@ -295,7 +295,7 @@ export class EditMode extends EventTarget {
       {
         id: "ed-arrange",
         "aria-label": "Copy and arrange",
-        title: "Arrow keys look for an entry, Enter takes it",
+        title: "Arrow keys move to an entry, Enter chooses it",
       },
       h("option", { value: "", text: "More …" }),
       MORE.map(option),
@@ -306,7 +306,7 @@ export class EditMode extends EventTarget {
     $("ed-group-arrange").hidden = false;
   }
 
-  /** Put a text on the system's clipboard, where the browser allows it. */
+  /** Put a text on the system's clipboard if the browser allows it. */
   async toClipboard(text) {
     if (text) await navigator.clipboard?.writeText(text).catch(() => {});
   }
@@ -329,12 +329,12 @@ export class EditMode extends EventTarget {
       button.setAttribute("aria-pressed", name === tool);
     this.canvas.container.classList.toggle("adding", Boolean(tool));
     if (tool && tool !== "arc")
-      this.say(`Click where the ${WORDS[tool]} goes (Shift: several; Esc: none).`);
+      this.say(`Click where the ${WORDS[tool]} should be (Shift: several; Esc: none).`);
   }
 
   // -- an arc by keys ------------------------------------------------------------------------------
 
-  /** Begin an arc at the chosen node; without one, the first node that is clicked is its start. */
+  /** Begin an arc at the selected node or, if none is selected, at the first node clicked. */
   beginArc() {
     const start = [...this.selection].filter((key) => this.canvas.byKey.has(key));
     this.setTool("arc");
@@ -354,14 +354,14 @@ export class EditMode extends EventTarget {
       .sort((a, b) => apart(a) - apart(b))
       .map((node) => node.key);
     this.say(
-      `An arc from ${from.name}: choose where it leads with ← and → or in the list, then press Enter.`,
+      `An arc from ${from.name}: choose its end with ← and → or in the list, then press Enter.`,
     );
   }
 
-  /** Let the arc that is being made end at a node. */
+  /** End the arc being made at a node. */
   aim(key) {
     if (key && !this.canvas.byKey.has(key)) {
-      this.say("Choose a place or a transition.");
+      this.say("Select a place or a transition.");
       return;
     }
     this.canvas.byKey.get(this.arcEnd)?.element.classList.remove("aimed");
@@ -372,7 +372,7 @@ export class EditMode extends EventTarget {
       this.flyTo(key);
       const problem = problemOfArc(this.document.net, this.arcStart, key);
       const from = this.canvas.byKey.get(this.arcStart).name;
-      this.say(problem || `An arc from ${from} to ${node.name}: Enter makes it.`);
+      this.say(problem || `An arc from ${from} to ${node.name}: press Enter to add it.`);
     }
     this.list?.mark();
   }
@@ -380,7 +380,7 @@ export class EditMode extends EventTarget {
   aimNext(step) {
     const { arcEnds } = this;
     if (!arcEnds.length) {
-      this.say("No node is left that an arc from here may lead to.");
+      this.say("There is no other node that an arc from here may lead to.");
       return;
     }
     const at = arcEnds.indexOf(this.arcEnd);
@@ -388,13 +388,13 @@ export class EditMode extends EventTarget {
     this.aim(arcEnds[next]);
   }
 
-  /** A node was chosen while an arc is being made: its start, or its end. */
+  /** A node was selected while an arc is being made: it becomes the start or the end. */
   arcTo(key) {
     if (!this.arcStart) this.aimFrom(key);
     else if (this.actions.connect(this.arcStart, key)) this.setTool(null);
   }
 
-  /** Choose the nearest node in a direction; `more`: beside what is chosen. */
+  /** Select the nearest node in a direction; `more`: add it to the selection. */
   chooseBeside(dx, dy, more = false) {
     const from = this.canvas.byKey.get([...this.selection].pop()) || this.canvas.nodes[0];
     if (!from) return;
@@ -425,7 +425,7 @@ export class EditMode extends EventTarget {
 
   // -- renaming in place ---------------------------------------------------------------------------
 
-  /** Edit the name of a node, or the weight of an arc, where it is drawn; `typed`: the name as far as it is typed. */
+  /** Edit the name of a node or the weight of an arc in place; `typed`: the part of the name typed so far. */
   beginRename(key, typed = null) {
     this.endRename(true);
     const { canvas, actions } = this;
@@ -453,7 +453,7 @@ export class EditMode extends EventTarget {
           /^[zy]$/i.test(pressed) &&
           field.value === field.defaultValue
         ) {
-          this.endRename(false); // nothing is typed: it is the node that is meant
+          this.endRename(false); // nothing was typed: the key applies to the node
           if (pressed.toLowerCase() === "z" && !shiftKey) this.undo();
           else this.redo();
         } else return;
@@ -473,7 +473,7 @@ export class EditMode extends EventTarget {
     else field.value = typed;
   }
 
-  /** End it; `keep`: with what is in the field. A name that cannot be is reported; it is then asked for again if
+  /** End renaming; `keep`: use the content of the field. An invalid name is reported, and the field stays open if
    * `insist`. `returns`: the drawing gets the focus. */
   endRename(keep, insist = false, returns = true) {
     const { renaming } = this;
@@ -498,10 +498,10 @@ export class EditMode extends EventTarget {
   redo() {
     this.witness?.end();
     const edit = this.document.redo();
-    this.say(edit ? `Done again: ${edit.label}` : "There is nothing to do again.");
+    this.say(edit ? `Redone: ${edit.label}` : "There is nothing to redo.");
   }
 
-  /** The document has changed, or was saved. */
+  /** The document was changed or saved. */
   refresh() {
     const { document: edited } = this;
     this.undoButton.disabled = !edited.done.length;
@@ -528,7 +528,7 @@ export class EditMode extends EventTarget {
   }
 }
 
-/** Ask whether unsaved work is to be lost; `save` saves it, or is null. Returns whether to go on. */
+/** Ask whether to discard unsaved work; `save` saves it, or is null. Returns whether to continue. */
 export async function mayLeave(names, save) {
   const answer = await ask("Leave without saving?", h("p", `Not saved: ${names.join(", ")}.`), [
     ["Stay", ""],

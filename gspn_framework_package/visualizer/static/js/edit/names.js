@@ -2,14 +2,14 @@
 
 import { natural } from "../dom.js";
 
-const sorted = new WeakMap(); // list of nodes -> its names: forms ask for them again and again
+const sorted = new WeakMap(); // list of nodes -> its names; cached, since forms ask for them often
 
 function names(nodes) {
   if (!sorted.has(nodes)) sorted.set(nodes, nodes.map(({ name }) => name).sort(natural));
   return [...sorted.get(nodes)];
 }
 
-/** The names that belong somewhere: (state, name of the entry) -> list. */
+/** The names that are valid in some position: (state, name of the entry) -> list. */
 export const NAMES = {
   places: ({ net }) => names(net.places),
   placesAndAll: ({ net }) => ["*", ...names(net.places)],

@@ -1,5 +1,4 @@
-// What can be done to a net, as functions from a state {plan, net, policy} to the parts of it that are new. They know
-// nothing of the page.
+// Edits of a net, as functions from a state {plan, net, policy} to its changed parts. They do not depend on the page.
 
 import { changed } from "./plan_document.js";
 import { arcKey } from "./rename.js";
@@ -20,7 +19,7 @@ export function findNode(net, key) {
   return null;
 }
 
-/** A name that no node has: the wanted one, or it with the next free number. */
+/** A name that no node has: the wanted one, or that with the next free number. */
 export function freeName(net, wanted, taken = new Set()) {
   const names = new Set([...net.places, ...net.transitions].map((node) => node.name));
   const free = (name) => !names.has(name) && !taken.has(name);
@@ -42,7 +41,7 @@ function mapNodes(net, change) {
   return result;
 }
 
-/** Replace the nodes of some keys by what `change(data, key)` returns. */
+/** Replace the nodes with the given keys by what `change(data, key)` returns. */
 export function changeNodes(net, keys, change) {
   const wanted = new Set(keys);
   return mapNodes(net, (data, kind) => {
@@ -51,8 +50,8 @@ export function changeNodes(net, keys, change) {
   });
 }
 
-/** Give nodes positions: `positions`: name -> [x, y]. Nodes without any get theirs too (`all()`: name -> [x, y]), for
- * a net whose positions are incomplete would be laid out anew when it is opened. */
+/** Give nodes positions: `positions`: name -> [x, y]. Nodes without one also get one (`all()`: name -> [x, y]), since a
+ * net with incomplete positions is laid out again when it is opened. */
 export function moveNodes(net, positions, all) {
   const bare = [...net.places, ...net.transitions].some((node) => !node.position);
   if (!bare && !positions.size) return net;
@@ -74,10 +73,10 @@ export function addParts(net, { places = [], transitions = [], arcs = [] }) {
   });
 }
 
-/** Why no arc may lead from one node to another ("" if it may). */
+/** Why no arc may lead from one node to another; "" if one may. */
 export function problemOfArc(net, from, to) {
   const [a, b] = [findNode(net, from), findNode(net, to)];
-  if (!a || !b) return "There is no such node.";
+  if (!a || !b) return "No such node exists.";
   if (from === to) return "An arc joins two nodes.";
   if (a.kind === b.kind)
     return `An arc joins a place and a transition; both of these are ${a.kind}s.`;
@@ -86,7 +85,7 @@ export function problemOfArc(net, from, to) {
   return "";
 }
 
-/** Replace the arcs of some keys. */
+/** Replace the arcs with the given keys. */
 export function changeArcs(net, keys, change) {
   const wanted = new Set(keys);
   let other = false;
@@ -99,7 +98,7 @@ export function changeArcs(net, keys, change) {
   return other ? { ...net, arcs } : net;
 }
 
-/** A transition of the other kind; what does not apply to it is left out. */
+/** A transition converted to the other kind; settings that do not apply to that kind are dropped. */
 export function otherKind(transition) {
   if (transition.timed)
     return changed(transition, { timed: undefined, rate: undefined, servers: undefined });

@@ -1,4 +1,4 @@
-// Making a new plan in the served folder.
+// Creates a new plan in the served folder.
 
 import { h, ask } from "../dom.js";
 import { post } from "../api.js";
@@ -7,7 +7,7 @@ import { post } from "../api.js";
 export const mayEdit = (hello) =>
   Boolean(hello?.edits && hello.role !== "viewer" && hello.can_open);
 
-/** Ask for a name and a template, and make the plan. Returns its key, or null. */
+/** Ask for a name and a template, and create the plan. Returns its key, or null. */
 export async function newPlan(hello) {
   const name = h("input", {
     type: "text",
@@ -28,7 +28,7 @@ export async function newPlan(hello) {
       "div.form",
       h("label", { for: "ed-new-name", text: "Name" }),
       name,
-      h("label", { for: "ed-new-template", text: "Begin with" }),
+      h("label", { for: "ed-new-template", text: "Start from" }),
       template,
     ),
     [

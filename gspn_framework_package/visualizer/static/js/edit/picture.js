@@ -1,4 +1,4 @@
-// The drawing of the editor as a picture: an SVG with nothing but what is in it, and a PNG of that.
+// The drawing of the editor as a picture: a self-contained SVG, and a PNG made from it.
 
 const SVG = "http://www.w3.org/2000/svg";
 const STYLES = [
@@ -14,10 +14,10 @@ const STYLES = [
   "dominant-baseline",
 ];
 const MARGIN = 30; // px around the net
-const LARGEST = 12_000; // px: browsers refuse larger canvases
-const LEFT_OUT = ".mark-sign, .diff-ghosts, .hit, title"; // what belongs to the editing, not to the net
+const LARGEST = 12_000; // px; browsers refuse larger canvases
+const LEFT_OUT = ".mark-sign, .diff-ghosts, .hit, title"; // parts of the editor that are not parts of the net
 
-/** A copy of an element, with its looks written into its attributes; null if it is not to be seen. */
+/** A copy of an element with its styles as attributes; null if it is not visible. */
 function copyOf(element) {
   const style = getComputedStyle(element);
   if (style.display === "none" || style.visibility === "hidden" || element.matches(LEFT_OUT))
@@ -75,7 +75,7 @@ export function svgOf(canvas) {
   return { text: new XMLSerializer().serializeToString(sheet), width, height };
 }
 
-/** The drawing as a PNG file, twice as large as on the screen where that is possible. */
+/** The drawing as a PNG file, at twice its size on the screen if possible. */
 export async function pngOf(canvas) {
   const { text, width, height } = svgOf(canvas);
   const address = URL.createObjectURL(new Blob([text], { type: "image/svg+xml" }));

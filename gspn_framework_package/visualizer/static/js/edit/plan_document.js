@@ -1,10 +1,10 @@
-// The plan that is being edited, and the edits that made it what it is. The state is one immutable value
-// {plan, net, policy}; an edit replaces it by another that shares all that has not changed. Undo and redo go
-// back and forth between the states, so every edit is undone exactly.
+// The plan being edited, and the history of its edits. The state is one immutable value {plan, net, policy}; an edit
+// replaces it by another that shares all unchanged parts. Undo and redo go back and forth between the states, so every
+// edit is undone exactly.
 
 const KEPT = 5000; // edits that can be undone
 
-/** The same object with some keys replaced; a key whose new value is undefined is left out. */
+/** A copy of an object with some keys replaced; a key whose new value is undefined is removed. */
 export function changed(object, values) {
   const result = { ...object, ...values };
   for (const [key, value] of Object.entries(values)) if (value === undefined) delete result[key];
@@ -18,9 +18,9 @@ const sameButMoved = (one, other) =>
   (withoutPosition(one).join() === withoutPosition(other).join() &&
     withoutPosition(one).every((key) => one[key] === other[key]));
 
-const moved = { before: null, after: null, only: false }; // what was asked last: several parts ask the same
+const moved = { before: null, after: null, only: false }; // cache of the last question: several parts ask the same one
 
-/** Whether two states differ in nothing but the positions of nodes. */
+/** Whether two states differ only in the positions of nodes. */
 export function onlyMoved(before, after) {
   if (moved.before === before && moved.after === after) return moved.only;
   const [a, b] = [before.net, after.net];
@@ -37,14 +37,14 @@ export function onlyMoved(before, after) {
   return only;
 }
 
-/** Fires "change" (detail {before, edit}) after each edit, undo and redo; "saved" when the state on the disk is
- * known to be the present one. */
+/** Fires "change" (detail {before, edit}) after each edit, undo and redo; "saved" when the present state is on the
+ * disk. */
 export class PlanDocument extends EventTarget {
   /** `state`: {plan, net, policy}: the JSON objects of the plan file, its net, and its policy or null. */
   constructor(state) {
     super();
     this.state = state;
-    this.saved = state; // the state that the files hold
+    this.saved = state; // the state in the files
     this.done = []; // edits, the latest last: {label, before, after, merge}
     this.undone = [];
   }
@@ -100,13 +100,13 @@ export class PlanDocument extends EventTarget {
     return edit;
   }
 
-  /** Note that the files hold `state` (the one that was sent). */
+  /** Record that the files contain `state` (the one that was sent). */
   markSaved(state = this.state) {
     this.saved = state;
     this.dispatchEvent(new CustomEvent("saved"));
   }
 
-  /** Go back to what the files hold, which can be undone. */
+  /** Go back to the state in the files; this can be undone. */
   giveUp() {
     if (!this.dirty) return;
     this.edit("Leave without saving", () => this.saved);

@@ -35,8 +35,8 @@ const placeCondition = (text, state) => {
 };
 
 /** pattern of a lens -> {keys: names of the entries of a map, items: names of a list or a text, start: value of a new
- * entry, draw: a form of its own, check: what else may be wrong, open: names beside these are allowed, title: what the
- * key is called here}. */
+ * entry, draw: a custom form, check: further checks, open: other names are allowed too, title: the name of the key
+ * here}. */
 export const HINTS = {
   "plan.resource_places": { items: NAMES.places },
   "plan.spawn": { items: NAMES.actionPlaces, twice: true },
@@ -87,7 +87,7 @@ export const HINTS = {
   "plan.robots": { draw: robotsForm },
   "plan.on_lost": { draw: lostRule },
   "plan.subnets": {
-    draw: () => h("p.muted", "Written by the package; opening a subnet edits it."),
+    draw: () => h("p.muted", "Generated; to edit it, open the subnet."),
   },
 };
 
@@ -95,5 +95,5 @@ function sumsToOne(value) {
   const sum = Object.values(value?.probabilities ?? {}).reduce((total, it) => total + it, 0);
   return Math.abs(sum - 1) <= 1e-6
     ? ""
-    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not to 1`;
+    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not 1`;
 }

@@ -1,4 +1,4 @@
-// The panel of the plan as a whole: every key of a plan file but its net and its policy, with a form for each.
+// The panel of the plan as a whole: a form for every key of a plan file except its net and policy.
 
 import { PlanForm } from "./property_panel.js";
 import { schemaField, wordOf } from "./schema_form.js";
@@ -28,7 +28,7 @@ const SECTIONS = [
   ],
   ["Agreement", ["agreement"]],
 ];
-const ELSEWHERE = ["net", "policy"]; // the drawing, and the panel of the policy
+const ELSEWHERE = ["net", "policy"]; // edited in the drawing and in the policy panel
 
 export class PlanPanel extends PlanForm {
   constructor(mode) {

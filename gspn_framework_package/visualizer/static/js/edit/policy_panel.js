@@ -10,7 +10,7 @@ import { ProposedRows } from "./proposed_rows.js";
 const ROWS = 20; // on one page of the table
 const TOLERANCE = 1e-6; // as in model/policy.py
 
-/** Why the choice of a row is not one; "" if it is. */
+/** Why the choice of a row is not valid; "" if it is. */
 export function problemOfChoice(choose) {
   const values = Object.values(choose).map(Number);
   if (!values.length) return ""; // the robots wait
@@ -18,13 +18,13 @@ export function problemOfChoice(choose) {
   const sum = values.reduce((total, value) => total + value, 0);
   return Math.abs(sum - 1) <= TOLERANCE
     ? ""
-    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not to 1`;
+    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not 1`;
 }
 
 const wild = (cell) => cell === "-";
 
-/** Which rows never apply, because an earlier one has the same marking and speaks of the same transitions, and which
- * matter only where others do not: number of the row (from 0) -> what to say. */
+/** Which rows never apply, because an earlier row has the same marking and names the same transitions, and which apply
+ * only where others do not: row number (from 0) -> text to show. */
 export function overlaps(rows) {
   const seen = new Map();
   const found = new Map();
@@ -61,7 +61,7 @@ export class PolicyPanel extends PlanForm {
     return this.document.policy ?? { places: [], rows: [] };
   }
 
-  /** A lens at the policy; without places and rows there is none. */
+  /** A lens at the policy; a policy without places and rows is removed. */
   lens() {
     return new Lens(
       "policy",
@@ -90,14 +90,14 @@ export class PolicyPanel extends PlanForm {
       policy.scopes &&
         h(
           "p.muted",
-          "This policy has parts of subnets, written by the package: edit the plan that has the subnets instead.",
+          "This policy contains parts generated from subnets: edit the plan that contains the subnets instead.",
         ),
       h(
         "p.muted",
         policy.rows.length
           ? "A row with fewer “-” (any number) takes precedence; between equals, the first. " +
               "Weights decide where no row matches."
-          : "There are no rows: the weights of the transitions decide.",
+          : "There are no rows, so the weights of the transitions decide.",
       ),
       this.gaps(),
       this.columns(policy),
@@ -120,7 +120,7 @@ export class PolicyPanel extends PlanForm {
     ];
   }
 
-  /** What the check says of the policy as a whole, such as markings that no row covers. */
+  /** Findings of the check about the policy as a whole, such as markings that no row covers. */
   gaps() {
     const found = (this.mode.findings ?? []).filter(
       ({ text, elements = [] }) =>
@@ -130,7 +130,7 @@ export class PolicyPanel extends PlanForm {
       found.length > 0 &&
       h(
         "ul.ed-gaps",
-        { "aria-label": "What the check says of the policy" },
+        { "aria-label": "Results of the check of the policy" },
         found
           .slice(0, 10)
           .map(({ text, hint }) => h("li.mark", `⚠ ${text}${hint ? ` (${hint})` : ""}`)),
@@ -145,7 +145,7 @@ export class PolicyPanel extends PlanForm {
     const offered = NAMES.places(this.state).filter((name) => !policy.places.includes(name));
     return h(
       "fieldset",
-      h("legend", "Places that the rows speak of"),
+      h("legend", "Places in the rows"),
       h(
         "ul.chips",
         policy.places.map((name, i) =>
@@ -258,7 +258,7 @@ export class PolicyPanel extends PlanForm {
     ];
   }
 
-  /** What is said of rows: row (from 0) -> [texts]. From the check, and what the table itself shows. */
+  /** Remarks on rows: row (from 0) -> [texts], from the check and from the table itself. */
   marks(policy) {
     const found = new Map();
     const add = (i, text) => found.set(i, [...(found.get(i) ?? []), text]);
@@ -320,7 +320,7 @@ export class PolicyPanel extends PlanForm {
     });
   }
 
-  /** The transitions of a row and their probabilities. What does not add up to 1 stays here. */
+  /** The transitions of a row and their probabilities. Probabilities that do not add up to 1 stay in the form. */
   choose(row, value, i) {
     const whole = this.whole(row.at("choose"), problemOfChoice);
     const now = whole.get() ?? {};
@@ -413,7 +413,7 @@ export class PolicyPanel extends PlanForm {
     const { policy } = this;
     const rows = [...policy.rows];
     rows.splice(at, 0, { ...row });
-    this.drafts.clear(); // they are kept by the number of the row
+    this.drafts.clear(); // they are stored by row number
     if (at >= this.first + ROWS) this.first = Math.floor(at / ROWS) * ROWS;
     this.wanted = policy.places.length
       ? `policy.rows.${at}.marking.0`
@@ -440,7 +440,7 @@ export class PolicyPanel extends PlanForm {
     this.put(this.lens(), { ...policy, rows }, `Move row ${from + 1} of the policy`);
   }
 
-  /** The description of the policy, and whether a marking without a row is a fault. */
+  /** The description of the policy, and whether a marking without a matching row is a fault. */
   general() {
     const { policy } = this;
     if (!policy.rows.length) return null;

@@ -1,5 +1,5 @@
-// The panel of what is selected: a place, a transition, an arc, or several at once, with everything that the plan
-// says about it.
+// The panel of the selection: a place, a transition, an arc or several of them, with everything the plan says about
+// them.
 
 import { h, natural, plural } from "../dom.js";
 import { get } from "../api.js";
@@ -13,7 +13,7 @@ import { addRobot, robotRow, robotsLens, robotsOf } from "./robots_form.js";
 import { planSchema, problemOf } from "./schema.js";
 import { schemaField, wordOf } from "./schema_form.js";
 
-/** What all forms of plans need: the schema, and the palette of what exists. */
+/** Shared by all forms of plans: the schema, and the palette of existing actions. */
 export class PlanForm extends FormPanel {
   constructor(mode, name, title) {
     super(mode, name, title);
@@ -48,13 +48,13 @@ export class PlanForm extends FormPanel {
   }
 }
 
-const LOOK_AGAIN = 4000; // ms after which it is asked what else has come to be: functions are written meanwhile
+const LOOK_AGAIN = 4000; // ms after which the palette is fetched again, since users write functions meanwhile
 
-/** What the actions of a plan can be chosen from, for all panels of a mode. */
+/** The actions that a plan can choose from, for all panels of a mode. */
 class Palette {
   constructor(mode) {
     this.mode = mode;
-    this.told = []; // who wants to know
+    this.told = []; // callbacks for the next answer
     this.text = ""; // the last answer
     this.look();
     const again = () => !document.hidden && this.look();
@@ -63,7 +63,7 @@ class Palette {
     mode.bound.signal.addEventListener("abort", () => clearInterval(timer));
   }
 
-  /** Tell `take` the palette, now and whenever it changes. */
+  /** Pass the palette to `take`, now and whenever it changes. */
   follow(take) {
     this.told.push(take);
     if (this.text) take(JSON.parse(this.text));
@@ -82,7 +82,7 @@ class Palette {
   }
 }
 
-const palettes = new WeakMap(); // one for all panels of a mode
+const palettes = new WeakMap(); // shared by all panels of a mode
 
 function paletteOf(mode) {
   if (!palettes.has(mode)) palettes.set(mode, new Palette(mode));
@@ -103,10 +103,10 @@ export class PropertyPanel extends PlanForm {
   }
 
   concerns() {
-    return true; // the positions too
+    return true; // this panel shows positions too
   }
 
-  /** What is selected of a kind, as the net has it. */
+  /** The selected elements of a kind, as in the net. */
   selected(kind) {
     const { selection } = this.mode;
     return this.document.net[LISTS[kind]].filter((it) => selection.has(keyOf[kind](it)));
@@ -137,7 +137,7 @@ export class PropertyPanel extends PlanForm {
     ];
   }
 
-  /** A lens at a key of some nodes or arcs; `absent`: the value that is not written. */
+  /** A lens at a key of some nodes or arcs; `absent`: the default, which is not written. */
   net(kind, list, key, absent) {
     const wanted = new Set(list.map(keyOf[kind]));
     const name = list.length === 1 ? keyOf[kind](list[0]) : kind;
@@ -251,7 +251,7 @@ export class PropertyPanel extends PlanForm {
       ["action", "action place: its tokens are robots"],
       ["resource", "resource place: its tokens are counters"],
     ];
-    if (lens.get() === "open") options.unshift(["open", "a place of robots without an action"]);
+    if (lens.get() === "open") options.unshift(["open", "a robot place without an action"]);
     return this.choice(lens, "kind", options, { what: `the kind of ${names.join(", ")}` });
   }
 
@@ -318,7 +318,7 @@ export class PropertyPanel extends PlanForm {
     ];
   }
 
-  /** What a key of the plan says about a node; a button adds it where it says nothing. */
+  /** The form of a key of the plan for one node, or a button that adds an entry. */
   entry(key, name, title = wordOf(key)) {
     const lens = this.plan(key).at(name, { given: true });
     const part = this.part(key).additionalProperties;
@@ -518,7 +518,7 @@ export class PropertyPanel extends PlanForm {
   }
 }
 
-/** The plan with places as resource places, or as places of robots. */
+/** The plan with the given places turned into resource places, or into robot places. */
 function withKind(plan, names, kind) {
   const those = new Set(names);
   const rest = (plan.resource_places ?? []).filter((name) => !those.has(name));

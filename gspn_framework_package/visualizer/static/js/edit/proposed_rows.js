@@ -19,7 +19,7 @@ export class ProposedRows {
     return [
       h(
         "p.muted",
-        "A policy that was computed for the file, on the tab Optimise, beside the rows here.",
+        "Compare the rows here with a policy computed for the file on the Optimise tab.",
       ),
       this.panel.button("policy look", "Look for a computed policy", () => this.look()),
       h("div", { role: "status" }, shown && (shown.text ? h("p", shown.text) : this.rows(shown))),
@@ -29,7 +29,7 @@ export class ProposedRows {
   async look(start = 0) {
     try {
       const { job } = await get("optimised", { id: this.panel.mode.id });
-      if (!job) this.found = { text: "None was computed for this file yet." };
+      if (!job) this.found = { text: "No policy has been computed for this file yet." };
       else {
         const page = await get(`analysis/${job}/rows`, { from: start, limit: ROWS });
         this.found = { job, start, ...page };
@@ -103,7 +103,8 @@ export class ProposedRows {
     );
   }
 
-  /** Take proposed rows over: each replaces the row of the same marking, or comes before those with more wildcards. */
+  /** Take over proposed rows: each replaces the row of the same marking, or is inserted before those with more
+   * wildcards. */
   take(places, taken) {
     const unknown = [...new Set(taken.flatMap(({ choose }) => Object.keys(choose)))].find(
       (name) => !this.panel.immediate.includes(name),

@@ -1,7 +1,7 @@
-// The names of places and transitions, everywhere in a plan where one occurs. A node is renamed, or removed, in all
-// of them at once. Pure functions on the state of a PlanDocument, {plan, net, policy}.
+// Renames or removes places and transitions everywhere in a plan where their names occur. Pure functions on the state
+// of a PlanDocument, {plan, net, policy}.
 
-const NAME = /^[\p{L}_][\p{L}\p{N}_.:]*$/u; // a name that a condition need not quote; as in model/expression.py
+const NAME = /^[\p{L}_][\p{L}\p{N}_.:]*$/u; // a name that needs no quotes in a condition; as in model/expression.py
 const TOKEN = /"[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*/gu;
 const WORDS = new Set(
   "and or not true false min max floor ceil round abs sqrt exp log ln pow mod".split(" "),
@@ -25,7 +25,7 @@ export function problemOfName(state, name, except = null) {
   return "";
 }
 
-/** The text of a condition with the names of places changed; null if it names one that is gone. */
+/** The text of a condition with the names of places changed; null if it names a removed place. */
 export function changedCondition(text, place) {
   let gone = false;
   const result = text.replace(TOKEN, (token) => {
@@ -46,7 +46,8 @@ export function changedCondition(text, place) {
 
 const same = (a, b) => a.length === b.length && a.every((item, i) => item === b[i]);
 
-/** An object with its keys and values changed; what becomes null is left out. The same object if nothing changes. */
+/** An object with its keys and values changed; entries that become null are removed. Returns the same object if nothing
+ * changes. */
 function mapped(object, key, value = (it) => it, lost = () => {}) {
   if (!object || typeof object !== "object") return object;
   const before = Object.entries(object);
@@ -81,7 +82,7 @@ const WHAT = {
   actions: "the action",
   on_failure: "the failure rule",
   timeout: "the time-out",
-  on_evict: "what is given back on eviction",
+  on_evict: "the resources given back on eviction",
   durations: "the duration",
   outcomes: "the outcomes",
   failures: "the probability of failure",
@@ -91,7 +92,7 @@ const WHAT = {
 };
 
 /** The state with every name of a place or a transition changed. `place(name)` and `transition(name)` return the new
- * name, or null for a node that is gone: what refers to it goes with it, and `said` is called. */
+ * name, or null for a removed node: whatever refers to it is removed too and reported by `said`. */
 function changedNames(state, place, transition, said) {
   const { net, plan, policy } = state;
   const node = (name) => {
@@ -130,7 +131,7 @@ function changedNames(state, place, transition, said) {
   });
   if (arcs) said(arcs === 1 ? "an arc" : `${arcs} arcs`);
 
-  // actions: what their outcomes lead to, and the resources that a subnet shares
+  // actions: the transitions of their outcomes, and the resources that a subnet shares
   const action = (it) => {
     if (!it || typeof it !== "object") return it;
     let now = it;
@@ -240,7 +241,7 @@ function changedNames(state, place, transition, said) {
   }
   if (plan.until) {
     const now = changedCondition(plan.until, place);
-    if (now === null) said(`the condition 'until' (${plan.until})`);
+    if (now === null) said(`the condition “until” (${plan.until})`);
     put("until", now ?? undefined, false);
   }
   if (plan.subnets)
@@ -273,7 +274,7 @@ function changedNames(state, place, transition, said) {
   };
 }
 
-/** What is left of probabilities, scaled to the sum that they had. */
+/** The remaining probabilities, scaled to their previous sum. */
 function adjusted(left, before) {
   if (Object.keys(left).length === Object.keys(before).length) return left;
   const sum = (of) => Object.values(of).reduce((total, value) => total + Number(value), 0);
@@ -295,7 +296,7 @@ function changedPolicy(policy, place, transition, said) {
   const places = mappedList(policy.places, place, (name) =>
     said(`the column '${name}' of the policy`),
   );
-  const lost = []; // numbers of the rows that are left out
+  const lost = []; // numbers of the rows that are removed
   let rescaled = 0;
   const rows = mappedList(
     policy.rows.map((row, i) => [row, i]),
@@ -342,8 +343,8 @@ function changedPolicy(policy, place, transition, said) {
   return differs ? result : policy;
 }
 
-/** The state with a place or a transition renamed. A place that stands for a plan gives its name to all that is in
- * it ("Charge.Approach"), so these names change too. */
+/** The state with a place or a transition renamed. The names inside a place that stands for a plan begin with its name
+ * ("Charge.Approach"), so these change too. */
 export function renamed(state, kind, from, to) {
   const inside = kind === "place" && state.plan.actions?.[from]?.plan !== undefined;
   const own = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
@@ -353,8 +354,8 @@ export function renamed(state, kind, from, to) {
   return changedNames(state, change("place"), change("transition"), () => {});
 }
 
-/** The state without some nodes and arcs (keys as in a selection: "place:A", "arc:A>t"), and without what refers to
- * them. `said` lists what else has gone. */
+/** The state without some nodes and arcs (keys as in a selection: "place:A", "arc:A>t") and without references to them.
+ * `said` lists what else was removed. */
 export function without(state, keys) {
   const gone = new Set(keys);
   const inside = state.net.places

@@ -1,10 +1,11 @@
-// The robots of a plan: their names, where they start, and actions of their own.
+// The robots of a plan: their names, initial places and own actions.
 
 import { h } from "../dom.js";
 import { NAMES } from "./names.js";
 import { group, schemaField } from "./schema_form.js";
 
-/** The robots of a plan as a list of {name, place, actions}; those that it does not name are given by its tokens. */
+/** The robots of a plan as a list of {name, place, actions}; robots without a name in the plan follow from its tokens.
+ */
 export function robotsOf({ plan, net }) {
   if (Array.isArray(plan.robots)) return plan.robots;
   if (plan.robots) return Object.entries(plan.robots).map(([name, place]) => ({ name, place }));
@@ -19,7 +20,7 @@ export function robotsOf({ plan, net }) {
     );
 }
 
-/** The robots in the form in which the plan has them: an object as long as none has actions of its own. */
+/** The robots as written in the plan: an object if no robot has its own actions. */
 function written(robots, before) {
   return Array.isArray(before) || robots.some(({ actions }) => actions)
     ? robots
@@ -58,8 +59,8 @@ export function robotsForm(form, _lens, title) {
     !named &&
       h(
         "p.muted",
-        "The plan names no robots: there is one for each token of the initial marking. " +
-          "The first change names them.",
+        "The plan names no robots; there is one for each token of the initial marking. " +
+          "The first change here names them.",
       ),
     h(
       "div.rows",
@@ -78,8 +79,9 @@ export function robotsForm(form, _lens, title) {
       named &&
         form.button(
           "plan.robots by tokens",
-          "As the tokens say",
-          () => form.put(form.plan("robots", false), undefined, "Leave the robots to the tokens"),
+          "Derive from tokens",
+          () =>
+            form.put(form.plan("robots", false), undefined, "Derive the robots from the tokens"),
           { title: "One robot for each token of the initial marking, without names in the plan" },
         ),
     ),

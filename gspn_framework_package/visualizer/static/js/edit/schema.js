@@ -1,5 +1,5 @@
-// The JSON Schema of plan files, which the server has: the forms are made from it, and what is typed is checked
-// against it before it enters the plan.
+// The JSON Schema of plan files, from the server. The forms are made from it, and input is checked against it before it
+// enters the plan.
 
 import { changed } from "./plan_document.js";
 
@@ -8,7 +8,7 @@ let loaded = null;
 /** The schema; it is fetched once. */
 export function planSchema() {
   loaded ??= fetch("/plan.schema.json", { credentials: "same-origin" }).then((answer) => {
-    if (!answer.ok) throw new Error(`the schema of plans cannot be read (${answer.status})`);
+    if (!answer.ok) throw new Error(`the schema of plan files cannot be read (${answer.status})`);
     return answer.json();
   });
   loaded.catch(() => {
@@ -17,7 +17,7 @@ export function planSchema() {
   return loaded;
 }
 
-/** A part of the schema with its reference followed; what stands beside the reference is kept. */
+/** A part of the schema with its reference resolved; keys next to the reference are kept. */
 export function resolved(schema, root) {
   if (!schema?.$ref) return schema;
   const found = schema.$ref
@@ -48,8 +48,8 @@ const WORDS = {
   null: "nothing",
 };
 
-/** What is wrong with a value of an object of the plan, in words; "" if nothing is. It begins with the key where
- * that is inside. */
+/** What is wrong with a value of the plan, in words; "" if nothing. If the problem is inside the value, the text begins
+ * with the key. */
 export function problemOf(schema, value, root) {
   const s = resolved(schema, root);
   if (s === true || s === undefined) return "";
@@ -66,7 +66,7 @@ export function problemOf(schema, value, root) {
   if (typeof value === "string") {
     if (s.minLength && value.length < s.minLength) return "it is empty";
     if (s.pattern && !new RegExp(s.pattern, "u").test(value))
-      return s.description ? `the form is: ${s.description}` : "it has not the right form";
+      return s.description ? `expected form: ${s.description}` : "it does not have the right form";
   }
   if (Array.isArray(value)) {
     const found = listProblem(s, value, root);
@@ -90,7 +90,7 @@ export function problemOf(schema, value, root) {
   return "";
 }
 
-/** What is wrong with the form that a value is most likely meant to have. */
+/** What is wrong with a value, measured against the alternative it most likely stands for. */
 function nearest(forms, problems, value, root) {
   const likely = forms.findIndex((form) => {
     const s = resolved(form, root);

@@ -18,7 +18,7 @@ const WORDS = {
   wait_for: "Topic",
   publish: "Topic",
   of: "Learned from",
-  keep: "Keep of the result",
+  keep: "Kept from the result",
   with: "Parameters of it",
   share: "Shared resources",
   command: "Program and arguments",
@@ -26,12 +26,12 @@ const WORDS = {
   fence_after: "Stops itself after (s)",
   fsync: "Write before sending",
   after: "After (s)",
-  every: "Asked every (s)",
+  every: "Polled every (s)",
   id: "Field that identifies the task",
   json: "Field with the data as JSON",
-  edge: "Only a change counts",
+  edge: "Only on a change",
   hold: "Held until it can fire",
-  resume: "Continued by the next visit",
+  resume: "The next visit continues it",
   when: "When",
   $schema: "Schema for other editors",
 };
@@ -42,8 +42,8 @@ export const wordOf = (key) =>
 
 const hintOf = (form, lens, given) => ({ ...form.hints[lens.pattern], ...given });
 
-/** The controls of a value that a schema describes. `given`: hints for this place; `required`: it cannot be left
- * out; `title`: what it is called. */
+/** The controls of a value that a schema describes. `given`: hints for this place; `required`: it cannot be left out;
+ * `title`: its name. */
 export function schemaField(form, part, lens, title, given = {}, required = false) {
   const root = form.schema;
   const schema = resolved(part, root);
@@ -123,7 +123,7 @@ function textField(form, schema, lens, title, hint, required) {
         problemOf(schema, text, root) ||
         hint.check?.(text, form.state) ||
         (hint.items && !hint.open && !hint.items(form.state).includes(text)
-          ? `there is no '${text}' that fits here`
+          ? `'${text}' is not valid here`
           : "") || [text]
       );
     },
@@ -133,7 +133,7 @@ function textField(form, schema, lens, title, hint, required) {
 /** A list of numbers in one field. */
 export function numbersField(form, schema, lens, title, check = () => "") {
   return form.text(lens, title, {
-    placeholder: "numbers with spaces between",
+    placeholder: "numbers separated by spaces",
     show: (value) => (value ?? []).join(" "),
     parse: (text) => {
       const words = text.split(/[\s,;]+/).filter(Boolean);
@@ -147,7 +147,7 @@ export function numbersField(form, schema, lens, title, check = () => "") {
   });
 }
 
-/** A list of texts: names of nodes, where the hint says which. */
+/** A list of texts, or of names of nodes if the hint lists them. */
 function listForm(form, schema, lens, title, hint) {
   const value = lens.get() ?? [];
   const add = (name) => {
@@ -226,7 +226,7 @@ function valueList(form, lens, title) {
   return valueField(form, lens, title, { kinds: ["array"] });
 }
 
-/** The smallest value that a schema allows, as far as it is known. */
+/** The smallest value that a schema allows, as far as that can be derived. */
 function blankOf(part, root) {
   const schema = resolved(part, root);
   switch ([schema.type].flat()[0]) {
@@ -320,7 +320,7 @@ function mapForm(form, schema, lens, title, hint) {
             (!name
               ? "a name is needed"
               : name in (lens.get() ?? {})
-                ? "there is one of this name"
+                ? "this name exists already"
                 : "") ||
             (hint.nameCheck?.(name) ?? "") ||
             (schema.propertyNames

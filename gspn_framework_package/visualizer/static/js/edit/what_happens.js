@@ -1,10 +1,10 @@
-// "What would happen here?": for the marking that is shown, which row of the policy applies to the robots of each
-// place, and which transitions they would choose.
+// "What would happen here?": which row of the policy applies to the robots of each place in the marking shown, and
+// which transitions they would choose.
 
 import { h, number } from "../dom.js";
 import { post } from "../api.js";
 
-const PLACES = 80; // that get a field for their tokens
+const PLACES = 80; // number of places that get a field for their tokens
 
 export class WhatHappens {
   constructor(mode) {
@@ -22,7 +22,7 @@ export class WhatHappens {
         "div",
         h(
           "p.muted",
-          "Which row of the policy applies at the marking that is shown, and what robots would choose.",
+          "Which row of the policy applies in the marking shown, and what robots would choose.",
         ),
         h("button.primary", {
           id: "ed-here-ask",
@@ -36,7 +36,7 @@ export class WhatHappens {
     this.button = mode.button("look", {
       id: "ed-here-open",
       label: "What happens",
-      title: "Which row of the policy applies at the marking that is shown",
+      title: "Which row of the policy applies in the marking shown",
       onclick: () => {
         mode.showPanel("here");
         return this.ask();
@@ -46,7 +46,7 @@ export class WhatHappens {
     mode.document.addEventListener("change", this.changed);
   }
 
-  /** The marking that the drawing shows: that of a witness, or the initial one; or the one that was typed. */
+  /** The marking typed by the user, or the one on the drawing: of a witness, or the initial one. */
   marking() {
     const { places } = this.mode.document.net;
     const typed = new Map(
@@ -78,7 +78,7 @@ export class WhatHappens {
     );
   }
 
-  /** The document has changed: what was said may be wrong now. */
+  /** The document has changed: the last answer may be wrong now. */
   clear() {
     this.asked += 1;
     this.result.replaceChildren();
@@ -111,8 +111,8 @@ export class WhatHappens {
         on ? "" : ` – ${why.join("; ") || "not enabled"}`,
       );
     this.result.replaceChildren(
-      over ? h("p", "The run is over here: “until” holds.") : "",
-      places.length ? "" : h("p", "No robot is in a place."),
+      over ? h("p", "The run ends here: “until” holds.") : "",
+      places.length ? "" : h("p", "There is no robot in any place."),
       ...places.map((place) =>
         h(
           "section",

@@ -1,5 +1,4 @@
-// A firing sequence that is played on the drawing of the editor, from the initial marking of the document. An edit
-// ends it.
+// Plays a firing sequence on the drawing of the editor, from the initial marking of the document. An edit ends it.
 
 import { h, $ } from "../dom.js";
 import { FiringSequence, sequenceControls } from "../sequence.js";
@@ -7,17 +6,17 @@ import { FiringSequence, sequenceControls } from "../sequence.js";
 const FLASH = 450; // ms
 
 export class Witness {
-  /** `steps`: names of transitions; `known`: the markings before, between and after them ({place: tokens}), if
-   * somebody knows them: then a step may also be one inside a subnet, or the loss of a robot. */
+  /** `steps`: names of transitions; `known`: the markings before, between and after them ({place: tokens}), if known; a
+   * step may then also be inside a subnet, or be the loss of a robot. */
   constructor(mode, steps, known = null) {
     this.mode = mode;
     this.known = known;
-    this.markings = []; // place -> tokens; before each step that was fired, the present one last
+    this.markings = []; // place -> tokens, before each step fired; the present one is last
     const sequence = new FiringSequence(steps, this);
     this.sequence = sequence;
     this.box = h(
       "div.ed-witness",
-      { id: "ed-witness", role: "group", "aria-label": "How it comes about" },
+      { id: "ed-witness", role: "group", "aria-label": "Firings that lead to it" },
       sequenceControls(sequence),
       h("button", { text: "Close", onclick: () => this.end() }),
     );
