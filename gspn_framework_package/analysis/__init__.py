@@ -15,7 +15,7 @@ Behind it, each folder builds on those before it:
 - ``simulation``: many runs of a net or a plan, with confidence intervals;
 - ``preflight``: the check of a plan before any robot moves.
 
-All of them share ``limits`` (how far a search goes), ``watch`` (progress, cancelling), ``graph``
+All of them share ``limits`` (of a search), ``watch`` (progress, cancellation), ``graph``
 (graph algorithms) and ``compiling`` (numba).
 
 Also here: ``arrays``, ``decisions``, ``executors``, ``fitting``, ``monitoring``, ``on_disk``,

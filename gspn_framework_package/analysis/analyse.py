@@ -56,21 +56,22 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
 _SEARCHED = 100_000
-"""Number of markings to search for a given one in a net that has infinitely many."""
+"""Number of markings to search for a given one in a net with infinitely many."""
 
 BEGINNING = 20_000
 """Markings to visit before checking whether there are infinitely many; most nets have fewer. If
-there are infinitely many, no more are visited, since some questions would stay open anyway."""
+there are, no more are visited, since some questions would stay open anyway."""
 
 _FIRST_TREE = 5_000
-"""Most nodes of the first coverability tree, which is tried before more markings are visited."""
+"""Largest number of nodes of the first coverability tree, which is tried before visiting more
+markings."""
 
 _FIRST_TREE_SHARE = 32
 """The first tree may take the memory limit divided by this."""
 
 
 class Reachability(NamedTuple):
-    """Whether a condition can come to hold: ``reachable`` (None: not decided), the ``number`` of
+    """Whether a condition can ever hold: ``reachable`` (None: not decided), the ``number`` of
     visited markings in which it holds, and a shortest path to one of them."""
 
     reachable: Optional[bool]
@@ -88,7 +89,7 @@ class Boundedness(NamedTuple):
 
 
 def at_least(marking: Mapping[str, int]) -> str:
-    """The condition that these places (place -> count) hold at least these tokens."""
+    """The condition that these places (place -> count) contain at least these tokens."""
     return " and ".join("'%s' >= %d" % item for item in marking.items()) or "true"
 
 
@@ -98,20 +99,20 @@ class Analysis:
     :param subject: a net or a validated plan.
     :param limit: most markings to visit; shorthand for ``limits`` with this many states.
     :param limits: how far each part may go.
-    :param timing: how to read the time of a plan: ``run`` (default), as it runs, or ``net``, by the
-        rates of its net alone. A net has the latter.
-    :param structure: whether P-invariants are used for bounds from the start. Otherwise they are
-        computed only if neither the markings nor the coverability tree tell whether the net is
+    :param timing: how to interpret the time of a plan: ``run`` (default), as it runs, or ``net``,
+        by the rates of its net alone. A net always uses the latter.
+    :param structure: whether P-invariants are used for bounds from the start. Otherwise, they are
+        computed only if neither the markings nor the coverability tree decide whether the net is
         bounded.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
-    :param lump: visit one marking for all that equal parts of a net can exchange into; see
-        :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The conditions that
-        will be asked about, which no exchange may change. None: visit all markings.
+    :param lump: visit only one of the markings that differ by an exchange of equal parts of a net;
+        see :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The value lists the
+        conditions that will be queried, which no exchange may change. None: visit all markings.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
 
-    Every part raises LimitError if it was not decided within the limit, and RefusedError if the
-    net has no such thing (for example no Markov chain, because nothing resolves a choice).
+    Every part raises LimitError if it was not decided within the limit, and RefusedError if it does
+    not exist for the net (for example no Markov chain, because a choice is unresolved).
     """
 
     def __init__(
@@ -136,7 +137,7 @@ class Analysis:
         self.net: Net = subject.net if isinstance(subject, Plan) else subject
         self._reading = checked_reading(timing or (RUN if self.plan is not None else NET))
         if self.plan is None and self._reading != NET:
-            raise UsageError("a net has no run: only a plan is read as it runs")
+            raise UsageError("'run' needs a plan: a net has no run")
         nodes = len(self.net.places) + len(self.net.transitions)
         self.limit: int = states_of(nodes)
         for given in (limits.states, limit):
@@ -149,7 +150,7 @@ class Analysis:
         self._progress, self._cancel = progress, cancel
         self._counters: Tuple[str, ...] = ()  # the places left out of the state space
         self._known_tree: Optional[CoverabilityTree] = None
-        self._growth_reason = ""  # why the first tree does not show what grows without bound
+        self._growth_reason = ""  # why the first tree does not show which places grow without bound
 
     # -- structure and state space -----------------------------------------------------------------
 
@@ -161,12 +162,12 @@ class Analysis:
     @cached_property
     def space(self) -> StateSpace:
         """The visited markings, without the places ``left_out``; for a plan, those its policy
-        allows. It is not complete if the limit was reached."""
+        allows. It is incomplete if the limit was reached."""
         return self._explore()
 
     @property
     def left_out(self) -> Tuple[str, ...]:
-        """Places that nothing reads and that may grow without bound. The state space omits them,
+        """Places that nothing reads and that may grow without bound. The state space omits them
         since they cannot affect the behaviour."""
         if isinstance(self.space, PlanSpace):
             return self.space.counters
@@ -176,7 +177,7 @@ class Analysis:
     def tree(self) -> CoverabilityTree:
         """The coverability tree.
 
-        :raises LimitError: it is too large, or a growth in it could not be judged.
+        :raises LimitError: it is too large, or a growth in it could not be decided.
         """
         if self._known_tree is None:
             self._known_tree = self._tree(self.limits.tree, self.limits.memory)
@@ -184,7 +185,7 @@ class Analysis:
 
     @property
     def timing(self) -> TimingNotes:
-        """How time is read, and what is assumed for that."""
+        """How time is interpreted, and the assumptions made."""
         return self.space.notes if isinstance(self.space, PlanSpace) else TimingNotes(NET, {}, [])
 
     def _tree(self, limit: int, memory: int) -> CoverabilityTree:
@@ -206,7 +207,7 @@ class Analysis:
 
         :raises LimitError: the state space is not complete.
         """
-        self._refuse_if_unbounded("what depends on all markings")
+        self._refuse_if_unbounded("the answers that depend on all markings")
         if isinstance(self.space, LumpedSpace):
             return LumpedProperties(self.space)
         return Properties(self.space)
@@ -279,8 +280,8 @@ class Analysis:
         )
 
     def _symmetry(self, net: Net) -> Symmetry:
-        """What can be exchanged in the net, or in the part of it without some counters. What puts
-        different numbers of tokens into these is distinguished."""
+        """The exchangeable parts of the net, or of the net without some counters. Parts that put
+        different numbers of tokens into these counters are distinguished."""
         assert self._lump is not None
         kept = list(net.place_index)
         gone = {p for p, place in enumerate(self.net.places) if place.name not in net.place_index}
@@ -313,7 +314,8 @@ class Analysis:
 
     @cached_property
     def _proved_bounds(self) -> Dict[str, Optional[int]]:
-        """The bounds of all places that the P-invariants prove; None: none is proved."""
+        """The bounds of all places from the P-invariants; None if these do not bound every
+        place."""
         try:
             found = self.structure.place_invariants
         except LimitError:
@@ -343,12 +345,12 @@ class Analysis:
         return not self._known_tree.bounded
 
     def _refuse_if_unbounded(self, question: str) -> None:
-        """:raises LimitError: the first tree shows that the net is unbounded."""
+        """Refuse an unbounded net. :raises LimitError: the first tree shows that it is."""
         if self._is_unbounded:
             raise LimitError(
                 "not decided, since the net is unbounded",
                 element=question,
-                hint="%s can grow without end" % ", ".join(self.tree.unbounded_places),
+                hint="%s can grow without bound" % ", ".join(self.tree.unbounded_places),
             )
 
     def _is_counter(self, name: str) -> bool:
@@ -423,12 +425,12 @@ class Analysis:
             if (better == most).all():
                 return int(most.max())
             most = better
-        raise AssertionError("a longest way has an end")
+        raise AssertionError("a longest path has an end")
 
     # -- conditions --------------------------------------------------------------------------------
 
     def reach(self, condition: str) -> Reachability:
-        """Whether a condition can come to hold.
+        """Whether a condition can ever hold.
 
         :raises ExpressionError: it cannot be parsed, or names an unknown place.
         """
@@ -456,7 +458,7 @@ class Analysis:
             limit *= 10
 
     def cover(self, marking: Mapping[str, int]) -> Reachability:
-        """Whether these places can hold at least these numbers of tokens at the same time.
+        """Whether these places can contain at least these numbers of tokens at the same time.
 
         :param marking: place -> count.
         """
@@ -488,7 +490,7 @@ class Analysis:
     def chain(self) -> Chain:
         """The Markov chain.
 
-        :raises RefusedError: nothing resolves a choice, or there is a timeless trap.
+        :raises RefusedError: a choice is unresolved, or there is a timeless trap.
         """
         self._refuse_if_unbounded("its Markov chain")
         return Chain.of(self.space)
@@ -511,8 +513,8 @@ class Analysis:
         ]
 
     def first_passage(self, condition: str, times: Sequence[float] = ()) -> Passage:
-        """When a condition first holds, with the probability that it does within each of ``times``
-        (s).
+        """The time at which a condition first holds, with the probability that this is within each
+        of ``times`` (s).
 
         :raises ExpressionError: the condition cannot be parsed, or names an unknown place.
         :raises LimitError: there are too many markings before it holds, or a linear system was not

@@ -18,7 +18,7 @@ else:
     Floats = Indices = Booleans = Words = np.ndarray
 
 Selection = Union[Indices, Booleans, slice, None]
-"""What chooses rows: their numbers, a mask, a slice; None chooses all."""
+"""A selection of rows: numbers, a mask or a slice; None selects all."""
 
 Matrix = Any
 """A SciPy sparse matrix; SciPy has no type annotations."""

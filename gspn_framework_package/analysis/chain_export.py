@@ -16,7 +16,7 @@ _ROUNDING = 1e-12
 def explicit_chain(analysis: Analysis, labels: Mapping[str, str] = {}) -> ExplicitChain:
     """The explicit chain of a net, or of a plan under its policy.
 
-    :param labels: label -> the condition on markings that it stands for.
+    :param labels: label -> condition on markings.
     :raises LimitError: the state space is larger than the limit.
     :raises RefusedError: there is no chain, or its initial state is random, which the formats
         cannot express.
@@ -26,14 +26,14 @@ def explicit_chain(analysis: Analysis, labels: Mapping[str, str] = {}) -> Explic
     starts = np.flatnonzero(chain.initial > _ROUNDING)
     if len(starts) != 1:
         raise RefusedError(
-            "the chain starts in one of %d states by chance, which model checkers' files cannot say"
+            "the initial state is random (%d states), which files of model checkers cannot express"
             % len(starts),
-            hint="begin in a marking that enables no immediate transition",
+            hint="start from a marking that enables no immediate transition",
         )
     rates = chain.rates.tocoo()
     graph = chain.graph
     states = graph.markings(chain.states)
-    if graph.part_counts is not None:  # several states may have one marking
+    if graph.part_counts is not None:  # several states may have the same marking
         states = np.hstack([states, graph.part_counts[chain.states]])
     return ExplicitChain(
         [*(place.name for place in graph.net.places), *graph.parts],

@@ -6,8 +6,8 @@ from __future__ import annotations
 import os
 from typing import Any, Callable, Dict
 
-# otherwise numba's colorama writes an escape sequence behind the output when the process ends, if
-# that is a terminal
+# otherwise, numba's colorama appends an escape sequence to the output at the end of the process if
+# the output is a terminal
 os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 from numba import config, njit
@@ -20,8 +20,8 @@ Function = Callable[..., Any]
 def compiled(function: Function, allocates: bool = True) -> Any:
     """``function``, compiled by numba on its first call.
 
-    A function that creates no array may say so (``allocates``): it then counts no references to its
-    arrays, which would take most of the time of a small function.
+    For a function that creates no arrays, set ``allocates`` to false: it then does not count
+    references to its arrays, which would take most of the time of a small function.
 
     The machine code is cached next to the source file, or in the user's cache directory. If neither
     is writable (a read-only installation, a user without a home), every process compiles it again.

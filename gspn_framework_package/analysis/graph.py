@@ -51,7 +51,8 @@ def reachable_from(
     seen = np.zeros(nodes + 1, dtype=bool)
     seen[:nodes][start] = True
     begins = np.flatnonzero(seen)
-    # one node more, with an arc to each of them: compiled code goes through levels of any number
+    # an additional node with an arc to each of them, since compiled code starts a search from a
+    # single node
     matrix = adjacency(
         nodes + 1,
         np.concatenate([sources, np.full(len(begins), nodes, dtype=np.int64)]),
@@ -83,7 +84,7 @@ class ShortestWays:
         """Boolean array: the nodes that have a path from node 0."""
         self._parent = np.full(nodes, -1, dtype=np.int64)
         nearer = np.flatnonzero(self.reached[before] & (depth[after] == depth[before] + 1))[::-1]
-        self._parent[after[nearer]] = arcs[nearer]  # the first arc of several: it is written last
+        self._parent[after[nearer]] = arcs[nearer]  # of several arcs, the first: it is written last
 
     def way_to(self, node: int) -> List[int]:
         """The arcs of a shortest path to ``node``, which must be reachable."""
@@ -101,7 +102,7 @@ def _depths(matrix: Matrix) -> Indices:
     place = np.empty(matrix.shape[0], dtype=np.int64)
     place[order] = np.arange(len(order))
     # Nodes in the order of their discovery have parents in the same order: a level ends where the
-    # parents are no longer in the level before.
+    # parents are no longer in the previous level.
     parent_places = place[parents[order[1:]]].tolist()
     ends = [0, 1]
     while ends[-1] < len(order):

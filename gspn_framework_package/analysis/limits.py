@@ -1,5 +1,5 @@
-"""Limits of an analysis, and the counter that enforces them: every search ends, and reports if it
-stopped early."""
+"""Limits of an analysis, and the counter that enforces them: every search terminates and reports
+whether it stopped early."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ STATE_LIMIT = 2_000_000
 """Default limit on the markings visited."""
 
 LARGE_NET = 10_000
-"""Number of places and transitions above which the default limits on markings and on steps fall,
-since each of them takes longer."""
+"""Number of places and transitions above which the default limits on markings and steps decrease,
+since each takes longer."""
 
 TREE_LIMIT = 50_000
 """Default limit on the nodes of a coverability tree."""
@@ -32,12 +32,12 @@ DEFAULT_MEMORY = 4 << 30
 class Limits(NamedTuple):
     """The limits of one analysis.
 
-    :ivar states: most markings to visit; None: see :func:`states_of`.
-    :ivar tree: most nodes of a coverability tree.
-    :ivar structure: most elementary steps of each search for invariants, siphons and traps; None:
-      see :func:`structure_of`.
+    :ivar states: largest number of markings to visit; None: see :func:`states_of`.
+    :ivar tree: largest number of nodes of a coverability tree.
+    :ivar structure: largest number of elementary steps of each search for invariants, siphons and
+        traps; None: see :func:`structure_of`.
     :ivar seconds: longest time (s) of each part.
-    :ivar memory: most bytes that a state space or a coverability tree may take.
+    :ivar memory: largest size (bytes) of a state space or a coverability tree.
     """
 
     states: Optional[int] = None
@@ -54,7 +54,7 @@ def states_of(nodes: int) -> int:
 
 def structure_of(nodes: int) -> int:
     """The default limit on the steps of each search for a net with ``nodes`` places and
-    transitions. A search without branches takes five or six for each node."""
+    transitions. A search without branches takes five or six per node."""
     if nodes <= LARGE_NET:
         return STRUCTURE_LIMIT
     return min(max(STRUCTURE_LIMIT // 2, 8 * nodes), STRUCTURE_LIMIT)
@@ -63,8 +63,8 @@ def structure_of(nodes: int) -> int:
 class Effort:
     """Counts the elementary steps of one search.
 
-    :param limit: most steps.
-    :param watch: consulted at intervals on whether to stop.
+    :param limit: largest number of steps.
+    :param watch: consulted at intervals, and may stop the search.
 
     >>> effort = Effort(100)
     >>> effort.spend(60, "rows")
@@ -84,7 +84,7 @@ class Effort:
         """Check that ``steps`` more are within the limit, without counting them.
 
         :param found: what the search has found so far, for the error message.
-        :raises LimitError: they are not.
+        :raises LimitError: they exceed it.
         """
         if self.steps + steps > self._limit:
             raise LimitError(

@@ -1,4 +1,4 @@
-"""Quantiles of the usual distributions. ``scipy.stats`` has them too, but takes longer to import
+"""Quantiles of common distributions. ``scipy.stats`` has them too, but importing it takes longer
 than most commands take to run."""
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ def normal_quantile(probability: float) -> float:
 
 
 def student(probability: float, freedom: float) -> float:
-    """The same for Student's t with so many degrees of freedom."""
+    """The same for Student's t with the given degrees of freedom."""
     return float(special.stdtrit(freedom, probability))
 
 
 def chi_squared(above: float, freedom: float) -> float:
-    """The value that chi-squared with so many degrees of freedom exceeds with the probability
+    """The value that chi-squared with the given degrees of freedom exceeds with probability
     ``above``."""
     return float(special.chdtri(freedom, above))
 
 
 def chi_squared_above(value: float, freedom: float) -> float:
-    """The probability that chi-squared with so many degrees of freedom exceeds ``value``."""
+    """The probability that chi-squared with the given degrees of freedom exceeds ``value``."""
     return float(special.chdtrc(freedom, value))

@@ -1,4 +1,4 @@
-"""The report of ``gspn analyse``: answers as plain JSON values, and the same as text.
+"""The report of ``gspn analyse``: the answers as plain JSON values, and as text.
 
 A question that could not be decided has the answer ``null``, with the reason under ``undecided``.
 Infinite values are the string ``"infinite"``, since JSON has no number for them.
@@ -53,7 +53,7 @@ def asked_conditions(questions: Questions) -> Tuple[str, ...]:
 
 
 UNSURE_ABOVE = 1e-6
-"""A mean whose estimated relative error is larger is reported as unsure."""
+"""Means with a larger estimated relative error are reported as unsure."""
 
 COMPONENTS = 10
 """The most probable recurrent classes are reported individually, up to this many; the others are
@@ -61,7 +61,7 @@ only counted."""
 
 
 class Questions(NamedTuple):
-    """The questions of a report, besides those it always answers.
+    """The questions of a report, in addition to those it always answers.
 
     :ivar at: times (s) at which to report tokens and throughput; also the times within which
       ``mean_time_to`` gives probabilities.
@@ -84,10 +84,10 @@ class Questions(NamedTuple):
     timing: bool = True
 
     def check(self, net: Net) -> None:
-        """Look for what is wrong with the questions before anything is computed.
+        """Check the questions before anything is computed.
 
         :raises InputError: a condition cannot be parsed, or a name is unknown.
-        :raises UsageError: a tolerance makes no sense.
+        :raises UsageError: a tolerance is invalid.
         """
         for condition in (*self.reach, *self.mean_time_to):
             parse_condition(condition, [p.name for p in net.places], ["deadlock"])
@@ -161,7 +161,7 @@ class ReportWork:
     def measures(self, part: Part, undecided: str = "") -> None:
         """Answer the measures of a part.
 
-        :param undecided: why none of them is decided; empty to compute them.
+        :param undecided: the reason why none of them is decided; empty to compute them.
         """
         for measure in MEASURES:
             if measure.part is not part or not measure.applies(self.analysis):
@@ -175,7 +175,7 @@ class ReportWork:
                 self.data["titles"].setdefault(part.value, {})[measure.key] = measure.title
 
     def basics(self) -> None:
-        """Describe what is analysed, and the limits."""
+        """Describe the subject and the limits."""
         net, plan = self.analysis.net, self.analysis.plan
         self.data["name"] = plan.name if plan else net.name
         self.data["kind"] = "plan" if plan else "net"
@@ -195,7 +195,7 @@ class ReportWork:
         self.data["titles"] = {}
 
     def structure(self) -> None:
-        """Answer what the structure shows."""
+        """Answer the questions on the structure."""
         self.measures(Part.STRUCTURE)
         self.data[UNGUARDED] = None
         if self.data["siphons_hold_marked_traps"] is False:
@@ -203,7 +203,7 @@ class ReportWork:
             self.data[UNGUARDED] = list(found.places) if found else None
 
     def behaviour(self) -> None:
-        """Answer what the state space shows."""
+        """Answer the questions on the state space."""
         analysis = self.analysis
         space = analysis.space
         whole = space.complete
@@ -265,7 +265,7 @@ class ReportWork:
             self.undecided["deadlocks"] = "none found within %s, which are not all" % space.extent
 
     def _by_tree(self) -> None:
-        """Answer what the coverability tree shows of an unbounded net."""
+        """Answer the questions on an unbounded net that the coverability tree decides."""
         if self.analysis.boundedness.bounded is False and self.analysis.plan is None:
 
             def dead_transitions() -> List[str]:
@@ -280,7 +280,7 @@ class ReportWork:
                 self.undecided.pop("live", None)
 
     def reach(self, condition: str, find: Optional[Callable[[str], Reachability]] = None) -> None:
-        """Answer whether a condition can come to hold.
+        """Answer whether a condition can ever hold.
 
         :param find: decides it; None: the analysis does.
         """
@@ -319,7 +319,7 @@ class ReportWork:
         self.data.setdefault("cover", []).append(self._try("cover.%s" % text, compute))
 
     def steady_state(self, rewards: Mapping[str, float]) -> None:
-        """Answer what happens in the long run."""
+        """Answer the questions on the long run."""
 
         def compute() -> Dict[str, Any]:
             steady, measures, chain = (
@@ -357,7 +357,7 @@ class ReportWork:
         probable marking."""
         chain, space = self.analysis.chain, self.analysis.space
         each = component.distribution
-        if isinstance(space, LumpedSpace):  # of each single marking; sizes may exceed any float
+        if isinstance(space, LumpedSpace):  # per marking; sizes may exceed any float
             sizes = space.sizes[chain.states[component.states]].tolist()
             with np.errstate(divide="ignore"):
                 each = np.log(each) - np.array([math.log(size) for size in sizes])
@@ -383,8 +383,8 @@ class ReportWork:
         return len(states) == 1 and bool(dead[states[0]])
 
     def _alike(self, component: Component) -> Optional[int]:
-        """The number of recurrent classes that exchangeable parts make of this one; None: not
-        decided."""
+        """The number of recurrent classes that this one represents when parts are exchanged; None:
+        not decided."""
         space = self.analysis.space
         states = self.analysis.chain.states[component.states]
         if not isinstance(space, LumpedSpace) or (space.sizes[states] == 1).any():
@@ -396,7 +396,7 @@ class ReportWork:
         found = [self._alike(component) for component in components]
         if None in found:
             self.undecided["steady_state.component_count"] = (
-                "not decided: exchangeable parts may make several of one recurrent class "
+                "not decided: one recurrent class may represent several that parts exchange into "
                 "(analyse the whole, without --lump)"
             )
             return None
@@ -410,7 +410,7 @@ class ReportWork:
         )
 
     def at(self, questions: Questions) -> None:
-        """Answer what is asked of single times."""
+        """Answer the questions on given times."""
 
         def compute() -> List[Dict[str, Any]]:
             found = []
@@ -441,12 +441,13 @@ class ReportWork:
         )
 
     def finish(self) -> None:
-        """Add the reasons for what is not answered."""
+        """Add the reasons for unanswered questions."""
         self.data["undecided"] = self.undecided
 
 
 def _unsure(measures: Measures, errors: Measures) -> Dict[str, Dict[str, float]]:
-    """The estimated relative errors of those means that are not known to :data:`UNSURE_ABOVE`."""
+    """The estimated relative errors of the means that are less accurate than
+    :data:`UNSURE_ABOVE`."""
     found: Dict[str, Dict[str, float]] = {}
     for key in ("mean_tokens", "throughput"):
         values, doubts = getattr(measures, key), getattr(errors, key)
@@ -479,14 +480,14 @@ def _reachability(what: str, found: Reachability) -> Dict[str, Any]:
 
 
 def uncounted(left_out: Iterable[str]) -> Dict[str, str]:
-    """Why the tokens of places that were left out have no mean."""
+    """Why omitted places have no mean tokens."""
     reason = "only written; it was left out"
     return dict.fromkeys(("steady_state.mean_tokens.%s" % place for place in left_out), reason)
 
 
 def open_questions(data: Mapping[str, Any]) -> List[str]:
-    """The keys of a report that were not decided. A counter that was left out is no question, nor
-    is what the disk never answers unless it is asked for."""
+    """The keys of a report that were not decided, except for omitted counters and for answers that
+    are never available on disk, unless they were requested."""
     passed = set(uncounted(data["left_out"]))
     if data["engine"] == ON_DISK:
         passed.update(measure.key for measure in MEASURES if measure.part is Part.BEHAVIOUR)

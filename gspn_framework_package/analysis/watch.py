@@ -17,7 +17,7 @@ Cancel = Callable[[], bool]
 
 class Watch:
     """Reports progress at most every ``interval`` seconds, and stops the work when it is cancelled
-    or has taken longer than ``seconds``."""
+    or takes longer than ``seconds``."""
 
     def __init__(
         self,

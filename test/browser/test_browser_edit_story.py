@@ -197,9 +197,7 @@ def choose_policy(editor):
     editor.press("policy.rows add")
     page.wait_for_selector("#ed-verdict[data-state='checked']")
     page.click("#ed-tab-checks")
-    page.wait_for_selector(
-        "#ed-findings:has-text('every marking that asks for a decision has a row')"
-    )
+    page.wait_for_selector("#ed-findings:has-text('every marking that needs a decision has a row')")
     film.say("Now every decision has a row: the plan may run", 2.0)
 
 

@@ -92,7 +92,7 @@ class Chain:
 
     @property
     def inflow(self) -> Matrix:
-        """The transposed rate matrix (CSR): row j has the rates into state j."""
+        """The transposed rate matrix (CSR): row j contains the rates into state j."""
         if self._inflow is None:
             self._inflow = self.rates.T.tocsr()
         return self._inflow

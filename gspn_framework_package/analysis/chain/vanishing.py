@@ -1,7 +1,7 @@
-"""Elimination of vanishing states: where the net goes, in zero time, from such a state.
+"""Elimination of vanishing states: the states that the net reaches from them in zero time.
 
 Cycles of immediate firings are resolved first (each by one small linear system); the rest is
-acyclic, and is eliminated level by level.
+acyclic, and eliminated level by level.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class _Cycle(NamedTuple):
 
 
 class Elimination:
-    """Where the vanishing states of a graph lead.
+    """The states to which the vanishing states of a graph lead.
 
     :param kept: boolean array: the states to keep, at least all tangible ones.
-    :raises RefusedError: there is a timeless trap: immediate transitions fire without end.
+    :raises RefusedError: there is a timeless trap: immediate transitions fire forever.
     """
 
     def __init__(self, graph: RatedGraph, kept: Booleans) -> None:
@@ -70,9 +70,9 @@ class Elimination:
         out = mine & ~inside
         if not out.any():
             raise RefusedError(
-                "a timeless trap: immediate transitions fire without end from %s"
+                "a timeless trap: immediate transitions fire forever from %s"
                 % self._graph.text(int(states[0])),
-                hint="a cycle of immediate transitions must have a way out",
+                hint="a cycle of immediate transitions must have an exit",
             )
         shape = (len(states), len(states))
         stay = sparse.csr_matrix(

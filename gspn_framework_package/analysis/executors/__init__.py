@@ -1,7 +1,8 @@
-"""Where long work is computed: in this process, in processes of this machine, or on a Dask cluster.
+"""Executors for long computations: in this process, in processes of this machine, or on a Dask
+cluster.
 
-The result does not depend on it: work is cut into the same tasks everywhere, each task draws random
-numbers of its own, and whoever asked adds the results up in the order of the tasks.
+The result does not depend on the executor: work is divided into the same tasks everywhere, each
+task has its own random numbers, and the caller adds up the results in the order of the tasks.
 
 Modules: ``choosing``, ``dask_cluster``, ``executor``, ``processes``, ``remote``.
 """

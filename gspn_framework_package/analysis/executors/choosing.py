@@ -1,4 +1,4 @@
-"""The executor that a text names, as ``--on`` of the command line takes it."""
+"""Chooses an executor by name, as ``--on`` of the command line does."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _MOST_PROCESSES = 1024
 def open_executor(text: str) -> Executor:
     """The executor that ``text`` names, one of :data:`EXECUTOR_FORMS`.
 
-    :raises UsageError: it names none.
-    :raises WorkersError: the executor cannot be had: Dask is not installed or does not answer.
+    :raises UsageError: the name is invalid.
+    :raises WorkersError: the executor is not available: Dask is not installed or does not answer.
     """
     kind, colon, rest = text.partition(":")
     if text == "local":
@@ -27,7 +27,7 @@ def open_executor(text: str) -> Executor:
         if rest.isdecimal() and 1 <= int(rest) <= _MOST_PROCESSES:
             return ProcessExecutor(int(rest))
         raise UsageError(
-            "--on %.80s: the number of processes is from 1 to %d" % (text, _MOST_PROCESSES)
+            "--on %.80s: the number of processes must be from 1 to %d" % (text, _MOST_PROCESSES)
         )
     if kind == "dask" and rest:
         from gspn_framework_package.analysis.executors.dask_cluster import DaskExecutor

@@ -20,7 +20,7 @@ from gspn_framework_package.analysis.executors.remote import (
 from gspn_framework_package.model.errors import WorkersError
 
 _PATIENCE = 10.0
-"""Seconds in which a scheduler has to answer, and in which the first worker has to come."""
+"""Seconds for a scheduler to answer, and for the first worker to appear."""
 
 _UNANSWERED = (OSError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
 
@@ -28,7 +28,7 @@ _UNANSWERED = (OSError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
 class DaskExecutor(RemoteExecutor):
     """The workers of the scheduler at an address, such as ``tcp://host:8786``.
 
-    Dask itself computes the tasks of a worker that died again, on another one.
+    If a worker dies, Dask computes its tasks again on another one.
 
     :raises WorkersError: Dask is not installed, the address does not answer, there are no workers,
         or their versions differ from those of this process.
@@ -75,7 +75,7 @@ class DaskExecutor(RemoteExecutor):
         except Exception as error:
             raise WorkersError(
                 "a worker of %s cannot load gspn_framework_package: %s" % (self.name, error),
-                hint="install this package where the workers run, in the same version",
+                hint="install the same version of this package where the workers run",
             ) from None
         for address, theirs in sorted(found.items()):
             wrong = version_difference(theirs, versions())
@@ -84,7 +84,7 @@ class DaskExecutor(RemoteExecutor):
 
     @property
     def workers(self) -> int:
-        """The number of threads of all workers, now."""
+        """The present number of threads of all workers."""
         return max(sum(self._client.nthreads().values()), 1)
 
     def _submit(self, packed: Packed, piece: Any) -> Any:
@@ -95,14 +95,14 @@ class DaskExecutor(RemoteExecutor):
             return future.result()
         except self._died_again as error:
             raise WorkersError(
-                "workers of %s died again and again over the same task: %s" % (self.name, error),
+                "workers of %s died repeatedly on the same task: %s" % (self.name, error),
                 hint="is there enough memory for them?",
             ) from None
         except concurrent.futures.CancelledError:
             raise self._lost() from None
 
     def _lost(self) -> WorkersError:
-        return WorkersError("the Dask scheduler at %s does not answer any more" % self._address)
+        return WorkersError("the Dask scheduler at %s no longer answers" % self._address)
 
     def _look(self) -> None:
         if self._client.status != "running":
@@ -115,5 +115,5 @@ class DaskExecutor(RemoteExecutor):
             self._client.run(cancel_work, ticket)
 
     def close(self) -> None:
-        """Leave the cluster; its workers go on."""
+        """Leave the cluster; its workers keep running."""
         self._client.close()

@@ -1,4 +1,4 @@
-"""What executors have in common, and the one that computes in this process.
+"""The base of all executors, and the one that computes in this process.
 
 >>> def squared(prepared, piece, watch):
 ...     return prepared * piece**2
@@ -20,14 +20,14 @@ from gspn_framework_package.model.errors import GspnError
 
 @dataclass
 class Workload:
-    """What the tasks of one computation share.
+    """The data and functions shared by the tasks of one computation.
 
-    :ivar prepare: a function of a module, called once by each worker: makes of ``shared`` what the
-        tasks need.
-    :ivar work: a function of a module, called for each task with what is prepared, the ``piece`` of
-        the task, and a watch, of which it asks now and then whether the work was cancelled.
-    :ivar shared: plain data: it travels to the workers, files do not.
-    :ivar ready: what ``prepare`` would return, if this process has it already.
+    :ivar prepare: a module-level function, called once by each worker, that turns ``shared`` into
+        what the tasks need.
+    :ivar work: a module-level function, called for each task with the prepared data, the ``piece``
+        of the task, and a watch that it checks at intervals for cancellation.
+    :ivar shared: plain data: it is sent to the workers, files are not.
+    :ivar ready: the result of ``prepare``, if this process has it already.
     """
 
     prepare: Callable[[Any], Any]
@@ -39,9 +39,9 @@ class Workload:
 class WorkItem(NamedTuple):
     """A part of a computation.
 
-    :ivar piece: plain data that says which part.
-    :ivar size: how much of what is counted for the progress this is.
-    :ivar name: what an error that it raises is about; empty if that needs no word.
+    :ivar piece: plain data that identifies the part.
+    :ivar size: the contribution to the progress count.
+    :ivar name: the subject of its error messages; empty if obvious.
     """
 
     workload: Workload
@@ -53,24 +53,24 @@ class WorkItem(NamedTuple):
 class Executor:
     """Computes tasks, in any order. To be closed, or used as a context manager.
 
-    :ivar name: as it is chosen on the command line.
+    :ivar name: its name on the command line.
     """
 
     name = ""
 
     @property
     def workers(self) -> int:
-        """How many tasks are computed at once."""
+        """Number of tasks computed at once."""
         return 1
 
     def map(self, tasks: Sequence[WorkItem], what: str, watch: Watch) -> Iterator[Tuple[int, Any]]:
         """Yield the number of each task with its result, as they end.
 
-        :param what: what the sizes of the tasks count, for the progress: ``runs``.
-        :param watch: receives the progress, and is asked whether to stop.
-        :raises CancelledError: the watch cancelled the work; no worker goes on with it.
-        :raises WorkersError: the workers cannot be had, or died again and again.
-        :raises GspnError: what a task raised.
+        :param what: the unit of the tasks' sizes for the progress, such as ``runs``.
+        :param watch: receives the progress, and may stop the work.
+        :raises CancelledError: the watch cancelled the work; no worker continues it.
+        :raises WorkersError: the workers are not available or died repeatedly.
+        :raises GspnError: a task raised it.
         """
         raise NotImplementedError
 
@@ -95,7 +95,8 @@ class LocalExecutor(Executor):
     name = "local"
 
     def map(self, tasks: Sequence[WorkItem], what: str, watch: Watch) -> Iterator[Tuple[int, Any]]:
-        """See :meth:`Executor.map`. A task that reports progress itself is heard instead."""
+        """See :meth:`Executor.map`. If a task reports progress itself, that is passed on
+        instead."""
         heard = _Heard(watch)
         workload, ready = None, None
         done = 0
@@ -115,7 +116,7 @@ class LocalExecutor(Executor):
 
 @contextmanager
 def naming(item: WorkItem) -> Iterator[None]:
-    """Say in an error which item it is about."""
+    """Add to an error the item that it is about."""
     try:
         yield
     except GspnError as error:
@@ -125,7 +126,7 @@ def naming(item: WorkItem) -> Iterator[None]:
 
 
 class _Heard(Watch):
-    """Passes on what a task reports."""
+    """Passes on the reports of a task."""
 
     def __init__(self, watch: Watch) -> None:
         super().__init__()

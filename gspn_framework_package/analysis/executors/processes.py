@@ -1,8 +1,8 @@
 """Worker processes of this machine.
 
-They are started anew (``spawn``), because a process with threads cannot safely be copied. Each
-holds the end of a pipe whose other end this process has: when that is closed, because the work was
-cancelled or this process has ended in whatever way, the workers end at once.
+They are spawned, because a process with threads cannot safely be forked. Each holds one end of a
+pipe; when this process closes the other end, because the work was cancelled or the process ended
+for any reason, the workers end at once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 class ProcessExecutor(RemoteExecutor):
     """A pool of processes, started with the first task.
 
-    :param count: how many processes; None: one for each processor that this process may use.
+    :param count: number of processes; None: one for each processor that this process may use.
     """
 
     def __init__(self, count: Optional[int] = None) -> None:
@@ -38,7 +38,8 @@ class ProcessExecutor(RemoteExecutor):
         return self._count
 
     def _submit(self, packed: Packed, piece: Any) -> Any:
-        # The workers inherit that interrupts are blocked: a terminal sends them to every process.
+        # The workers inherit that interrupts are blocked, since a terminal sends interrupts to
+        # every process.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             if self._pool is None:

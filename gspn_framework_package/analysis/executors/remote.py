@@ -1,7 +1,7 @@
-"""What executors with workers outside this process have in common, and the worker's part of it.
+"""The common part of executors with workers outside this process, and the worker's side.
 
-A worker keeps what it has prepared for the next task of the same workload. Its version of Python
-and of the libraries has to be that of the client, for another one may round differently.
+A worker keeps its prepared data for the next task of the same workload. Its versions of Python and
+of the libraries must be those of the client, since others may round differently.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from gspn_framework_package.model.errors import WorkersError
 from gspn_framework_package.model.kept import Kept
 
 _LOOK = 0.1
-"""Seconds between two looks at whether the work was cancelled."""
+"""Seconds between two checks for cancellation."""
 
 _AHEAD = 3
-"""Tasks that are handed out at a time, for each worker."""
+"""Number of tasks handed out at a time, per worker."""
 
 _MOST_DEATHS = 3
-"""A task is given up after so many workers died over it."""
+"""A task is abandoned after this many workers died on it."""
 
 _PREPARED = 8
-"""What a worker keeps prepared: of so many workloads."""
+"""Number of workloads whose prepared data a worker keeps."""
 
 
 class Packed(NamedTuple):
-    """A workload as it travels: its ``content``, the ``digest`` of that, the ``ticket`` with which
-    its work is cancelled, and the versions of who sends it."""
+    """A workload as sent to a worker: its ``content`` with a ``digest``, the ``ticket`` for
+    cancelling its work, and the sender's versions."""
 
     content: bytes
     digest: str
@@ -55,7 +55,7 @@ class Packed(NamedTuple):
 
 @lru_cache(maxsize=None)
 def versions() -> Tuple[Tuple[str, str], ...]:
-    """What has to be the same in the client and in its workers, with its version."""
+    """The components that must be the same in the client and its workers, with their versions."""
     return (
         ("Python", ".".join(platform.python_version_tuple()[:2])),
         ("gspn_framework_package", "%s (%s)" % (gspn_framework_package.__version__, _sources())),
@@ -64,7 +64,7 @@ def versions() -> Tuple[Tuple[str, str], ...]:
 
 
 def _sources() -> str:
-    """A short digest of the code that computes: between two releases it changes too."""
+    """A short digest of the computing code, which also changes between two releases."""
     folder = Path(gspn_framework_package.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(
@@ -75,8 +75,8 @@ def _sources() -> str:
 
 
 def version_difference(theirs: Sequence[Tuple[str, str]], ours: Sequence[Tuple[str, str]]) -> str:
-    """How the versions of a worker differ from those of the client, in words; empty if they do
-    not."""
+    """The differences between the versions of a worker and the client, in words; empty if there are
+    none."""
     mine = dict(ours)
     return ", ".join(
         "%s %s instead of %s" % (name, version, mine.get(name))
@@ -132,32 +132,32 @@ class RemoteExecutor(Executor):
                 self._stop(list(running), packed.ticket)
 
     def _replace(self, lost: Sequence[int], deaths: Dict[int, int]) -> None:
-        """Start the workers again, after one died over one of the tasks ``lost``."""
+        """Start the workers again after one died on one of the tasks ``lost``."""
         for number in lost:
             deaths[number] = deaths.get(number, 0) + 1
         if max(deaths.values(), default=0) > _MOST_DEATHS:
             raise WorkersError(
-                "workers died %d times over the same task" % (_MOST_DEATHS + 1),
+                "workers died %d times on the same task" % (_MOST_DEATHS + 1),
                 hint="is there enough memory? Take fewer workers",
             )
         self._restart()
 
     def _submit(self, packed: Packed, piece: Any) -> Any:
-        """Have :func:`work_on` called by a worker; returns a future."""
+        """Call :func:`work_on` in a worker; returns a future."""
         raise NotImplementedError
 
     def _result(self, future: Any) -> Any:
-        """The result of a future that has ended, or what its task raised."""
+        """The result of a finished future; raises what its task raised."""
         return future.result()
 
     def _restart(self) -> None:
         """Start the workers again after the pool broke."""
 
     def _look(self) -> None:
-        """Raise an error if the workers cannot be reached any more."""
+        """Raise an error if the workers can no longer be reached."""
 
     def _stop(self, running: Sequence[Any], ticket: str) -> None:
-        """Stop the work on the futures ``running``, also where a worker has begun with it."""
+        """Stop the work on the futures ``running``, even if a worker has started it."""
         raise NotImplementedError
 
 
@@ -180,19 +180,19 @@ class _Packing:
 
 # -- in the worker ---------------------------------------------------------------------------------
 
-_kept = threading.local()  # a worker of Dask may have several threads; what is prepared has a state
+_kept = threading.local()  # a worker of Dask may have several threads, but prepared data has state
 _cancelled: Set[str] = set()
 
 
 def cancel_work(ticket: str) -> None:
-    """Let this worker stop its tasks with a ticket."""
+    """Stop this worker's tasks with a ticket."""
     _cancelled.add(ticket)
 
 
 def work_on(packed: Packed, piece: Any) -> Any:
     """Compute a task in this worker.
 
-    :raises WorkersError: this worker is of another version than the client.
+    :raises WorkersError: this worker has another version than the client.
     """
     wrong = version_difference(versions(), packed.versions)
     if wrong:
@@ -209,7 +209,7 @@ def work_on(packed: Packed, piece: Any) -> Any:
 
 
 def different_versions(who: str, wrong: str) -> WorkersError:
-    """The error that a worker is of another version."""
+    """The error for a worker with another version."""
     return WorkersError(
         "%s has %s" % (who, wrong), hint="install the same versions there: results depend on them"
     )

@@ -1,4 +1,4 @@
-"""What runs teach about a plan: how long its actions take, and how they end.
+"""What is learned from runs of a plan: how long its actions take, and how they end.
 
 Modules: ``durations``, ``learning``, ``sample``, ``testing``.
 """

@@ -1,13 +1,13 @@
-"""Distributions of durations, estimated from times of which some are censored.
+"""Distributions of durations, estimated from partly censored times.
 
-All estimators maximise the likelihood: a time that was observed counts with the density, one that
-was cut off with the survival (the probability to last longer). Leaving out what was cut off would
-make every mean too short, because long times are cut off more often than short ones.
+All estimators maximise the likelihood: an observed time contributes the density, a censored one the
+survival (the probability of lasting longer). Leaving out the censored times would make every mean
+too short, because long times are cut off more often than short ones.
 
 - Exponential: the mean is the total time divided by the number of observed ends, with the interval
   of the chi-squared distribution.
 - Gamma and lognormal: two parameters, and a profile interval of the mean: all means that are not
-  much less likely than the best one when the other parameter is chosen anew for each of them.
+much less likely than the best one, with the other parameter optimised for each of them.
 - Erlang: the whole number of phases nearest to a gamma's shape, if the data do not contradict it.
 - Hyper-Erlang, for a coefficient of variation above 1: expectation maximisation (Asmussen, Nerman
   and Olsson 1996; Olsson 1996 for censored times), for the special case of mixed Erlang branches.
@@ -30,29 +30,29 @@ from gspn_framework_package.model.errors import UsageError
 CONFIDENCE = 0.95
 
 NEGLIGIBLE = 1e-3
-"""Times whose coefficient of variation is at most this are called deterministic."""
+"""Times whose coefficient of variation is at most this count as deterministic."""
 
 MOST_FITTED_PHASES = 12
-"""An Erlang distribution has at most so many phases; a gamma distribution takes its place then,
-because the exact analysis would need too many states for more."""
+"""Largest number of phases of an Erlang distribution. Beyond it, a gamma distribution is used,
+because the exact analysis would need too many states."""
 
 _FEWEST = 50
-"""Observations that a hyper-Erlang distribution needs at least."""
+"""Smallest number of observations for a hyper-Erlang distribution."""
 
 _QUANTILES = 101
 """Quantiles of an empirical distribution."""
 
 _STEPS = 300
-"""Steps of the expectation maximisation at most."""
+"""Largest number of steps of the expectation maximisation."""
 
 
 _WIDEST = 20.0
-"""Logarithm of the largest factor from a mean to the end of its interval, about."""
+"""Approximate logarithm of the largest factor from a mean to the end of its interval."""
 
 _PREFERENCE = 2.0
-"""By so much must Schwarz's criterion be better for a lognormal distribution to be preferred to a
-gamma distribution: with few data both explain them equally well, but only the former allows for
-times that are far longer than any that was seen."""
+"""A lognormal distribution is preferred to a gamma distribution if Schwarz's criterion is better by
+this much: with few data both fit equally well, but only the former allows for times far longer than
+any observed."""
 
 
 class DurationFit(NamedTuple):
@@ -116,7 +116,7 @@ def fit_lognormal(sample: Sample) -> DurationFit:
 def fit_erlang(sample: Sample, gamma: DurationFit) -> Optional[DurationFit]:
     """The Erlang distribution with the phases nearest to a fitted gamma's shape; None if it has too
     many phases or the data contradict it. The interval is that of the gamma distribution, because
-    the number of phases is not known beforehand."""
+    the number of phases is not known in advance."""
     shape = gamma.duration.parameters[0]
     found = []
     for phases in {max(1, math.floor(shape)), math.ceil(shape)}:
@@ -171,8 +171,8 @@ def fit_empirical(sample: Sample) -> DurationFit:
 
 
 def criterion(fit: DurationFit, size: int) -> float:
-    """Schwarz's criterion (BIC): the smaller, the better the distribution explains the data for its
-    number of parameters."""
+    """Schwarz's criterion (BIC): the smaller it is, the better the distribution explains the data
+    for its number of parameters."""
     assert fit.likelihood is not None
     return fit.parameters * math.log(size) - 2 * fit.likelihood
 
@@ -183,8 +183,8 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
     :param sample: at least two observed times; for the exponential family, one.
     :param family: ``exponential``, ``gamma``, or ``auto``: whichever family explains the data best,
         by Schwarz's criterion.
-    :param fits: whether none of the families was found to contradict the data; if not, quantiles
-        take their place.
+    :param fits: tests whether the data do not contradict a fit; if they contradict all families,
+        quantiles are used.
     :raises UsageError: there are too few observations, or no such family.
     """
     if sample.size < (1 if family == "exponential" else 2):
@@ -202,7 +202,7 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
         return fixed
     if not fits:
         return fit_empirical(sample)
-    # the intervals take longest, so only that of the best is computed
+    # the intervals take longest, so only that of the best family is computed
     gamma = _fit_two(sample, _Gamma(sample))
     lognormal = _fit_two(sample, _Lognormal(sample))
     found: List[DurationFit] = [fit_exponential(sample), gamma, lognormal]
@@ -217,8 +217,8 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
         key=lambda fit: criterion(fit, sample.size) + handicap.get(fit.duration.kind, 0.0),
     )
     if best is gamma or best is lognormal:
-        # the family is not known either, so the other one widens the interval as far as it is
-        # as likely
+        # the family is uncertain too, so the other one widens the interval as far as it is as
+        # likely
         apart = (gamma.likelihood or 0.0) - (lognormal.likelihood or 0.0)
         ends = [
             _profile_interval(sample, family, max(behind, 0.0))
@@ -232,7 +232,7 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
 
 def most_likely(sample: Sample, like: Duration) -> Duration:
     """The most likely distribution of the same family as ``like``; for Erlang the phases, for
-    hyper-Erlang the branches are fitted anew, but not their numbers of phases.
+    hyper-Erlang the branches are fitted again, but not their numbers of phases.
 
     :raises UsageError: the family has no parameters to fit (empirical).
     """
@@ -250,7 +250,7 @@ def most_likely(sample: Sample, like: Duration) -> Duration:
         phases = [int(k) for k in branches[:, 1]]
         fit = _expectation_maximisation(sample, phases, (branches[:, 0], branches[:, 2]), 15)
         return fit.duration if fit is not None else like
-    raise UsageError("a distribution of the family %s is not fitted" % like.kind.value)
+    raise UsageError("distributions of the family %s cannot be fitted" % like.kind.value)
 
 
 def _most_likely(sample: Sample, family: Any, like: Duration) -> Duration:
@@ -290,7 +290,7 @@ class _Gamma:
         return Duration.gamma(math.exp(log_shape), mean)
 
     def best(self) -> Optional[Tuple[float, float]]:
-        """The best mean and second parameter, where they can be computed at once."""
+        """The best mean and second parameter, if they have a closed form."""
         if len(self.censored):
             return None
         mean = self.sum / self.n
@@ -360,15 +360,15 @@ def _fit_two(sample: Sample, family: Any) -> DurationFit:
 def _profile_interval(sample: Sample, family: Any, behind: float = 0.0) -> Tuple[float, float]:
     """The profile interval of the mean.
 
-    :param behind: how much less likely the best of this family is than that of another one: means
-        must be as likely as if they belonged to the other. The interval can be empty: (inf, -inf).
+    :param behind: how much less likely the best fit of this family is than that of another one,
+        whose likelihood is the reference. The interval may be empty: (inf, -inf).
     """
     mean, second = family.best() or _maximum(sample, family)
     top = family(mean, second)
     last = [second]
 
     def profile(log_mean: float) -> float:
-        """How much less likely a mean is, with the best second parameter for it."""
+        """The loss of likelihood of a mean, with the best second parameter for it."""
         value, last[0] = _best_second(family, math.exp(log_mean), last[0])
         return top - value
 
@@ -387,7 +387,7 @@ def _profile_interval(sample: Sample, family: Any, behind: float = 0.0) -> Tuple
 def _maximum(
     sample: Sample, family: Any, start: Optional[Tuple[float, float]] = None
 ) -> Tuple[float, float]:
-    """The best mean and second parameter, where some times are censored.
+    """The best mean and second parameter with censored times.
 
     :param start: parameters from which the search starts.
     """
@@ -452,8 +452,8 @@ def _climb(better: Callable[[float, float], float]) -> Optional[Tuple[float, flo
 
 
 def _best_second(family: Any, mean: float, near: float) -> Tuple[float, float]:
-    """The greatest likelihood for a mean, and the second parameter with it, which is sought near
-    another one."""
+    """The largest likelihood for a mean and the second parameter there; the search starts near
+    another value."""
     if isinstance(family, _Gamma) and not len(family.censored):
         gap = math.log(mean) - 1 - family.log_sum / family.n + family.sum / family.n / mean
         second = gamma_log_shape(gap)
@@ -481,7 +481,8 @@ def _crossing(
     last: List[float],
     second: float,
 ) -> float:
-    """Where ``loss``, which is 0 at ``start``, reaches ``allowed`` in the direction of ``step``."""
+    """The point where ``loss``, which is 0 at ``start``, reaches ``allowed`` in the direction of
+    ``step``."""
     last[0] = second
     near, far = start, start + step
     while loss(far) < allowed:
@@ -538,7 +539,7 @@ def _expectation_maximisation(
         weights = np.exp(logs - density)
         amounts, sums = weights.sum(axis=1), weights @ observed
         if len(censored):
-            # a branch that goes on at c goes on until m Q(k + 1, c) / Q(k, c) on average
+            # a branch still running at c ends on average at m Q(k + 1, c) / Q(k, c)
             scaled = np.outer(rates, censored)
             tails = np.log(chances)[:, None] + np.log(special.gammaincc(k[:, None], scaled) + tiny)
             survival = special.logsumexp(tails, axis=0)
@@ -548,7 +549,7 @@ def _expectation_maximisation(
             rests = means[:, None] * longer / (special.gammaincc(k[:, None], scaled) + tiny)
             amounts = amounts + cut.sum(axis=1)
             sums = sums + (cut * np.maximum(rests, censored)).sum(axis=1)
-        if amounts.min() < 2:  # a branch for a single observation explains nothing
+        if amounts.min() < 2:  # a branch for a single observation has no explanatory value
             return None
         chances, means = amounts / total, sums / amounts
         if log_likelihood - before < 1e-7 * sample.size:
@@ -570,7 +571,7 @@ def _expectation_maximisation(
 
 
 def kaplan_meier(sample: Sample) -> Tuple[Any, Any]:
-    """The different observed times, and the estimated survival after each of them."""
+    """The distinct observed times, and the estimated survival after each of them."""
     times, ends = np.unique(sample.observed, return_counts=True)
     everything = np.sort(np.concatenate((sample.observed, sample.censored)))
     at_risk = len(everything) - np.searchsorted(everything, times, side="left")

@@ -1,4 +1,5 @@
-"""What the attempts of some runs teach about a plan: durations, outcomes, failures, event rates."""
+"""Learns the parameters of a plan from attempts in runs: durations, outcomes, failures, event
+rates."""
 
 from __future__ import annotations
 
@@ -44,18 +45,18 @@ ENOUGH_FOR_QUANTILES = 200
 """With fewer observations than this, a family that fits badly is not replaced by quantiles."""
 
 MATERIAL = 0.03
-"""A family that fits badly is kept all the same if its Kolmogorov-Smirnov distance is smaller: with
-enough data, even a deviation that changes nothing is found."""
+"""A family that fits badly is kept anyway if its Kolmogorov-Smirnov distance is smaller: with
+enough data, even an irrelevant deviation is significant."""
 
 NARROW = 0.05
-"""The same if the coefficient of variation is smaller: the form of so narrow a distribution changes
-nothing either."""
+"""The same if the coefficient of variation is smaller: the form of so narrow a distribution is
+irrelevant too."""
 
 _REFUTED = 0.01
 """A family is contradicted by the data if the p-value of the test of fit is below this."""
 
 _SIGNIFICANT = 0.05
-"""The level of all tests of one kind together, whose notes a person should read."""
+"""The joint level of all tests of one kind whose results become notes."""
 
 
 class AttemptLike(Protocol):
@@ -88,7 +89,7 @@ class AttemptLike(Protocol):
 
     @property
     def result(self) -> str:
-        """The transition that the action named; empty if it named none."""
+        """The transition that the action named; empty if none."""
         ...
 
     @property
@@ -103,7 +104,8 @@ class AttemptLike(Protocol):
 
 
 class EventsLike(Protocol):
-    """How often a transition of the environment or of an event fired, and for how long it could."""
+    """How often a transition of the environment or of an event fired, and for how long it could
+    have."""
 
     @property
     def firings(self) -> int:
@@ -125,8 +127,8 @@ class FamilyChoice(enum.Enum):
 
 
 class OutcomeFit(NamedTuple):
-    """Something was seen ``seen`` times of ``total``, which is an estimate of its ``probability``
-    with an ``interval`` of 95 %."""
+    """An event seen ``seen`` times in ``total`` trials, the estimate of its ``probability``, and
+    the 95 % ``interval``."""
 
     seen: int
     total: int
@@ -144,14 +146,15 @@ class EventFit(NamedTuple):
 
 
 class PlaceFit(NamedTuple):
-    """What was learned about an action place.
+    """The results for an action place.
 
     :ivar n: observed durations: of attempts that succeeded, or of those that failed if all did.
-    :ivar censored: attempts that were cut off, also by a timeout.
+    :ivar censored: attempts that were cut off, for example by a timeout.
     :ivar fit: the distribution; None if there was too little data.
     :ivar test: the test of fit; None if there is none.
-    :ivar outcomes: transition, or "" -> how often the action named it; empty if there is no choice.
-    :ivar failure: failed attempts; None if none failed, and the plan expects none.
+    :ivar outcomes: transition, or "" -> number of times the action named it; empty if there is no
+        choice.
+    :ivar failure: failed attempts; None if none failed and the plan expects none.
     :ivar sample: the durations.
     """
 
@@ -190,7 +193,7 @@ def _share(outcome: OutcomeFit) -> Dict[str, Any]:
 
 
 class FitReport(NamedTuple):
-    """What was learned: by place, by transition of the environment or of an event, and notes for
+    """The results: by place, by transition of the environment or of an event, and notes for
     people."""
 
     places: Mapping[str, PlaceFit]
@@ -209,7 +212,7 @@ class FitReport(NamedTuple):
         return data
 
     def apply(self, plan: Plan, logs: Sequence[str]) -> Plan:
-        """The plan with what was learned. Whatever there was too little data for stays as it is.
+        """The plan with the learned values. Values with too little data are kept.
 
         :param logs: the names of the logs, for the evidence.
         """
@@ -259,12 +262,12 @@ def fit_plan(
     :param plan: the plan that was run.
     :param attempts: the attempts of all runs, each once.
     :param events: transition of the environment or of an event -> how often it fired, and for how
-        long it could.
-    :param choice: the families that are considered for durations.
+        long it could have.
+    :param choice: the families to consider for durations.
     :param seed: of the simulated tests; the same data and seed give the same report.
     :param samples: simulated samples of each test of fit; 0: no such tests.
-    :param progress: called from time to time with what is counted, the count, and the seconds.
-    :param on: who fits and tests the places: this process, by default. The result is the same.
+    :param progress: called at intervals with what is counted, the count, and the seconds.
+    :param on: where to fit and test the places: by default in this process. The result is the same.
     """
     executor = on or LocalExecutor()
     learning = _Learning(plan, choice, seed, samples)
@@ -294,7 +297,7 @@ class _Learning:
         self.samples = samples
         self.notes: List[str] = []
         self._doubts: Dict[str, List[Tuple[float, str]]] = {}
-        """Kind of test -> the p-values of all of them, each with what to say if it is small."""
+        """Kind of test -> the p-values, each with the note for a small one."""
 
     def learn(
         self,
@@ -331,8 +334,8 @@ class _Learning:
     # -- a place -----------------------------------------------------------------------------------
 
     def learn_place(self, place: str, attempts: List[AttemptLike]) -> _OfPlace:
-        """The fit of a place, with the notes and doubts about it."""
-        # each place has its own numbers, whatever other places there are
+        """The fit of a place, with notes and doubts."""
+        # each place has its own random numbers, independent of other places
         source = np.random.SeedSequence([self.seed % 2**64, len(place), *place.encode()])
         generator = np.random.Generator(np.random.PCG64(source))
         return self._place(place, attempts, generator), self.notes, self._doubts
@@ -371,7 +374,7 @@ class _Learning:
                     sample.size,
                     "the duration in the plan is kept"
                     if place in self.plan.durations
-                    else "it is left to the rates of the net",
+                    else "the rates of the net apply",
                 )
             )
             return None, None
@@ -435,7 +438,7 @@ class _Learning:
             self._doubt(
                 "halves",
                 p,
-                "%s: it changed in the course of the run: %.3g s on average in the first half, "
+                "%s: it changed during the run: %.3g s on average in the first half, "
                 "%.3g s in the second" % (place, first, second),
             )
 
@@ -490,16 +493,17 @@ class _Learning:
 
     def _failure(self, place: str, failed: int, ended: int) -> Optional[OutcomeFit]:
         if ended == failed and failed:
-            share = (failed - 0.5) / ended  # a plan needs some hope: below 1, inside the interval
+            # below 1, so that the plan can succeed; inside the interval
+            share = (failed - 0.5) / ended
             self.notes.append(
                 "%s: all %d attempts failed; the probability %.4g is half an attempt below 1, the "
-                "duration is that of failures, and how a success would end stays as in the plan"
+                "duration is that of failures, and the outcomes of a success stay as in the plan"
                 % (place, failed, share)
             )
             return OutcomeFit(failed, ended, share, wilson(failed, ended))
         if ended < ENOUGH_ATTEMPTS and failed:
             self.notes.append(
-                "%s: %d of %d attempts failed, which are too few to learn how often; the plan says "
+                "%s: %d of %d attempts failed, too few to learn a probability; the plan has "
                 "%g" % (place, failed, ended, self.plan.failures.get(place, 0.0))
             )
         if ended < ENOUGH_ATTEMPTS or (not failed and not self.plan.failures.get(place)):

@@ -1,9 +1,9 @@
 """Tests: does a fitted distribution explain the data, do groups differ, are outcomes independent?
 
-The distance of Kolmogorov and Smirnov between data and a distribution that was fitted to the same
-data is smaller than for one that was given, so the usual p-value is far too large. Here the null
-distribution is simulated (parametric bootstrap): times are drawn from the fitted distribution, cut
-off as the data are, fitted again, and compared.
+The Kolmogorov-Smirnov distance between data and a distribution fitted to the same data is smaller
+than for a given distribution, so the usual p-value is far too large. Therefore the null
+distribution is simulated (parametric bootstrap): times are drawn from the fitted distribution,
+censored like the data, fitted again, and compared.
 
 With censored times the distance is that of the Kaplan-Meier estimate of the *Cox-Snell residuals*
 from the unit exponential distribution: the residual of a time is its integrated hazard.
@@ -34,7 +34,7 @@ _SLOW = 99
 """The same for hyper-Erlang distributions, which take long to fit."""
 
 LARGEST_SAMPLE = 3_000
-"""Of a larger sample, so many times chosen at random are tested."""
+"""Of a larger sample, this many times chosen at random are tested."""
 
 
 class FitTest(NamedTuple):

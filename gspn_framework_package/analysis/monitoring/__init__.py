@@ -1,5 +1,5 @@
-"""Predicted against observed: what a run of a plan will show, and the alarm when it shows something
-else.
+"""Predicted against observed: predictions for a run of a plan, and alarms when a run departs from
+them.
 
 Modules: ``choices``, ``comparison``, ``cusum``, ``hazard``, ``monitor``, ``playing``,
 ``prediction``, ``streams``.

@@ -9,7 +9,7 @@ import numpy as np
 from gspn_framework_package.analysis import quantiles
 
 BLOCK = 200
-"""Choices that are judged together."""
+"""Number of choices tested together."""
 
 
 class ChoiceTest:
@@ -19,7 +19,7 @@ class ChoiceTest:
     by the exact covariance of the counts, since the row may differ from choice to choice. Blocks
     are judged independently, each at the level that gives the stated rate of false alarms.
 
-    :param alarms: false alarms per second that are allowed.
+    :param alarms: permitted false alarms per second.
 
     :ivar on: whether the last full block departed.
     :ivar since: when the block began (s).
@@ -40,8 +40,8 @@ class ChoiceTest:
         self._chosen: List[int] = []
 
     def count(self, row: Sequence[Tuple[str, float]], chosen: str, now: float) -> bool:
-        """Count a choice by the probabilities ``row``; returns whether it completes a block that
-        departs from its rows."""
+        """Count a choice made with the probabilities ``row``; return whether it completes a block
+        that departs from its rows."""
         if not self._rows:
             self.since = now
         self._rows.append(tuple((self._index(name), p) for name, p in row))
@@ -63,7 +63,7 @@ class ChoiceTest:
 
     @property
     def critical(self) -> float:
-        """About the value that raises the alarm."""
+        """The critical value, approximately."""
         return quantiles.chi_squared(
             max(min(0.05, self._alarms), 1e-12), max(len(self._number) - 1, 1)
         )
@@ -86,7 +86,7 @@ class ChoiceTest:
         """The statistic, and its degrees of freedom."""
         observed, expected, covariance = self._counts()
         difference = observed - expected
-        # a choice that no row allows counts as one that was as good as impossible
+        # a choice that no row allows counts as one that was nearly impossible
         impossible = (np.diag(covariance) < 1e-9) & (np.abs(difference) > 0.5)
         values, vectors = np.linalg.eigh(covariance)
         kept = values > 1e-9 * max(1.0, float(values.max()))

@@ -1,4 +1,4 @@
-"""Predicted against observed: the measures of a run beside their prediction intervals."""
+"""Predicted against observed: the measures of a run with their prediction intervals."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gspn_framework_package.analysis.plan.subnets import subnet_counts
 from gspn_framework_package.model.plan import Plan
 
 LEVEL = 0.95
-"""Probability that a prediction interval holds the value of a run that follows the plan."""
+"""Probability that a prediction interval contains the value of a run that follows the plan."""
 
 DEPARTS = 0.01
-"""Runs that follow the plan are said to depart, by their measures together, in this share of the
-cases."""
+"""The share of runs following the plan whose measures, taken together, are reported as
+departing."""
 
 ENOUGH_RUNS = 400
 """From this many replications on, the ends of an interval are quantiles of the sample; with fewer,
-they follow from its mean and standard deviation, by Student's distribution."""
+they follow from its mean and standard deviation and Student's distribution."""
 
 CLOCK_RESOLUTION = 2e-6
 """Seconds by which the clocks of a log, which count microseconds, may shift each firing."""
 
 SIMULTANEOUS = 0.01
-"""By which share of the prediction its interval is wider, on both sides, than the simulated runs
-say: in the model durations are independent, but what slows down a real machine or robot (load,
-warmth, battery) slows down its actions together. A smaller difference is no departure."""
+"""The share of the prediction by which its interval is widened on both sides beyond that of the
+simulated runs: in the model, durations are independent, but whatever slows down a real machine or
+robot (load, heat, battery) slows down all its actions. A smaller difference is not a departure."""
 
 THROUGHPUT, TOKENS, VISITS, TIME = "throughput", "mean tokens", "visits", "time to condition"
 SUBNET_ROBOTS, SUBNET_ENTRIES, SUBNET_EXITS = (
@@ -42,12 +42,12 @@ SUBNET_STAY = "time in subnet"
 
 
 class Observed(NamedTuple):
-    """What some runs showed together.
+    """The totals observed in some runs.
 
-    :ivar seconds: how long they were observed.
+    :ivar seconds: the time for which they were observed.
     :ivar firings: transition -> number of firings.
     :ivar tokens: place -> token-seconds.
-    :ivar came: whether all of them came to the condition of the plan.
+    :ivar came: whether all of them reached the condition of the plan.
     """
 
     seconds: float
@@ -57,8 +57,8 @@ class Observed(NamedTuple):
 
 
 class PredictedMeasure(NamedTuple):
-    """A measure: predicted mean, prediction interval, and observed value (None: not reached), which
-    is known up to ``slack``."""
+    """A measure: predicted mean, prediction interval, and observed value (None: not reached) with
+    its uncertainty ``slack``."""
 
     kind: str
     of: str
@@ -76,7 +76,7 @@ class PredictedMeasure(NamedTuple):
 
     @property
     def inside(self) -> bool:
-        """Whether the observed value is in the interval, as far as it is known."""
+        """Whether the observed value may be in the interval, given its uncertainty."""
         if self.observed is None:
             return math.isinf(self.high)
         slack = self.slack + 1e-9 * max(abs(self.low), abs(self.high), abs(self.observed))
@@ -84,7 +84,7 @@ class PredictedMeasure(NamedTuple):
 
     @property
     def change(self) -> Optional[float]:
-        """By which share of the prediction the observed value exceeds it."""
+        """The excess of the observed value over the prediction, as a share of the prediction."""
         if self.observed is None or not self.predicted:
             return None
         return self.observed / self.predicted - 1
@@ -110,7 +110,7 @@ class PredictedMeasure(NamedTuple):
 
 
 class RunComparison(NamedTuple):
-    """All measures, and how unusual they are together.
+    """All measures, and how unusual they are in combination.
 
     :ivar unusual: the share of runs following the plan in which some measure lies at least as far
         out as the farthest one here, in standard deviations.
@@ -128,7 +128,7 @@ class RunComparison(NamedTuple):
 
 
 def compare(plan: Plan, sample: RunSample, observed: Observed) -> RunComparison:
-    """Set the observed measures against a sample of predicted runs."""
+    """Compare the observed measures with a sample of predicted runs."""
     measures: List[PredictedMeasure] = []
     deviations: List[Floats] = []
     actual: List[float] = []
@@ -229,7 +229,7 @@ def _subnet_values(
         yield SUBNET_ROBOTS, name, "", counts.inside / seconds, inside / observed.seconds
         yield SUBNET_ENTRIES, name, "1/s", counts.entries / seconds, entries / observed.seconds
         yield SUBNET_EXITS, name, "1/s", counts.exits / seconds, exits / observed.seconds
-        if entries and counts.entries.all():  # else some visit has no length to compare
+        if entries and counts.entries.all():  # otherwise, some visit has no length to compare
             yield SUBNET_STAY, name, "s", counts.inside / counts.entries, inside / entries
 
 
@@ -237,7 +237,7 @@ def _measure(
     kind: str, of: str, unit: str, values: Floats, observed: Optional[float]
 ) -> PredictedMeasure:
     known = values[np.isfinite(values)]
-    if len(known) < len(values):  # some never came to the condition
+    if len(known) < len(values):  # some never reached the condition
         ordered = np.sort(values)
         low, high = (
             float(ordered[min(int(q * len(ordered)), len(ordered) - 1)])

@@ -1,5 +1,5 @@
-"""Cumulative sums (CUSUM, Page 1954) that notice a change of a rate or of a probability, with the
-thresholds for a stated rate of false alarms.
+"""Cumulative sums (CUSUM, Page 1954) that detect a change of a rate or a probability, with
+thresholds for a given rate of false alarms.
 
 A sum follows the logarithm of the likelihood ratio "the rate has changed by the factor ``ratio``"
 against "it is as planned", and never falls below 0. It raises the alarm at its threshold. The mean
@@ -23,21 +23,21 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Floats
 
 CELLS = 300
-"""Cells into which the values of a sum are divided."""
+"""Number of cells into which the values of a sum are divided."""
 
 TABULATED = (0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
-"""Thresholds whose run lengths are computed; others follow from them."""
+"""Number of thresholds whose run lengths are computed; others are interpolated."""
 
 LEAST_EVENTS = 20.0
 """The shortest mean time between false alarms of a single sum, in events."""
 
 
 class RateChart:
-    """The properties of the sum for the rate of a point process, observed in the time in which it
-    is expected to be a Poisson process of rate 1: with each event the sum grows by log ``ratio``,
-    and with each unit of that time by 1 - ``ratio``.
+    """The properties of the sum for the rate of a point process, on the time scale on which it
+    should be a Poisson process of rate 1: with each event the sum grows by log ``ratio``, and with
+    each unit of that time by 1 - ``ratio``.
 
-    :param ratio: the factor of the rate to be noticed; below 1 for fewer events, above 1 for more.
+    :param ratio: the factor of the rate to detect; below 1 for fewer events, above 1 for more.
     """
 
     def __init__(self, ratio: float) -> None:
@@ -49,7 +49,7 @@ class RateChart:
         """The mean number of events until the alarm, from a sum of 0.
 
         :param threshold: where the alarm is raised.
-        :param rate: the factor by which the rate has in fact changed.
+        :param rate: the factor by which the rate has actually changed.
         """
         chain = self._rising if self.ratio < 1 else self._falling
         return chain(threshold, rate)
@@ -59,7 +59,8 @@ class RateChart:
         return _threshold(_rate_table(self.ratio), events)
 
     def _rising(self, h: float, rate: float) -> float:
-        """The sum rises between events, and may cross the threshold there; an event lowers it."""
+        """For a sum that rises between events, and may cross the threshold there; an event lowers
+        it."""
         slope, drop = (1 - self.ratio) / rate, -math.log(self.ratio)
         edges, values = _cells(h)
         peaks = np.minimum(edges + drop, h)
@@ -69,7 +70,8 @@ class RateChart:
         return _first(moves, events)
 
     def _falling(self, h: float, rate: float) -> float:
-        """The sum falls between events, at most to 0; an event lifts it, maybe to the threshold."""
+        """For a sum that falls between events, at most to 0; an event raises it, perhaps to the
+        threshold."""
         slope, lift = (self.ratio - 1) / rate, math.log(self.ratio)
         edges, values = _cells(h)
         bottoms = edges - lift
@@ -86,24 +88,24 @@ class ChanceChart:
     logarithm of the likelihood ratio.
 
     :param chance: the planned probability, above 0 and below 1.
-    :param odds: the factor of its odds to be noticed; above 1 for a larger probability.
+    :param odds: the factor of its odds to detect; above 1 for a larger probability.
     """
 
     def __init__(self, chance: float, odds: float) -> None:
         if not (0 < chance < 1 and odds > 0 and odds != 1):
-            raise ValueError("no change of %g by odds of %g" % (chance, odds))
+            raise ValueError("the odds of %g cannot change by the factor %g" % (chance, odds))
         self.chance, self.odds = chance, odds
         changed = odds * chance / (1 - chance + odds * chance)
         self.hit = math.log(changed / chance)
-        """What a trial with the outcome adds."""
+        """The increment of a trial with the outcome."""
         self.miss = math.log((1 - changed) / (1 - chance))
-        """What a trial without it adds."""
+        """The increment of a trial without it."""
 
     def run_length(self, threshold: float, chance: float = math.nan) -> float:
         """The mean number of trials until the alarm, from a sum of 0.
 
         :param threshold: where the alarm is raised.
-        :param chance: the probability as it in fact is; by default, as planned.
+        :param chance: the actual probability; by default, as planned.
         """
         from scipy.sparse import csc_matrix, identity
         from scipy.sparse.linalg import spsolve
@@ -133,7 +135,7 @@ class ChanceChart:
 
 
 def _cells(h: float) -> Tuple[Floats, Floats]:
-    """The edges of the cells from 0 to the threshold; and the values of the sum that stand for the
+    """The edges of the cells from 0 to the threshold; and the values of the sum that represent the
     states: 0, and the middle of each cell."""
     edges = np.linspace(0.0, h, CELLS + 1)
     return edges, np.concatenate([[0.0], (edges[1:] + edges[:-1]) / 2])
@@ -168,8 +170,8 @@ def _table(run_length: Callable[[float], float]) -> _Table:
 
 
 def _threshold(table: _Table, events: float) -> float:
-    """Interpolate in the table, and beyond it in a straight line: there, a threshold that is higher
-    by 1 means e times fewer false alarms."""
+    """Interpolate in the table, and beyond it in a straight line: there, raising the threshold by 1
+    means e times fewer false alarms."""
     thresholds, logs = table
     wanted = math.log(max(events, LEAST_EVENTS))
     if wanted > logs[-1]:

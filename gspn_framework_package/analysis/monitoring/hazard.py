@@ -1,4 +1,4 @@
-"""The time in which the ends of a place's actions come at rate 1, whatever their durations.
+"""The time scale on which the actions of a place end at rate 1, whatever their durations.
 
 An action that has run for x seconds has used up -log P(duration > x) of that time: the integral of
 its hazard. Summed over the actions of a place, finished and running ones, that is the number of
@@ -18,18 +18,18 @@ from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.model.duration import Duration, Kind
 
 LEAST_VARIATION = 0.05
-"""Durations that vary less than this (standard deviation by mean) have no useful hazard: if a time
-is fixed, one that is a millisecond longer is impossible. They are watched as if they varied a
-little: with the hazard of :data:`STEEP`."""
+"""Durations that vary less than this (standard deviation by mean) have no useful hazard: if a
+duration is fixed, one that is a millisecond longer is impossible. They are watched as if they
+varied slightly, with the hazard of :data:`STEEP`."""
 
 STEEP = 9.0
-"""Then (x / mean) ** STEEP takes the place of the integral: 1 for an action that takes as long as
+"""In this case, (x / mean) ** STEEP replaces the integral: 1 for an action that takes as long as
 planned, 0.4 if it is 10 % shorter, 2.4 if it is 10 % longer. Its mean is below 1.1 for every
 variation below :data:`LEAST_VARIATION`."""
 
 HICCUPS, STRETCH = 1e-3, 3.0
 """One action in a thousand may take up to three times its planned time without being evidence of a
-change, since no fitted distribution knows the rare events of a real machine. This share of
+change, since no fitted distribution covers the rare events of a real machine. This share of
 durations is taken to be longer by that factor, unless the durations vary by more than
 :data:`WIDE`."""
 
@@ -37,12 +37,12 @@ WIDE = 0.5
 
 KNOTS = 400
 LARGEST_HAZARD = 60.0
-"""The integral is tabulated up to this value; beyond it grows in a straight line, so that it is
-finite for every time."""
+"""The integral is tabulated up to this value; beyond it, it grows linearly, so that it is finite
+for every time."""
 
 
 class Hazard:
-    """The integral of the hazard of a duration, made quick and finite: see the constants.
+    """The integral of the hazard of a duration, made fast and finite: see the constants.
 
     :param duration: the duration, with a positive mean.
 
@@ -94,7 +94,7 @@ class Hazard:
         return np.nan_to_num(self.duration.hazard_integral(times), nan=1e9, posinf=1e9)
 
     def _knots(self, mean: float) -> Floats:
-        """Times at which the integral is tabulated: equal steps of it, as nearly as can be."""
+        """Times at which the integral is tabulated: steps of the integral as equal as possible."""
         last = mean
         while self._exact(np.array([last]))[0] < LARGEST_HAZARD and last < 1e6 * mean:
             last *= 1.5

@@ -1,10 +1,10 @@
-"""Watches a run for the moment from which it departs from its plan.
+"""Watches a run and detects when it begins to depart from its plan.
 
-A :class:`Monitor` is called when an attempt at an action begins or ends, and when the policy chose.
-It keeps *streams*: the pace of each place, of each robot and of the whole team; the outcomes and
-the failures of each place; the policy's choices in each place. A stream consists of one or several
-cumulative sums (``cusum``). All thresholds together are chosen so that a run that follows the plan
-raises one alarm in the stated time, all streams taken together.
+A :class:`Monitor` is called when an attempt at an action begins or ends, and when the policy has
+chosen. It keeps *streams*: the pace of each place, of each robot and of the whole team; the
+outcomes and the failures of each place; the policy's choices in each place. A stream consists of
+one or several cumulative sums (``cusum``). The thresholds are chosen so that a run that follows the
+plan raises one alarm in the given time over all streams together.
 
 The cost of an event does not depend on the length of the run.
 """
@@ -47,21 +47,21 @@ ALARM_EVERY = 30 * DAY
 
 IMPOSSIBLE = 1e-3
 """An outcome or failure that the plan rules out is taken to have this probability, so that a single
-one is no alarm yet."""
+one does not raise an alarm."""
 
 SHORTEST_EXPECTED = 1e-3
-"""Durations with a shorter mean (s) are not watched: what a log shows of them is mostly the time of
-the machine itself."""
+"""Durations with a shorter mean (s) are not watched: a log mostly shows the computation time of the
+machine."""
 
 RAN_TO_THE_END = (Outcome.ABORTED, Outcome.BAD_RESULT)
 """Failures that the action itself reported, after its duration. Other failures cut it off."""
 
 RECENT = 4096
-"""How many finished attempts are kept, to say by how much and where a run departs."""
+"""Number of finished attempts kept, to report by how much and where a run departs."""
 
 
 class _Running:
-    """An attempt that goes on: the place's hazards, and how much of them has been counted."""
+    """A running attempt: the place's hazards, and how much of them has been counted."""
 
     __slots__ = ("robot", "place", "start", "slow", "fast")
 
@@ -81,9 +81,10 @@ class _Finished(NamedTuple):
 class Monitor:
     """Watches one run; see the module. Times are seconds on any clock, and must not decrease.
 
-    :param plan: what the run is expected to follow. Only places with an action that takes time are
-        watched for their pace.
-    :param robots: the robots of the team at the start; others are watched with their places.
+    :param plan: the expected plan. Only places with an action that takes time are watched for their
+        pace.
+    :param robots: the robots of the team at the start; others are only watched as part of their
+        places.
     :param paces: place -> expected number of attempts per second, for the thresholds.
     :param alarm_every: mean time between two false alarms of all streams together (s).
 
@@ -181,8 +182,8 @@ class Monitor:
 
     @property
     def on(self) -> List[Alarm]:
-        """The alarms that last: the newest of each stream that is on, by how much as far as is
-        known now. Several streams see one slow robot, or one slow place: it is told once."""
+        """The active alarms: the newest of each stream with one, with the size of the deviation
+        known so far. A slow robot or place that several streams notice is reported once."""
         lasting = [
             stream.alarms[-1] if stream.kind not in PACES else self._estimated(stream.alarms[-1])
             for stream in self.streams
@@ -191,12 +192,12 @@ class Monitor:
         return [a for a in lasting if not any(_explains(other, a) for other in lasting)]
 
     def is_explained(self, alarm: Alarm) -> bool:
-        """Whether another alarm, which lasts, says what this one says."""
+        """Whether another active alarm reports the same as this one."""
         return any(_explains(other, alarm) for other in self.on)
 
     def _estimated(self, alarm: Alarm) -> Alarm:
-        """An alarm that lasts with what was observed up to now. When it is raised, little is
-        known, and mostly what departs most."""
+        """An active alarm, updated with the observations so far. When it is raised, little is
+        known, mostly about what departs most."""
         seen = [
             f
             for f in self._recent
@@ -209,7 +210,8 @@ class Monitor:
             expected=sum(f.expected for f in seen) / len(seen),
         )
 
-    # -- what happens ------------------------------------------------------------------------------
+    # -- events of the run
+    # ------------------------------------------------------------------------------
 
     def begin(self, robot: str, place: str, start: float) -> None:
         """An attempt of ``robot`` at the action of ``place`` began at ``start`` (s)."""
@@ -228,9 +230,9 @@ class Monitor:
         """The attempt of ``robot`` ended at ``now`` (s); returns the alarms that this raises.
 
         :param completed: whether its action ended by itself; if not, its duration is unknown.
-        :param result: the transition that it named, "" if none; None if that is not known yet, and
-            :meth:`result` will say.
-        :param failed: why it failed ("" if it succeeded).
+        :param result: the transition that it named, "" if none; None if unknown so far, in which
+            case :meth:`result` will report it.
+        :param failed: the reason of its failure ("" if it succeeded).
         """
         raised = self.advance(now)
         attempt = self._running.pop(robot, None)
@@ -250,8 +252,8 @@ class Monitor:
         return raised + found
 
     def result(self, place: str, result: str, now: float) -> List[Alarm]:
-        """An action of ``place`` had named the transition ``result`` ("" if none); returns the
-        alarms that this raises."""
+        """Report that an action of ``place`` had named the transition ``result`` ("" if none);
+        returns the alarms that this raises."""
         found: List[Alarm] = []
         for share in self._shares.get((OUTCOME, place), ()):
             found += share.count(result == share.transition, now)
@@ -283,7 +285,7 @@ class Monitor:
         return [alarm]
 
     def advance(self, now: float) -> List[Alarm]:
-        """Let the time pass until ``now`` (s); returns the alarms that this raises."""
+        """Advance the time to ``now`` (s); returns the alarms that this raises."""
         by_place: Dict[str, List[float]] = {}
         by_robot: Dict[str, List[float]] = {}
         slow_sum = fast_sum = 0.0
@@ -346,7 +348,7 @@ class Monitor:
             and now - r.start > self._means[r.place]
         ]
         if direction == "slower" and late:
-            # an action that goes on for longer than planned counts as well, as far as it is known
+            # an action running for longer than planned counts too, with its time so far
             seen = seen + [
                 _Finished(now, r.place, r.robot, now - r.start, self._means[r.place]) for r in late
             ]
@@ -372,8 +374,9 @@ class Monitor:
 
 
 def _explains(one: Alarm, other: Alarm) -> bool:
-    """Whether an alarm is a consequence of another one: the pace of a place or of the team of that
-    of one robot, and the pace of a robot or of the team of that of a place for all robots."""
+    """Whether an alarm is a consequence of another one. The pace of one robot affects that of its
+    places and of the team; the pace of a place for all robots affects that of each robot and of the
+    team."""
     if one.kind not in PACES or other.kind not in PACES or one.direction != other.direction:
         return False
     if one.kind == ROBOT:
@@ -397,12 +400,12 @@ def _outstanding(seen: Sequence[_Finished], direction: str, key: Any) -> str:
 def _shares(
     plan: Plan, outcomes: Sequence[Tuple[int, float]], failure: float
 ) -> List[Tuple[str, str, float]]:
-    """What can happen at the end of an attempt: (kind, transition, probability)."""
+    """The possible events at the end of an attempt: (kind, transition, probability)."""
     names = [
         (plan.net.transitions[t].name if t != POLICY else "", chance) for t, chance in outcomes
     ]
     if len(names) == 2:
-        names = names[:1]  # the other one says the same
+        names = names[:1]  # the other stream would report the same
     found = [(OUTCOME, name, chance) for name, chance in names if chance < 1]
     return [*found, (FAILURE, "", failure)]
 

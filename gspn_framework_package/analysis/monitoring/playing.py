@@ -1,4 +1,4 @@
-"""Plays a recorded run to a monitor, in the order of time."""
+"""Plays a recorded run to a monitor, in chronological order."""
 
 from __future__ import annotations
 

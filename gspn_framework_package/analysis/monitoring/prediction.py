@@ -1,12 +1,12 @@
-"""What runs of a plan will show: a sample of replications, and the intervals that follow from it.
+"""Predicts runs of a plan by a sample of replications, and derives prediction intervals.
 
-The parameters of a plan that were learned from logs are not known exactly. So the replications come
-in groups, and each group is simulated with parameters drawn from what the logs leave open: the mean
-of a duration from a lognormal distribution with its 95 % interval (without an interval, with the
-standard error that the number of observations gives), the probabilities of outcomes and failures
-from the Beta or Dirichlet distribution after that many observations (Jeffreys' prior), the rate of
-an event like a mean. The intervals of the sample are then prediction intervals: they allow for
-chance in the run and for what is not known about the plan. Short logs give wide ones.
+The parameters of a plan that were learned from logs are uncertain. Therefore the replications come
+in groups, each simulated with parameters drawn from their posterior distributions: the mean of a
+duration from a lognormal distribution with its 95 % interval (without an interval, with the
+standard error that follows from the number of observations), the probabilities of outcomes and
+failures from the Beta or Dirichlet distribution after that many observations (Jeffreys' prior), the
+rate of an event like a mean. The intervals of the sample are then prediction intervals: they
+account for chance in the run and for the uncertainty about the plan. Short logs give wide ones.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _GROUPS = 40
 """Groups of replications with the same parameters, if some parameters are uncertain."""
 
 _BATCH = 50
-"""Most replications that are computed together, if no parameters are uncertain."""
+"""Largest number of replications computed together if no parameters are uncertain."""
 
 LEAST_REPLICATIONS = 80
 USUAL_FIRINGS = 500_000
@@ -39,21 +39,21 @@ USUAL_FIRINGS = 500_000
 in plain Python."""
 
 MOST_FIRINGS = 20_000_000
-"""The same, if a number of replications was asked for."""
+"""The same if a number of replications was requested."""
 
 _WORTH_WAITING = 2_000_000
-"""More firings than this are worth the time that numba takes to compile, not only to load."""
+"""More firings than this are worth the time to compile with numba, not only to load it."""
 
 PREDICTION_PATIENCE = 10.0
-"""A run that came to its condition is compared with runs that may take this many times as long."""
+"""A run that reached its condition is compared with runs that may take this many times as long."""
 
 _NORMAL = 1.959963984540054
 
 
 class Span(NamedTuple):
     """What to predict: a run of ``plan``, whose robots and initial marking are those at its start,
-    for ``seconds``; with ``to_condition``, until the condition of the plan holds, if it does so in
-    that time."""
+    for ``seconds``; with ``to_condition``, until the condition of the plan holds, or until that
+    time."""
 
     plan: Plan
     seconds: float
@@ -61,13 +61,13 @@ class Span(NamedTuple):
 
 
 class RunSample(NamedTuple):
-    """Replications of some spans, added up: row i is the i-th replication of all of them together.
+    """Replications of some spans, added up: row i is the sum of their i-th replications.
 
-    :ivar seconds: how long they took.
+    :ivar seconds: their durations.
     :ivar firings: number of firings, by transition.
     :ivar tokens: token-seconds, by place.
-    :ivar came: whether they came to the condition, all of them.
-    :ivar group: the number of the parameters that were drawn; all 0 if none are uncertain.
+    :ivar came: whether all spans reached their conditions.
+    :ivar group: the number of the parameter sample; all 0 if no parameters are uncertain.
     """
 
     seconds: Floats
@@ -94,10 +94,10 @@ def predict(
     """Simulate runs like those of ``spans``.
 
     :param spans: runs of one net; the same parameters are drawn for all of them.
-    :param replications: how many of each; fewer, if they are very long. None: 1000, or fewer, if
-        they are long.
-    :param on: who computes: this process, by default. The result is the same.
-    :raises RefusedError: the plan cannot be simulated, for example for a timeless cycle.
+    :param replications: number of replications of each; fewer if they are very long. None: 1000, or
+        fewer if they are long.
+    :param on: where to compute: by default in this process. The result is the same.
+    :raises RefusedError: the plan cannot be simulated, for example because of a timeless cycle.
     :raises CancelledError: ``cancel`` returned true.
     """
     if not spans or any(span.seconds <= 0 for span in spans):
@@ -115,13 +115,13 @@ def predict(
     watch = Watch(progress, cancel)
     most = USUAL_FIRINGS if replications is None else MOST_FIRINGS
     wanted = PREDICTION_REPLICATIONS if replications is None else replications
-    # a first look at how long they are
+    # a first estimate of how long they are
     first = min(math.ceil(wanted / _GROUPS) if uncertain else _BATCH, 10, wanted)
     done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
     each = max(done[0].firings.sum() / first, 1.0)
     affordable = max(int(most / each), min(wanted, LEAST_REPLICATIONS))
     rest = max(min(wanted, affordable) - first, 0)
-    # so few that the simulation of a group alone does not find it worth while to compile
+    # few enough that the simulation of a single group would not choose to compile
     usual = min(_BATCH, max(int(machine.WORTH_COMPILING / each), 1))
     if uncertain:
         usual = max(math.ceil(rest / _GROUPS), 1)
@@ -135,15 +135,15 @@ def predict(
 
 
 def _worth_compiling(firings: float) -> bool:
-    """Whether the compiled kernel is sooner done with so many firings."""
+    """Whether the compiled kernel is faster for this many firings."""
     if firings <= machine.WORTH_COMPILING or not machine.may_compile():
         return False
     return firings > _WORTH_WAITING or machine.is_loaded() or machine.is_cached()
 
 
 class _Group(NamedTuple):
-    """So many replications with the same parameters; ``compiled``: whether the compiled kernel is
-    worth while for them."""
+    """Simulate replications with the same parameters; ``compiled``: whether the compiled kernel is
+    worthwhile for them."""
 
     parameters: Optional[Parameters]
     size: int
@@ -154,7 +154,7 @@ class _Group(NamedTuple):
 
 def _play_group(spans: Sequence[Span], group: _Group, watch: Watch) -> RunSample:
     size, parameters = group.size, group.parameters
-    if group.compiled and machine.may_compile():  # also where a worker computes
+    if group.compiled and machine.may_compile():  # also in a worker
         machine.compiled_kernel()
     seconds = np.zeros(size)
     came = np.ones(size, dtype=bool)
@@ -190,7 +190,7 @@ def expected_paces(plan: Plan, sample: RunSample) -> Dict[str, float]:
     return paces
 
 
-# -- parameters that are not known exactly ---------------------------------------------------------
+# -- uncertain parameters ---------------------------------------------------------
 
 
 class Parameters(NamedTuple):
@@ -221,7 +221,7 @@ class Parameters(NamedTuple):
 
 
 def is_uncertain(plan: Plan) -> bool:
-    """Whether the plan says of a value that it was learned, from how much."""
+    """Whether the plan states that a value was learned, and from how many observations."""
     return any(evidence.observations > 0 for evidence in plan.evidence.values())
 
 
@@ -282,8 +282,8 @@ class Growth(NamedTuple):
 
 
 def growth(sample: RunSample, counts: Floats) -> Growth:
-    """How ``counts``, one for each replication, grow with time. The parts of the variance come from
-    an analysis of variance within and between the groups."""
+    """Fit the growth of ``counts``, one per replication, with time. The parts of the variance come
+    from an analysis of variance within and between the groups."""
     seconds = float(sample.seconds.mean())
     groups = np.unique(sample.group)
     rate = float(counts.sum() / sample.seconds.sum())

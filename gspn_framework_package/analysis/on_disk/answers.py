@@ -1,4 +1,4 @@
-"""The report of a net whose markings may not fit into memory: they then go on disk."""
+"""The report of a net whose markings may not fit into memory and are then stored on disk."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.net import Net
 
 _BYTES_PER_STATE = 240
-"""Memory per marking with which the first attempt, in memory, reckons: twice what large state
-spaces take at their peak."""
+"""Memory per marking assumed by the first attempt, in memory: twice the peak use of large state
+spaces."""
 
 _NOT_ON_DISK = "not answered on disk: it needs the graph of all markings in memory"
 
@@ -45,11 +45,12 @@ def report_within(
     """The analysis and its report, see :func:`~gspn_framework_package.analysis.report.report`.
 
     The markings are visited in memory first. If they take too much of it, they are visited again on
-    disk. Then ``engine`` is ``disk``, and what needs the whole graph in memory is not answered.
+    disk. Then ``engine`` is ``disk``, and questions that need the whole graph in memory are not
+    answered.
 
-    :param memory: bytes to use, besides those of the libraries and the net.
+    :param memory: bytes to use, in addition to those of the libraries and the net.
     :param make: makes an analysis of ``net`` with the given limits.
-    :param limits: its ``states`` hold on disk too.
+    :param limits: its ``states`` apply on disk too.
     :param seconds: longest time (s) of the search on disk.
     :raises GspnError: see :func:`~.search.search`.
     """

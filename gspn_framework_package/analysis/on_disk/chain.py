@@ -1,12 +1,12 @@
 """The Markov chain of a state space on disk: the rates into each tangible state, in a file.
 
 The tangible states are numbered in the order of their keys. Without vanishing states, the sources
-of the firings into some consecutive states by one transition are the keys smaller by a fixed
-number: they are consecutive too, nearly, and found by one merge of two sorted sequences. So the
-rates come sorted by target, without being sorted. With vanishing states, the rates out of some
-states are found in memory, and put down by their target, to be collected afterwards: a sort by
-distribution. The vector of the states stays in memory and the matrix is read from disk, as in
-D. D. Deavours and W. H. Sanders, *An efficient disk-based tool for solving large Markov models*,
+of the firings into consecutive states by one transition are the keys smaller by a fixed number:
+they are nearly consecutive too, and found by one merge of two sorted sequences. So the rates come
+in the order of their targets without sorting. With vanishing states, the rates out of some states
+are found in memory and written to the file by target, to be collected afterwards: a distribution
+sort. The vector of the states stays in memory and the matrix is read from disk, as in D. D.
+Deavours and W. H. Sanders, *An efficient disk-based tool for solving large Markov models*,
 Performance Evaluation 33, 1998.
 """
 
@@ -32,19 +32,19 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
 _VECTOR_SHARE = 2
-"""A vector over the states may take one part in so many of the memory."""
+"""A vector over the states may take the memory divided by this."""
 
 _ROWS_SHARE = 8
-"""What is read or made of the matrix at once may take one part in so many of the memory."""
+"""The part of the matrix that is read or built at once may take the memory divided by this."""
 
 _PER_ENTRY = 40
-"""Bytes of memory that an entry of the matrix takes while it is made."""
+"""Bytes of memory that an entry of the matrix takes while it is built."""
 
 _PER_ROW = 80
-"""Bytes that a row takes besides, and its packed marking."""
+"""Additional bytes of a row, and of its packed marking."""
 
 _PER_COLLECTED = 80
-"""Bytes that an arc takes while those into some states are collected."""
+"""Bytes that an arc takes while arcs are collected by target."""
 
 _MOST_ROWS = 1 << 17
 """More rows at once save no time."""
@@ -53,8 +53,8 @@ _ARC = np.dtype([("target", np.int64), ("source", np.int64), ("rate", np.float64
 
 
 class _Block(NamedTuple):
-    """Where some rows of the matrix are: from row ``first`` on, so many ``rows`` and ``entries``,
-    from a ``position`` (bytes) in the file on."""
+    """A block of the matrix in the file: its ``first`` row, its numbers of ``rows`` and
+    ``entries``, and its ``position`` (bytes)."""
 
     first: int
     rows: int
@@ -74,9 +74,9 @@ class OnDiskChain:
     :ivar tangible: the keys of the states; their positions are the numbers of the states.
     :ivar exit_rates: the rate (1/s) out of each state.
     :ivar entries: the number of rates.
-    :raises RefusedError: there is a timeless trap, or no weight decides a choice.
+    :raises RefusedError: there is a timeless trap, or a choice has no weights.
     :raises LimitError: there is too little memory for a vector over the states, the disk has too
-        little room, or the time is over.
+        little space, or the time is over.
     """
 
     def __init__(self, space: OnDiskSpace, memory: float, watch: Watch) -> None:
@@ -91,7 +91,7 @@ class OnDiskChain:
             )
         self._column_type = np.dtype(np.int32 if size < 2**31 else np.int64)
         self._report_disk(size, counts.arcs, bool(counts.vanishing))
-        if space.has_vanishing_start:  # no tangible state leads to what follows there
+        if space.has_vanishing_start:  # it has no tangible successors
             Chain(rate(window(space.packed, space.packed.initial[None, :])))
         self.tangible: SortedKeys = space.tangible(watch)
         each = _PER_ROW + 16 * space.packed.words + _PER_ENTRY * (counts.arcs / max(size, 1))
@@ -112,7 +112,7 @@ class OnDiskChain:
         return len(self.tangible)
 
     def _report_disk(self, size: int, arcs: int, vanishing: bool) -> None:
-        """:raises LimitError: the disk has too little room."""
+        """Build the matrix. :raises LimitError: the disk has too little space."""
         each = 8 + self._column_type.itemsize + (_ARC.itemsize if vanishing else 0)
         needed = each * arcs + (16 + self.space.code.dtype.itemsize) * size
         self.space.scratch.require(needed)
@@ -127,7 +127,7 @@ class OnDiskChain:
             found[self.tangible.search(key)[0]] = True
         return found
 
-    # -- making it ---------------------------------------------------------------------------------
+    # -- building ---------------------------------------------------------------------------------
 
     def _from_sources(self) -> None:
         """Find the rates into each state, where no state is vanishing."""
@@ -149,7 +149,7 @@ class OnDiskChain:
                 here = at[rows]
                 columns[here], rates[here] = sources, values
                 at[rows] += 1
-                exits[sources] += values  # each is there once
+                exits[sources] += values  # each occurs once
             self._put(
                 part.start, np.concatenate([np.zeros(1, dtype=np.int64), ends]), columns, rates
             )
@@ -203,8 +203,8 @@ class OnDiskChain:
     def _collect(
         self, file: ScratchFile, places: List[Tuple[int, int]], first: int, last: int
     ) -> None:
-        """Write the rows ``first`` to ``last`` from the arcs that were put down at some ``places``
-        (position in bytes, number) of a file; fewer rows at once, if they are longer than most."""
+        """Write the rows ``first`` to ``last`` from the arcs written to some ``places`` (position
+        in bytes, number) of a file; use fewer rows at once if they are longer than most."""
         entries = sum(number for _, number in places)
         room = max(self._memory / _ROWS_SHARE / _PER_COLLECTED, 1)
         rows = max(int((last - first) * min(room / max(entries, 1), 1.0)), 1)
@@ -237,12 +237,12 @@ class OnDiskChain:
         numbers[order] = self.tangible.search(keys[order])[0]
         return numbers
 
-    # -- reading it --------------------------------------------------------------------------------
+    # -- reading --------------------------------------------------------------------------------
 
     def parts(self, rows: int = 0) -> Iterator[Tuple[slice, Keys]]:
-        """The states, some at a time: which they are, and their keys.
+        """The states in blocks: their numbers and keys.
 
-        :param rows: how many at a time; 0: as many as the memory allows.
+        :param rows: number per block; 0: as many as the memory allows.
         """
         rows = rows or self._rows
         for begin in range(0, len(self), rows):
@@ -257,8 +257,8 @@ class OnDiskChain:
             yield part, Chain(rate(window(packed, self.space.code.decode(keys))))
 
     def blocks(self) -> Iterator[Tuple[slice, Matrix]]:
-        """The states, some at a time: which they are, and the rates into them (CSR), with a column
-        for each state. Each is overwritten by the next."""
+        """The states in blocks: their numbers and the rates into them (CSR, one column per state).
+        Each block overwrites the previous one."""
         for block in self._blocks:
             yield block.part, self._read(block)
 
@@ -274,16 +274,16 @@ class OnDiskChain:
             position += array.nbytes
         return sparse.csr_matrix((rates, columns, offsets), shape=(block.rows, len(self)))
 
-    # -- what leads where --------------------------------------------------------------------------
+    # -- reachability --------------------------------------------------------------------------
 
     def reaching(self, state: int) -> Booleans:
         """The states from which a state can be reached."""
         seen = np.zeros(len(self), dtype=bool)
         seen[state] = True
-        done = np.zeros(len(self), dtype=bool)  # those whose sources are seen
+        done = np.zeros(len(self), dtype=bool)  # the states whose sources have been seen
         order = self._blocks
         while not seen.all() and (seen > done).any():
-            order = order[::-1]  # a pass goes far along the order of the states, or against it
+            order = order[::-1]  # a pass propagates far along or against the order
             for block in order:
                 part = block.part
                 if not (seen[part] > done[part]).any():

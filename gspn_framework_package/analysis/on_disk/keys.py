@@ -1,9 +1,9 @@
 """Markings as sortable keys: one value each, so that files of markings can be sorted and merged.
 
 A key holds the fields of all places, without their guard bits if that makes it fit one machine
-word. Otherwise it is a string of bytes. As every field of a key is wide enough, firing a transition
-adds the same number to each key: the successors of sorted keys by one transition are sorted, which
-makes sorting all successors cheap.
+word. Otherwise it is a string of bytes. Since every field of a key is wide enough, firing a
+transition adds the same number to each key: the successors of sorted keys by one transition are
+sorted, which makes sorting all successors cheap.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ class KeyCode:
 
 def distinct(keys: Keys) -> Keys:
     """The different keys of an array, sorted."""
-    # the stable sort merges the sorted stretches of which the array consists
+    # the stable sort merges the sorted runs of the array
     ordered = np.sort(keys, kind="stable")
     return ordered[differs(ordered)]
 
 
 def differs(values: np.ndarray) -> Booleans:
-    """Where a value differs from the one before it; the first does."""
+    """Boolean array: whether each value differs from the previous one; true for the first."""
     first = np.ones(len(values), dtype=bool)
     first[1:] = values[1:] != values[:-1]
     return first

@@ -1,4 +1,4 @@
-"""Where a chain is in the long run, if not all of it is in memory."""
+"""The long-run distribution of a chain that is not entirely in memory."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gspn_framework_package.model.net import Net
 
 
 class LongRun(NamedTuple):
-    """The long-run share of time in each state (``values``), how many states recur, whether nothing
-    happens there any more, and the residual and method behind it."""
+    """The long-run share of time in each state (``values``), the number of recurrent states,
+    whether they are a deadlock, and the residual and method of the solution."""
 
     values: Floats
     recurrent: int
@@ -29,12 +29,12 @@ class LongRun(NamedTuple):
         distributions: Sequence[Mapping[int, float]],
         likeliest: Mapping[str, int],
     ) -> Dict[str, Any]:
-        """The steady state, with the keys that it has in the report of an analysis in memory.
+        """The steady state, with the same keys as in the report of an analysis in memory.
 
         :param means: the mean tokens of each place.
         :param rates: the throughput (1/s) of each transition.
         :param distributions: for each place: number of tokens -> probability.
-        :param likeliest: the most probable marking, without its empty places.
+        :param likeliest: the most probable marking, without empty places.
         """
         names = [place.name for place in net.places]
         mean_tokens = dict(zip(names, means))
@@ -73,15 +73,14 @@ def recurrent_states(
     """Boolean array: which states recur; None: there are several recurrent classes.
 
     :param dead: boolean array: the states that nothing leaves.
-    :param initial: boolean array: where the chain begins, if that is one of its states.
-    :param reaching: returns the states from which a state can be reached, which is given by its
-        number.
-    :param reached: returns those that can be reached from a state.
+    :param initial: boolean array: the initial state, if it is one of the chain's states.
+    :param reaching: returns the states from which the state with a given number can be reached.
+    :param reached: returns the states that can be reached from it.
     """
     state = _last(dead)
     begins_there = False
     if state is None:
-        # the initial one, if it is tangible: then all others are reached from it
+        # the initial state if it is tangible, since it reaches all others
         begins_there = bool(initial.any())
         state = _last(initial) if begins_there else 0
     while True:
@@ -91,7 +90,7 @@ def recurrent_states(
             return lead_there if begins_there else reached(state)
         state = _last(reached(state) & ~lead_there)
         begins_there = False
-        if state is None:  # it recurs, and some states never lead there
+        if state is None:  # it is recurrent, and some states never lead to it
             return None
 
 

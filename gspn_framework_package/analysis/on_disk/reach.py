@@ -1,4 +1,4 @@
-"""Whether a condition can come to hold, from the markings on disk."""
+"""Reachability of conditions, from the markings on disk."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gspn_framework_package.model.condition import parse_condition
 
 
 def reach(space: OnDiskSpace, text: str, watch: Watch) -> Reachability:
-    """Whether the condition ``text`` can come to hold, and a shortest way to it.
+    """Whether the condition ``text`` can ever hold, and a shortest path to it.
 
     :raises ExpressionError: it cannot be parsed, or names an unknown place.
     """
@@ -26,7 +26,7 @@ def reach(space: OnDiskSpace, text: str, watch: Watch) -> Reachability:
     number, seen = 0, 0
     first: Optional[Tuple[int, Keys]] = None
     for layer, keys in space.parts():
-        watch.step("states that are looked at", seen)
+        watch.step("states examined", seen)
         seen += len(keys)
         words = space.code.decode(keys)
         labels = {}
@@ -42,7 +42,7 @@ def reach(space: OnDiskSpace, text: str, watch: Watch) -> Reachability:
 
 
 def cover(space: OnDiskSpace, marking: Mapping[str, int], watch: Watch) -> Reachability:
-    """Whether these places (place -> count) can hold at least these tokens at the same time.
+    """Whether these places (place -> count) can contain at least these tokens at the same time.
 
     :raises GspnError: there is no such place.
     """

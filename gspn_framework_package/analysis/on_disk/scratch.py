@@ -1,7 +1,7 @@
-"""Temporary files for what does not fit into memory.
+"""Temporary files for data that does not fit into memory.
 
-The files have no name: the system frees their space when they are closed or the process ends,
-however it ends.
+The files have no name: the system frees their space when they are closed or when the process ends
+for any reason.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.model.errors import LimitError, UsageError
 
 _RESERVE = 64 << 20
-"""Bytes of a disk that are left to others."""
+"""Bytes of a disk left free for others."""
 
 _LARGE_FILES = "/var/tmp"
 """The folder for large temporary files; ``/tmp`` may be in memory."""
@@ -47,7 +47,7 @@ class Scratch:
             self.file().close()
         except OSError as error:
             raise UsageError(
-                "no temporary file can be made in '%s': %s" % (folder, error.strerror),
+                "cannot create a temporary file in '%s': %s" % (folder, error.strerror),
                 hint="give --scratch a folder to write to",
             ) from None
 
@@ -58,7 +58,7 @@ class Scratch:
         return file
 
     def closed(self, file: ScratchFile) -> None:
-        """Note that a file was closed."""
+        """Record that a file was closed."""
         self._files.discard(file)
         self.used -= file.size
 
@@ -68,18 +68,18 @@ class Scratch:
             file.close()
 
     def require(self, size: int) -> None:
-        """:raises LimitError: there is no room for ``size`` more bytes."""
+        """Check for space. :raises LimitError: there is no space for ``size`` more bytes."""
         free = shutil.disk_usage(self.folder).free
         if size + _RESERVE > free:
             raise self.full(size, free)
 
     def full(self, size: int, free: Optional[int] = None) -> LimitError:
-        """The error that there is no room for ``size`` more bytes."""
+        """The error for too little space for ``size`` more bytes."""
         left = shutil.disk_usage(self.folder).free if free is None else free
         return LimitError(
             "the disk of '%s' is full: %.3g GB more are needed, and %.3g GB are free; %.3g GB are "
             "in use here" % (self.folder, size / 1e9, left / 1e9, self.used / 1e9),
-            hint="make room, or name a folder on a larger disk with --scratch",
+            hint="free some space, or name a folder on a larger disk with --scratch",
         )
 
     def grow(self, size: int) -> None:
@@ -144,9 +144,9 @@ class ScratchFile:
 
 
 class ScratchVector:
-    """Float numbers in a temporary file, which are read and written in parts.
+    """Floats in a temporary file, read and written in parts.
 
-    :param size: how many.
+    :param size: their number.
     """
 
     def __init__(self, scratch: Scratch, size: int) -> None:

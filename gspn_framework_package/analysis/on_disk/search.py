@@ -1,4 +1,4 @@
-"""Finds the reachable markings with files for those already found.
+"""Finds the reachable markings, storing those already found in files.
 
 The search goes layer by layer. The successors of a layer are collected, sorted, and compared with
 all markings found before, in one pass over these (delayed duplicate detection: R. E. Korf,
@@ -37,17 +37,17 @@ LEAST_MEMORY = 1 << 14
 """Least memory (bytes) of a search."""
 
 _SPREAD = 2
-"""A found sequence is merged with those up to this many times its size."""
+"""A new sequence is merged with those up to this many times its size."""
 
 
 class Counts(NamedTuple):
-    """What a search counted.
+    """The counts of a search.
 
     :ivar states: number of markings.
-    :ivar vanishing: how many of them enable an immediate transition.
+    :ivar vanishing: number of them that enable an immediate transition.
     :ivar arcs: number of firings between them.
-    :ivar dead: how many enable nothing.
-    :ivar bounds: place -> the most tokens in it.
+    :ivar dead: number of them that enable nothing.
+    :ivar bounds: place -> largest number of tokens in it.
     :ivar firings: transition -> the number of markings in which it can fire.
     """
 
@@ -64,10 +64,11 @@ class OnDiskSpace:
 
     :ivar packed: the net, compiled to arithmetic on packed markings.
     :ivar code: translates packed markings to keys.
-    :ivar scratch: where the files are.
-    :ivar budget: how much memory to use.
-    :ivar counts: what was counted.
-    :ivar layers: the number of layers: one more than the longest shortest firing sequence.
+    :ivar scratch: the temporary files.
+    :ivar budget: the memory shares of the search.
+    :ivar counts: the counts of the search.
+    :ivar layers: the number of layers: one more than the length of the longest shortest firing
+        sequence.
     """
 
     def __init__(self, packed: PackedNet, scratch: Scratch, memory: float) -> None:
@@ -81,7 +82,7 @@ class OnDiskSpace:
         self._found: List[SortedKeys] = []
         self._timed = np.array([packed.net.transitions[t].timed for t in packed.order], dtype=bool)
         self._states = self._vanishing = self._arcs = self._dead = 0
-        self._first_dead: Optional[Tuple[int, Keys]] = None  # its layer, and its key
+        self._first_dead: Optional[Tuple[int, Keys]] = None  # layer and key
         self._bounds: Indices = np.zeros(len(packed.widths), dtype=np.int64)
         self._firings: Indices = np.zeros(len(packed.order), dtype=np.int64)
 
@@ -90,12 +91,12 @@ class OnDiskSpace:
 
     @property
     def layers(self) -> int:
-        """The number of layers: one more than the length of the longest shortest way."""
+        """The number of layers: one more than the length of the longest shortest path."""
         return len(self._layers)
 
     @property
     def counts(self) -> Counts:
-        """What was counted."""
+        """The counts."""
         net = self.net
         order = self.packed.order.tolist()
         firings = dict(zip((net.transitions[t].name for t in order), self._firings.tolist()))
@@ -132,13 +133,13 @@ class OnDiskSpace:
 
     @property
     def _rows(self) -> int:
-        """How many markings are expanded together."""
+        """Number of markings expanded together."""
         transitions = max(len(self.packed.order), 1)
         each = transitions * (48 + 16 * self.packed.words) + 64
         return max(self.budget.expanded // each, 1)
 
     def _expand(self, keys: Keys) -> Keys:
-        """The successors of some markings; counts what there is to count."""
+        """The successors of some markings; updates the counts."""
         states = self.code.decode(keys)
         sources, fired = enabled(self.packed, states)
         self._count(keys, states, sources, fired)
@@ -211,7 +212,7 @@ class OnDiskSpace:
         return self._found[0]
 
     def _remember(self, layer: SortedKeys, watch: Watch) -> None:
-        """Put a layer among the markings found before."""
+        """Add a layer to the markings found before."""
         together = [layer]
         size = len(layer)
         while self._found and len(self._found[-1]) <= _SPREAD * size:
@@ -224,7 +225,7 @@ class OnDiskSpace:
     # -- ways --------------------------------------------------------------------------------------
 
     def dead_marking(self) -> Optional[Tuple[List[str], Marking]]:
-        """A marking that enables nothing, with a shortest firing sequence to it; None: there is
+        """A marking that enables nothing, with a shortest firing sequence to it; None if there is
         none."""
         if self._first_dead is None:
             return None
@@ -233,8 +234,7 @@ class OnDiskSpace:
         return self.way_to(layer, key), marking
 
     def parts(self) -> Iterator[Tuple[int, Keys]]:
-        """All markings, some at a time, layer by layer: the number of their layer, and their
-        keys."""
+        """All markings in blocks, layer by layer: the number of the layer, and the keys."""
         for number, layer in enumerate(self._layers):
             for keys in layer.parts(self._rows):
                 yield number, keys
@@ -255,7 +255,7 @@ class OnDiskSpace:
                     key = candidate
                     break
             else:
-                raise AssertionError("a marking comes from nowhere")
+                raise AssertionError("a marking has no predecessor")
         return way[::-1]
 
 
@@ -272,10 +272,10 @@ def search(
 ) -> OnDiskSpace:
     """Find the reachable markings with little memory.
 
-    :param memory: bytes of memory to use, besides those of the libraries.
-    :param scratch: where to put files; None: in the default folder. It is closed if there is an
-        error; otherwise the caller closes it after use.
-    :param limit: most markings.
+    :param memory: bytes of memory to use, in addition to those of the libraries.
+    :param scratch: the place for files; None: the default folder. It is closed if there is an
+        error; otherwise, the caller closes it after use.
+    :param limit: largest number of markings.
     :param seconds: longest time (s).
     :param bounds: as for :func:`~gspn_framework_package.analysis.state_space.space.explore`.
     :raises LimitError: there are too many markings, it takes too long, or the disk is full.

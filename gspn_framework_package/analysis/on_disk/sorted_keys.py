@@ -1,4 +1,4 @@
-"""Sets of keys as sorted sequences, in memory if they are small, else in a file."""
+"""Sets of keys as sorted sequences, in memory if small, otherwise in a file."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from gspn_framework_package.analysis.on_disk.scratch import Scratch, ScratchFile
 from gspn_framework_package.analysis.watch import Watch
 
 _WINDOW = 64
-"""Most blocks of a file that are read at once to look up keys."""
+"""Largest number of blocks of a file read at once to look up keys."""
 
 
 class Budget(NamedTuple):
-    """How much memory the parts of a search may take.
+    """The memory that the parts of a search may take.
 
-    :ivar block: number of keys between two that stay in memory, to find the others.
-    :ivar resident: most bytes of a sequence that stays in memory.
-    :ivar together: number of keys that are merged in memory.
+    :ivar block: number of keys between two that stay in memory as an index.
+    :ivar resident: largest size (bytes) of a sequence that stays in memory.
+    :ivar together: number of keys merged in memory.
     :ivar expanded: bytes for the successors of some markings.
     """
 
@@ -35,14 +35,14 @@ class Budget(NamedTuple):
         return cls(
             block=int(min(max(memory / (4096 * key_size), 4), 16384)),
             resident=int(memory / 32),
-            # merging takes five times this: the keys twice, sorted, and the different ones
+            # merging needs five times this: the keys twice, sorted, and the distinct ones
             together=max(int(memory / 16 / key_size), 16),
             expanded=int(memory / 4),
         )
 
 
 class SortedKeys:
-    """Different keys in ascending order; made by :class:`Writer`.
+    """Distinct keys in ascending order; made by :class:`Writer`.
 
     :ivar fences: every ``block``-th key, from the first on.
     """
@@ -82,8 +82,8 @@ class SortedKeys:
             yield self.read(begin, begin + size)
 
     def search(self, keys: Keys) -> Tuple[Indices, Booleans]:
-        """Where ascending ``keys`` are, or would be (numbers), and which of them are there. Only
-        the blocks that may contain them are read."""
+        """The positions where ascending ``keys`` are or would be, and which of them are present.
+        Only the blocks that may contain them are read."""
         positions = np.zeros(len(keys), dtype=np.int64)
         present = np.zeros(len(keys), dtype=bool)
         if not len(keys) or not self._count:
@@ -124,7 +124,7 @@ class Writer:
     """Makes a :class:`SortedKeys` of ascending parts.
 
     :param dtype: the type of a key.
-    :param file: the file to append it to; None: a file of its own, if it does not fit into memory.
+    :param file: the file to append it to; None: a new file, if it does not fit into memory.
     """
 
     def __init__(
@@ -182,8 +182,8 @@ def _joined(arrays: Sequence[Keys], dtype: np.dtype) -> Keys:
 
 
 def by_ranges(runs: Sequence[SortedKeys], most: int) -> Iterator[List[Keys]]:
-    """The keys of several sequences, by consecutive ranges of keys: for each range the keys of each
-    sequence, about ``most`` of them in total."""
+    """The keys of several sequences by consecutive ranges of keys: for each range, the keys of each
+    sequence, about ``most`` in total."""
     if sum(len(run) for run in runs) <= most:
         yield [run.read(0, len(run)) for run in runs]
         return
@@ -206,7 +206,7 @@ def merge_sorted(
     what: str,
     count: int,
 ) -> SortedKeys:
-    """Several sequences as one; the former are discarded.
+    """Merge several sequences into one; they are discarded.
 
     :param what: what is being counted, for the progress line, and its ``count``.
     :raises LimitError: the disk is full.
@@ -223,7 +223,7 @@ def merge_sorted(
 
 
 class Pile:
-    """Collects keys in any order, some of them repeatedly."""
+    """Collects keys in any order, possibly with repetitions."""
 
     def __init__(self, scratch: Scratch, budget: Budget, dtype: np.dtype) -> None:
         self._scratch = scratch
@@ -249,7 +249,7 @@ class Pile:
         self._runs.append(writer.finished())
 
     def taken(self) -> Iterable[Keys]:
-        """The different keys in ascending order, in parts; the pile is empty afterwards."""
+        """The distinct keys in ascending order, in parts; the pile is empty afterwards."""
         if self._holding or not self._runs:
             self._put_down()
         for parts in by_ranges(self._runs, self._budget.together):

@@ -35,7 +35,7 @@ _VECTORS = 2 * ANDERSON_DEPTH + 4
 def steady_state_on_disk(
     chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE
 ) -> Dict[str, Any]:
-    """The steady state, with the keys that it has in the report of an analysis in memory.
+    """The steady state, with the same keys as in the report of an analysis in memory.
 
     :param direct: up to this many recurrent states are solved in memory.
     :raises RefusedError: the chain may end in one of several recurrent classes.
@@ -59,7 +59,7 @@ def long_run(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) -> Lon
     if recurs is None:
         raise RefusedError(
             "the chain may end in one of several recurrent classes",
-            hint="raise --memory until all of it fits",
+            hint="raise --memory until the whole chain fits",
         )
     recurrent = int(recurs.sum())
     if recurrent == 1:
@@ -128,7 +128,7 @@ def _measured(
     distributions: List[Dict[int, float]] = [{} for _ in net.places]
     throughput = np.zeros(len(net.transitions))
     for part, keys in chain.parts():
-        watch.step("states that are measured", part.start)
+        watch.step("states measured", part.start)
         words = space.code.decode(keys)
         store = PackedStore(packed, words)
         for total, counts in zip(
@@ -144,7 +144,7 @@ def _measured(
                 throughput[t] += float((shares[part][states] * rates).sum())
     if space.counts.vanishing:
         for part, window in chain.windows():
-            watch.step("states that are measured", part.start)
+            watch.step("states measured", part.start)
             weights = np.zeros(len(window))
             weights[: part.stop - part.start] = shares[part]
             throughput += list(Measures(window, weights).throughput.values())

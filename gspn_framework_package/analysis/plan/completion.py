@@ -1,9 +1,9 @@
 """Completing a bare net to a plan: which tokens are robots, and which are counters.
 
-The file of a net does not say. The structure suggests it: robots are neither made nor used up, so a
-set of robot places is one whose sum no firing changes (a P-invariant in which every weight is 1).
-Of several such sets those are taken that do not overlap and together have the most places; what is
-left over counts something. This is a guess, so it comes with its reasons.
+The file of a net does not say, but the structure suggests it: robots are neither created nor
+consumed, so the token sum of the robot places is constant (a P-invariant in which every weight is
+1). Of several such sets, the non-overlapping ones with the most places in total are chosen; the
+remaining places are counters. This is a guess, so the reasons are reported.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ EFFORT = 500_000
 """Steps that the search for invariants may take."""
 
 MOST_COMPARED = 16
-"""Number of sets of places of which the best choice is found by trying all of them; while there are
+"""Up to this number of sets of places, the best choice is found by trying all; while there are
 more, the largest is taken."""
 
 
@@ -30,7 +30,7 @@ class Completion(NamedTuple):
 
     :ivar document: ``plan`` (the object of a plan file without net and policy), ``net`` (as
         ``net_to_json`` writes it) and ``policy`` (None: the weights of the net decide).
-    :ivar notes: for the user: what was assumed, and why.
+    :ivar notes: for the user: the assumptions and their reasons.
     """
 
     document: Dict[str, Any]
@@ -41,7 +41,7 @@ def complete(net: Net) -> Completion:
     """Complete a net to a plan that can be read: action places without actions, resource places,
     and a robot for each token that moves like one.
 
-    The plan need not pass its check: a net whose transitions make and use up tokens can only run
+    The plan need not pass its check: a net whose transitions create and consume tokens can only run
     standalone.
     """
     found = _Roles(net)
@@ -70,10 +70,10 @@ def _runs_by_itself(net: Net, robots: FrozenSet[str]) -> bool:
 
 
 class _Roles:
-    """Which places have robots.
+    """The places with robots.
 
     :ivar robots: their names.
-    :ivar notes: why these.
+    :ivar notes: the reasons.
     """
 
     def __init__(self, net: Net) -> None:
@@ -98,8 +98,8 @@ class _Roles:
             groups = [self._reached()]
             if groups[0]:
                 self.notes.append(
-                    "no set of places keeps its number of tokens: %s, which tokens can reach, are "
-                    "action places; transitions make and use up the tokens there, so it can only "
+                    "no set of places has a constant token count: %s, which tokens can reach, are "
+                    "action places; transitions create and consume tokens there, so it can only "
                     "run standalone" % _names(self._in_order(groups[0]))
                 )
         self.robots = self._within_the_limit(groups)
@@ -112,9 +112,9 @@ class _Roles:
         return sum(self._net.place(p).tokens for p in places)
 
     def _that_move(self, groups: List[FrozenSet[str]]) -> List[FrozenSet[str]]:
-        """The groups whose tokens move on their own. Where each transition that moves a token of a
-        group also moves one of another group, the group only accompanies the other, as the free and
-        the used slots of a store do. Smaller groups are dropped first."""
+        """The groups whose tokens move independently. If each transition that moves a token of a
+        group also moves one of another group, the first group only accompanies the other, like the
+        free and used slots of a store. Smaller groups are dropped first."""
         net = self._net
         of = {name: number for number, group in enumerate(groups) for name in group}
         moved: List[Set[int]] = []  # for each transition: the groups of which it moves a token
@@ -141,7 +141,7 @@ class _Roles:
         for group in groups:
             tokens = self._tokens(group)
             self.notes.append(
-                "%s: action places, because every firing keeps the number of tokens in them (%s)"
+                "%s: action places, because no firing changes the number of tokens in them (%s)"
                 % (
                     _names(self._in_order(group)),
                     "%d robot%s" % (tokens, "" if tokens == 1 else "s") if tokens else "none yet",
@@ -155,8 +155,7 @@ class _Roles:
         counters: FrozenSet[str],
     ) -> List[FrozenSet[str]]:
         """Further action places: those into which a token of a group is split. Their sum with
-        places of the group does not change either, but no token was there from the beginning, as it
-        would be in a counter."""
+        places of the group is constant too, but unlike counters they have no initial token."""
         robots: FrozenSet[str] = frozenset().union(*groups)
         found: Set[str] = set()
         for invariant in invariants:
@@ -175,7 +174,7 @@ class _Roles:
         return [frozenset(found)] if found else []
 
     def _reached(self) -> FrozenSet[str]:
-        """The places that tokens of the initial marking can get to, arc by arc."""
+        """The places that tokens of the initial marking can reach, arc by arc."""
         net = self._net
         found = {p for p, place in enumerate(net.places) if place.tokens}
         front = list(found)
@@ -199,7 +198,7 @@ class _Roles:
         return frozenset().union(*kept)
 
     def _say_resources(self, invariants: Sequence[Invariant]) -> None:
-        """Say of each resource place why it is one."""
+        """State for each resource place why it is one."""
         kept_with: Dict[str, List[str]] = {}
         for invariant in invariants:
             for name in invariant.weights:
@@ -213,12 +212,12 @@ class _Roles:
                 (free if kept_with.get(place.name) else alone).append(place.name)
         if free:
             self.notes.append(
-                "%s: resource places, because they count what is left over by the robots in other "
+                "%s: resource places, because they count what the robots leave free in other "
                 "places (%s with %s)" % (_names(free), free[0], _names(kept_with[free[0]]))
             )
         if alone:
             self.notes.append(
-                "%s: resource places, because their tokens do not come from another place and go "
+                "%s: resource places, because their tokens do not move from place "
                 "to the next, as robots do" % _names(alone)
             )
 
@@ -229,9 +228,9 @@ def _names(names: Sequence[str], most: int = 6) -> str:
 
 
 def _choose(net: Net, invariants: Sequence[Invariant]) -> List[FrozenSet[str]]:
-    """The sets of places, none of which overlap, that have the most marked places together (a set
-    is marked if it has tokens), and of these the most places. If several have as many, those whose
-    places come first in the net."""
+    """The non-overlapping sets of places with the most places in marked sets (sets with tokens),
+    and among these the most places overall. Ties are broken by the order of the places in the
+    net."""
     marked = len(net.places) + 1
     order = {p.name: number for number, p in enumerate(net.places)}
     worth = {frozenset(i.weights): len(i.weights) * (marked if i.value else 1) for i in invariants}
@@ -246,7 +245,7 @@ def _choose(net: Net, invariants: Sequence[Invariant]) -> List[FrozenSet[str]]:
 
 
 def _overlapping(sets: Sequence[FrozenSet[str]]) -> List[List[FrozenSet[str]]]:
-    """The sets in groups: in one are those that overlap directly or through others, in order."""
+    """The sets, grouped by overlap (direct or through others), in order."""
     users: Dict[str, List[int]] = {}
     for number, places in enumerate(sets):
         for name in places:
@@ -272,7 +271,7 @@ def _overlapping(sets: Sequence[FrozenSet[str]]) -> List[List[FrozenSet[str]]]:
 def _best(
     sets: Sequence[FrozenSet[str]], worth: Mapping[FrozenSet[str], int]
 ) -> List[FrozenSet[str]]:
-    """The sets without overlap that are worth the most together."""
+    """The non-overlapping sets with the largest total value."""
     if not sets:
         return []
     first, rest = sets[0], sets[1:]

@@ -1,4 +1,4 @@
-"""Durations as phases: exponential stages in a row, which a Markov chain can follow.
+"""Durations as phases: sequences of exponential stages, which a Markov chain can represent.
 
 Exponential, Erlang and hyper-Erlang durations are phases already. Any other duration is *matched*:
 replaced by phases with the same mean and the same variance. With the squared coefficient of
@@ -19,7 +19,7 @@ from typing import List, NamedTuple, Optional, Tuple
 from gspn_framework_package.model.duration import Duration
 
 MOST_PHASES = 200
-"""A duration that takes more phases than this is not followed by phases."""
+"""A duration that needs more phases than this is not represented by phases."""
 
 _EXPONENTIAL = 1e-9
 """A squared coefficient of variation this close to 1 is that of an exponential duration."""
@@ -28,10 +28,10 @@ _EXPONENTIAL = 1e-9
 class Phases(NamedTuple):
     """Exponential phases of a duration.
 
-    :ivar start: the phases that it can begin with: pairs (phase, probability).
+    :ivar start: the possible first phases: pairs (phase, probability).
     :ivar rates: the rate (1/s) of each phase.
-    :ivar following: for each phase the one after it; -1: the action is done.
-    :ivar matched: what it was matched with, for people; empty where the phases are exact.
+    :ivar following: the phase after each phase; -1: the action is done.
+    :ivar matched: the matched distribution, for people; empty if the phases are exact.
     """
 
     start: Tuple[Tuple[int, float], ...]
@@ -41,7 +41,7 @@ class Phases(NamedTuple):
 
 
 def number_of_phases(duration: Duration) -> float:
-    """How many phases the duration takes; infinite if it never varies."""
+    """Number of phases that the duration needs; infinite if it never varies."""
     if duration.branches is not None:
         return sum(branch.phases for branch in duration.branches)
     c = _squared_variation(duration)
@@ -53,7 +53,7 @@ def number_of_phases(duration: Duration) -> float:
 
 
 def phases_of(duration: Duration) -> Optional[Phases]:
-    """The phases of a duration; None if there are none, or more than :data:`MOST_PHASES`."""
+    """The phases of a duration; None if none exist, or more than :data:`MOST_PHASES` are needed."""
     count = number_of_phases(duration)
     if count > MOST_PHASES:
         return None

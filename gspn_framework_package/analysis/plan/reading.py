@@ -1,4 +1,4 @@
-"""How the analysis reads the time of a plan, and what it assumes; in words for people.
+"""How the analysis interprets the time of a plan, and its assumptions, in words for people.
 
 ``run`` follows the run: a robot is doing its action for a duration, then done, and moves as soon as
 it can. ``net`` is the classical reading of the plan's net: an exponential transition races while it
@@ -19,10 +19,10 @@ READINGS = (RUN, NET)
 
 
 class TimingNotes(NamedTuple):
-    """What a report says about time.
+    """The part of a report about time.
 
     :ivar reading: RUN or NET.
-    :ivar splits: place -> why doing and done are distinguished there.
+    :ivar splits: place -> reason for distinguishing doing and done there.
     :ivar assumptions: sentences for people.
     """
 
@@ -32,7 +32,7 @@ class TimingNotes(NamedTuple):
 
 
 def checked_reading(reading: str) -> str:
-    """The reading itself. :raises UsageError: there is no such reading."""
+    """Check the name of a reading. :raises UsageError: there is no such reading."""
     if reading not in READINGS:
         raise UsageError(
             "there is no reading '%s' of time" % reading, hint="choose %s" % " or ".join(READINGS)
@@ -46,7 +46,7 @@ def net_notes(plan: Plan) -> TimingNotes:
     if _decides_with_action(plan):
         assumptions.append("robots take no time in a place with immediate outputs")
     if plan.durations or plan.outcomes:
-        assumptions.append("durations and outcomes in the plan are left out: the rates count")
+        assumptions.append("durations and outcomes in the plan are ignored: the rates count")
     return TimingNotes(NET, {}, assumptions + _of_both(plan))
 
 
@@ -58,7 +58,7 @@ def run_notes(
     failing = [p for p, chance in plan.failures.items() if chance > 0]
     if failing:
         assumptions.append(
-            "actions always succeed: the failures of %s are left out, and so is what on_failure "
+            "actions always succeed: the failures of %s are ignored, and so is on_failure "
             "says (the simulation has both)" % ", ".join(failing)
         )
     if plan.timeouts:
@@ -85,7 +85,7 @@ def _of_both(plan: Plan) -> List[str]:
         not t.timed for t in net.transitions
     ):
         assumptions.append(
-            "if several robots could fire at once, each is equally likely to go first (in a run, "
+            "if several robots could fire at once, each is equally likely to be first (in a run, "
             "the first to finish does)"
         )
     if not plan.simulate_environment and any(
@@ -100,7 +100,7 @@ def _of_both(plan: Plan) -> List[str]:
 
 
 def of_events(plan: Plan) -> List[str]:
-    """What the readings of a plan assume about events that interrupt, in words for people."""
+    """The assumptions about interrupting events, in words for people."""
     net = plan.net
     interrupting = [(p, t) for p in plan.action_places for t in plan.interrupts(p)]
     timed = [t for _, t in interrupting if plan.events[t].after is not None]

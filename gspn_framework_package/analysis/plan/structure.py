@@ -1,4 +1,4 @@
-"""What the structure of a plan's net shows, in milliseconds, without visiting any marking."""
+"""Facts from the structure of a plan's net, found in milliseconds without visiting markings."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def terminal_places(plan: Plan) -> Set[int]:
 
 
 def always_leavable(net: Net, place: int) -> bool:
-    """Whether one token in ``place`` enables some transition whatever the rest of the marking."""
+    """Whether one token in ``place`` enables some transition, whatever the rest of the marking."""
     return any(fires_alone(net, t, place) for t in net.consumers[place])
 
 
@@ -77,9 +77,10 @@ def fires_alone(net: Net, t: int, place: int) -> bool:
 
 
 def idle_places(plan: Plan, *, everybody: bool = False) -> Set[int]:
-    """Numbers of the action places in which some robot has no action, so that it is done at once.
+    """Numbers of the action places in which some robot has no action, so that it is done
+    immediately.
 
-    :param everybody: only those in which no robot has one.
+    :param everybody: whether to return only those in which no robot has an action.
     """
     every = all if everybody else any
     found = set()
@@ -93,15 +94,15 @@ def idle_places(plan: Plan, *, everybody: bool = False) -> Set[int]:
 
 
 def asked_at_once(plan: Plan, place: int) -> Optional[int]:
-    """The exponential transition that a robot without an action asks for in place number ``place``
-    as soon as it is there; None if it asks for none."""
+    """The exponential transition that a robot without an action requests immediately in place
+    number ``place``; None if it requests none."""
     net = plan.net
     leaving = plan.of_action(place)
     if not leaving or any(not net.transitions[t].timed for t in net.consumers[place]):
         return None
     if len(leaving) == 1:
         return leaving[0]
-    rule = plan.failure_rule(net.places[place].name)  # nobody says which: the action has failed
+    rule = plan.failure_rule(net.places[place].name)  # none is named: the action has failed
     if rule.kind is not FailureKind.FIRE:
         return None
     t = net.transition_number(rule.transition)
@@ -111,7 +112,8 @@ def asked_at_once(plan: Plan, place: int) -> Optional[int]:
 def timeless_transitions(plan: Plan) -> List[int]:
     """Numbers of the transitions that can follow another one with no action in between: those that
     take robots only from places where some robot has no action, or, if they are immediate, no
-    robot. A robot without an action asks for the one exponential transition of its place at once.
+    robot. A robot without an action immediately requests the only exponential transition of its
+    place.
     """
     net = plan.net
     idle = idle_places(plan)
@@ -187,7 +189,7 @@ def find_cycle(net: Net, transitions: List[int]) -> List[str]:
 def places_in_cycles(net: Net, transitions: List[int]) -> Set[int]:
     """Numbers of the places that lie on a cycle of places and ``transitions``."""
     pairs = {(p, q) for t in transitions for p, _ in net.inputs[t] for q, _ in net.outputs[t]}
-    while True:  # an arc that leads nowhere, or to whose begin nothing leads, is on no cycle
+    while True:  # an arc without successors or predecessors is on no cycle
         begins, reached = {p for p, _ in pairs}, {q for _, q in pairs}
         on_none = {(p, q) for p, q in pairs if p not in reached or q not in begins}
         if not on_none:
@@ -195,7 +197,7 @@ def places_in_cycles(net: Net, transitions: List[int]) -> Set[int]:
         pairs -= on_none
     if not pairs:
         return set()
-    import numpy as np  # most checks do without
+    import numpy as np  # most checks do not need it
 
     from gspn_framework_package.analysis.graph import components
 
@@ -206,7 +208,7 @@ def places_in_cycles(net: Net, transitions: List[int]) -> Set[int]:
 
 
 class PolicyCover:
-    """What the rows of a policy decide on their own, without looking at markings."""
+    """What the rows of a policy decide by themselves, without visiting markings."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -217,7 +219,8 @@ class PolicyCover:
         numbers = plan.policy.scope_numbers()
         self._scope = {plan.net.place_number(name): k for name, k in numbers.items()}
         row_scope = plan.policy.row_scopes()
-        # the rows that look at one place at most: only those can match whatever the others hold
+        # the rows that constrain at most one place: only those can match whatever the other places
+        # contain
         self._few_cells: Dict[int, List[Tuple[str, int]]] = {}
         self._few_of: Dict[int, List[int]] = {}  # scope -> those of its rows
         for number, row in enumerate(plan.policy.rows):
@@ -244,7 +247,7 @@ class PolicyCover:
                     self._spoken.setdefault(p, []).append(number)
 
     def matches(self, place: int) -> bool:
-        """Whether some row that has a say there matches every marking with a robot in ``place``."""
+        """Whether some row that applies to ``place`` matches every marking with a robot there."""
         return self._by_own_count(place, self._few_of.get(self._scope.get(place, 0), []))
 
     def speaks(self, place: int) -> bool:
@@ -258,9 +261,9 @@ class PolicyCover:
         return place not in self._spoken and self.matches(place)
 
     def always_moves(self, place: int) -> bool:
-        """Whether the policy moves a robot out of ``place`` in every marking, whatever the others
-        do: it always decides for ``place``, chooses only transitions that one robot alone can fire,
-        and no row lets robots wait there."""
+        """Whether the policy moves a robot out of ``place`` in every marking, whatever the other
+        robots do: it always decides for ``place``, chooses only transitions that one robot alone
+        can fire, and no row lets robots wait there."""
         net = self._plan.net
         choices = {self._plan.policy.rows[number].choices for number in self._spoken.get(place, [])}
         chosen = {
@@ -280,8 +283,7 @@ class PolicyCover:
         )
 
     def _may_wait(self, place: int) -> bool:
-        """Whether a row without choices might apply to ``place``, about which other rows always
-        speak."""
+        """Whether a row without choices might apply to ``place``, which other rows always cover."""
         rows = self._plan.policy.rows
         always = [n for n in self._spoken[place] if all(c is None for c in rows[n].counts)]
         last = always[0] if always else math.inf

@@ -1,4 +1,4 @@
-"""Where robots enter and leave the subnets of a plan."""
+"""The flow of robots into and out of the subnets of a plan."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class SubnetFlow(NamedTuple):
 
 
 class SubnetCounts(NamedTuple):
-    """What some runs show of one subnet, as arrays with a value for each run.
+    """Observations of one subnet in some runs, as arrays with one value per run.
 
     :ivar inside: robots inside times seconds.
-    :ivar entries: how many robots entered.
-    :ivar exits: how many left, through a transition.
+    :ivar entries: number of robots that entered.
+    :ivar exits: number that left through a transition.
     """
 
     inside: Floats
@@ -46,8 +46,8 @@ class SubnetCounts(NamedTuple):
 
 
 def subnet_flows(plan: Plan) -> Dict[str, SubnetFlow]:
-    """Subnet -> the flow of its robots. A transition that takes a robot from inside to inside, but
-    belongs to the plan around, ends a visit and begins another."""
+    """Subnet -> the flow of its robots. A transition of the surrounding plan that moves a robot
+    from inside to inside ends a visit and begins another."""
     net, found = plan.net, {}
     for name, subnet in plan.subnets.items():
         places = tuple(p for p in subnet.places if p not in plan.resource_places)
@@ -74,7 +74,7 @@ def _robots(
 
 
 def subnet_counts(plan: Plan, net: Net, firings: Floats, tokens: Floats) -> Dict[str, SubnetCounts]:
-    """Subnet -> what runs show of it.
+    """Subnet -> its observations in some runs.
 
     :param net: the net whose transitions and places are the columns of ``firings`` and ``tokens``
         (tokens times seconds), which have a row for each run.

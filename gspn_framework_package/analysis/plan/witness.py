@@ -9,11 +9,11 @@ from gspn_framework_package.model.net import Marking, Net
 
 
 class PlayedSequence(NamedTuple):
-    """What a firing sequence leads to.
+    """The result of a firing sequence.
 
     :ivar fired: the transitions that fired.
-    :ivar markings: the marking at the start, and after each of them.
-    :ivar stopped_by: why the next transition cannot fire; empty if all fired.
+    :ivar markings: the initial marking, and the marking after each firing.
+    :ivar stopped_by: the reason why the next transition cannot fire; empty if all fired.
     """
 
     net: Net

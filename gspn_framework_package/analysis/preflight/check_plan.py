@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gspn_framework_package.analysis.watch import Cancel, Progress
 
 MARKING_LIMIT = 200_000
-"""Default limit on the markings that the check visits."""
+"""Default limit on the markings visited by the check."""
 
 __all__ = ["MARKING_LIMIT", "ServerProbe", "check"]
 
@@ -35,12 +35,12 @@ def check(
 ) -> PreflightReport:
     """Check a plan before it runs.
 
-    :param limit: most markings to visit.
+    :param limit: largest number of markings to visit.
     :param server_probe: see :data:`ServerProbe`; without it the servers are not checked.
     :param standalone: the tokens are agents, which a net may create and destroy, not robots.
     :param progress: receives the number of markings at intervals.
     :param cancel: called at intervals; returns whether to stop.
-    :raises PlanError: the plan is invalid: a name does not exist, or a rule makes no sense.
+    :raises PlanError: the plan is invalid: a name does not exist, or a rule is invalid.
     :raises PolicyError: the policy is invalid in the same way.
     :raises CancelledError: ``cancel`` returned true.
     """
@@ -54,7 +54,7 @@ def check(
     by_structure.look_at_structure()
     markings = None
     if by_structure.open:
-        # most plans do without, and without what explores
+        # most plans do not need it, nor the exploration that it imports
         from gspn_framework_package.analysis.preflight.markings import MarkingChecks
 
         by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel)

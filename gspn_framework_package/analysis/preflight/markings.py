@@ -26,14 +26,14 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.errors import LimitError
 
 TREE_NODES = 5_000
-"""Most nodes of the coverability tree that shows which places grow."""
+"""Largest number of nodes of the coverability tree that shows which places grow."""
 
 
 class MarkingChecks:
     """Adds the findings from the reachable markings to a checklist.
 
     :param structure: the structural checks, with the questions that they left open.
-    :param limit: most markings to visit.
+    :param limit: largest number of markings to visit.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class MarkingChecks:
             self._list.add(
                 "exploration",
                 Severity.WARNING,
-                "not decided within %d markings: %s; what was found so far is "
+                "not decided within %d markings: %s; the findings so far are "
                 "listed" % (len(markings.space), name_list(self._structure.open)),
                 open=list(self._structure.open),
             )
@@ -144,7 +144,7 @@ class MarkingChecks:
             self._list.add(
                 "agents_left",
                 Severity.REFUSED,
-                "every agent can end: after %s none is left, and none can come; let the last "
+                "every agent can end: after %s none is left and none can be created; let the last "
                 "transition lead into a place without outputs" % sequence(gone.sequence),
                 **gone.to_json(),
             )
@@ -157,7 +157,7 @@ class MarkingChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.REFUSED,
-                "transitions fire without end, with no action or time between them, after %s, in "
+                "transitions fire forever, with no action or time between them, after %s, in "
                 "%s: the run would end at once%s"
                 % (
                     sequence(traps[0].sequence),
@@ -171,7 +171,7 @@ class MarkingChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.OK,
-                "the cycle %s takes no time, and always ends" % " -> ".join(self._structure.cycle),
+                "the cycle %s takes no time, but always ends" % " -> ".join(self._structure.cycle),
                 cycle=self._structure.cycle,
                 decided_by="exploration",
             )
@@ -179,16 +179,16 @@ class MarkingChecks:
             self._undecided(
                 markings,
                 "timeless_cycle",
-                "whether the cycle %s can go on without end" % " -> ".join(self._structure.cycle),
+                "whether the cycle %s can continue forever" % " -> ".join(self._structure.cycle),
             )
 
     def _whose_action_is_missing(self) -> str:
-        """What to do about a cycle without time, if places in it have no action."""
+        """The advice for a timeless cycle, if places in it have no action."""
         idle = idle_places(self.plan)
         places = dict.fromkeys(p for p in self._structure.cycle if p in self.net.place_index)
         listed = [p for p in places if self.net.place_number(p) in idle]
         return (
-            "; robots have no action (null) in %s, and pass at once: give one of these places an "
+            "; robots have no action (null) in %s and pass at once: give one of these places an "
             "action" % name_list(listed)
             if listed
             else ""
@@ -226,8 +226,8 @@ class MarkingChecks:
         )
 
     def _growing(self) -> List[str]:
-        """The places that can hold any number of tokens, as far as a coverability tree of limited
-        size shows them."""
+        """The places that can contain any number of tokens, as far as a coverability tree of
+        limited size shows."""
         try:
             tree = CoverabilityTree(
                 self.net.without_places(self._structure.written),
@@ -249,7 +249,7 @@ class MarkingChecks:
             "dead_markings",
             Severity.WARNING,
             [finding for finding in found if finding.sequence],
-            "dead marking: nothing goes on",
+            "dead marking: nothing can happen",
         )
         lost = list(markings.dead(after_losses=True))
         if lost:
@@ -296,15 +296,14 @@ class MarkingChecks:
             self._list.add(
                 "policy",
                 Severity.OK,
-                "the policy has a row for every marking that asks for a decision",
+                "the policy has a row for every marking that needs a decision",
                 decided_by="exploration",
             )
         elif not gaps and not waiting:
             self._undecided(markings, "policy", "whether the policy covers every marking")
 
     def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
-        """The findings, with only the first of those that differ only in counters that nothing but
-        ``until`` reads."""
+        """The findings; of those that differ only in counters read only by ``until``, the first."""
         counters = set(only_written(replace(self.plan, until=None)))
         kinds: Dict[Any, Finding] = {}
         for finding in findings:
@@ -327,7 +326,7 @@ class MarkingChecks:
             )
         if len(found) > LISTED:
             self._list.add(
-                check, severity, "%s: %d markings in all" % (what, len(found)), count=len(found)
+                check, severity, "%s: %d markings in total" % (what, len(found)), count=len(found)
             )
 
     def _undecided(self, markings: PlanMarkings, check: str, what: str) -> None:

@@ -16,7 +16,7 @@ from gspn_framework_package.model.plan import Plan, Transport
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
 """Called with (robot, place, action) to check whether the action's server answers; returns None if
-it does, otherwise the fault."""
+it does, otherwise an error message."""
 
 
 class NameChecks:
@@ -46,13 +46,13 @@ class NameChecks:
         self._look_at_transport()
 
     def _look_at_transport(self) -> None:
-        """Report a library that the robots need and this machine does not have."""
+        """Report a library that the robots need but this machine does not have."""
         if self.plan.transport is Transport.ZENOH and find_spec("zenoh") is None:
             self._list.add(
                 "transport",
                 Severity.WARNING,
-                "the robots talk through Zenoh, and there is no Python library 'zenoh' here: "
-                "pip install eclipse-zenoh wherever one of them runs",
+                "the robots communicate over Zenoh, but Python's library 'zenoh' is missing here: "
+                "pip install eclipse-zenoh on each of their machines",
             )
 
     def _look_at_actions(self) -> None:
@@ -79,7 +79,7 @@ class NameChecks:
             self._list.add(
                 "actions",
                 Severity.REFUSED,
-                "%s: a resource place has no action" % name_list(mapped_resources),
+                "%s: a resource place must not have an action" % name_list(mapped_resources),
                 places=mapped_resources,
             )
         if not unmapped and not mapped_resources:
@@ -141,15 +141,15 @@ class NameChecks:
         listed: List[Dict[str, Any]] = [
             {"place": self.net.places[p].name, "rows": [a + 1, b + 1]}
             for p, a, b in overlaps
-            if self.net.places[p].name not in self.plan.resource_places  # no robot decides there
+            if self.net.places[p].name not in self.plan.resource_places  # no decision there
         ]
         for entry in listed[:LISTED]:
             first, second = entry["rows"]
             self._list.add(
                 "policy_overlaps",
                 Severity.WARNING,
-                "rows %d and %d of the policy can both match, and both speak "
-                "of %s: row %d goes first" % (first, second, entry["place"], first),
+                "rows %d and %d of the policy can both match, and both apply "
+                "of %s: row %d takes precedence" % (first, second, entry["place"], first),
                 **entry,
             )
         if len(listed) > LISTED:
@@ -176,14 +176,14 @@ class NameChecks:
                 self._list.add(
                     "unasked",
                     Severity.REFUSED,
-                    "%s has no action, and only exponential outputs (%s): nobody "
-                    "says which one to ask for, so robots fail there at once; give it an action"
+                    "%s has no action and only exponential outputs (%s): nothing "
+                    "selects one of them, so robots fail there at once; give it an action"
                     % (name, name_list(t.name for t in leaving)),
                     place=name,
                 )
 
     def _look_at_the_beginning(self) -> None:
-        """Refuse a plan whose run would be over as it begins."""
+        """Refuse a plan whose run would end immediately."""
         plan, net = self.plan, self.net
         if plan.until and parse_condition(plan.until, [p.name for p in net.places]).holds(
             net.initial_marking
@@ -191,7 +191,7 @@ class NameChecks:
             self._list.add(
                 "ends_at_once",
                 Severity.REFUSED,
-                "the condition 'until' (%s) holds at the start: the run would be over as it begins"
+                "the condition 'until' (%s) holds at the start: the run would end immediately"
                 % plan.until,
             )
         acts = {net.place_number(name) for name in plan.action_places}
@@ -203,8 +203,8 @@ class NameChecks:
             self._list.add(
                 "ends_at_once",
                 Severity.REFUSED,
-                "no place has an action (all are null): nothing takes time, and the run would be "
-                "over as it begins; give a place an action",
+                "no place has an action (all are null): nothing takes time, and the run would end "
+                "immediately; give a place an action",
                 places=list(plan.action_places),
             )
 
@@ -219,7 +219,7 @@ class NameChecks:
                 "decision_actions",
                 Severity.OK,
                 "%s: robots run an action there before they decide; with --timing net, "
-                "analysis takes these places as taking no time" % name_list(places),
+                "analysis assumes that these places take no time" % name_list(places),
                 places=places,
             )
 
@@ -228,7 +228,7 @@ class NameChecks:
         return bool(leaving) and not any(t.timed for t in leaving)
 
     def _of_action(self, place: str) -> List[Transition]:
-        """The transitions that leave a place without an event: those that a robot asks for."""
+        """The transitions that leave a place without an event: those that a robot requests."""
         asked = self.plan.of_action(self.net.place_number(place))
         return [self.net.transitions[t] for t in asked]
 

@@ -1,5 +1,5 @@
-"""The part of the check about events, tasks and data: what interrupts what, which names nothing
-writes, and where a task can get lost."""
+"""The part of the check about events, tasks and data: which events interrupt what, which names are
+never written, and where a task can get lost."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ReactingChecks:
         self._acts = {net.place_number(p) for p in plan.action_places}
 
     def look_at_reactions(self) -> None:
-        """Look at all of it, as far as the plan has any."""
+        """Check events, tasks and data, if the plan has any."""
         if self.plan.events:
             self._look_at_events()
         if self._queues:
@@ -105,8 +105,8 @@ class ReactingChecks:
             )
 
     def _possible(self) -> Set[int]:
-        """The transitions that may fire, as far as single places show: all their input places can
-        get a token."""
+        """The transitions that may fire, judged by single places: all their input places can get a
+        token."""
         net = self.net
         marked = {p for p, place in enumerate(net.places) if place.tokens}
         marked |= {net.place_number(p) for p in self.plan.spawn}
@@ -141,7 +141,7 @@ class ReactingChecks:
             kept = 0 if t in self._done else len(laden)
             if taken and not movers and t not in self._done and taken > given:
                 self._warn(
-                    "%s takes a task from its queue, and no robot gets it: it is dropped; list the "
+                    "%s takes a task from its queue, but no robot gets it: it is dropped; list the "
                     "transition in tasks.done if the task is done there" % transition.name,
                     transition=transition.name,
                 )
@@ -165,7 +165,7 @@ class ReactingChecks:
         ends = [net.places[p].name for p in sorted(carrying) if not net.consumers[p]]
         if ends:
             self._warn(
-                "a robot can end in %s with a task that is not done" % name_list(ends), places=ends
+                "a robot can end in %s with an unfinished task" % name_list(ends), places=ends
             )
         alone = [
             net.places[p].name
@@ -177,7 +177,7 @@ class ReactingChecks:
         ]
         if alone and plan.timing.evict_after > 0 and not self._standalone:
             self._warn(
-                "a robot that is lost in %s keeps its task, and nobody else does it; let on_evict "
+                "a robot that is lost in %s keeps its task, which nobody else does; let on_evict "
                 "give a token back to the queue there" % name_list(alone),
                 places=alone,
             )
@@ -185,7 +185,7 @@ class ReactingChecks:
             self._list.add(
                 "tasks",
                 Severity.OK,
-                "tasks queue in %s and are done at %s; none gets lost on the way (by structure)"
+                "tasks queue in %s and are done at %s; none gets lost (by structure)"
                 % (name_list(plan.tasks.queues), name_list(plan.tasks.done)),
                 queues=list(plan.tasks.queues),
                 done=list(plan.tasks.done),
@@ -197,15 +197,15 @@ class ReactingChecks:
         self._list.add("tasks", Severity.WARNING, text, **details)
 
     def _tasks_of(self, t: int) -> Tuple[int, int]:
-        """How many tasks transition ``t`` takes from queues, and puts into queues."""
+        """The numbers of tasks that transition ``t`` takes from queues and puts into queues."""
         return (
             sum(w for p, w in self.net.inputs[t] if p in self._queues),
             sum(w for p, w in self.net.outputs[t] if p in self._queues),
         )
 
     def _carrying(self) -> Set[int]:
-        """The action places in which a robot may carry a task: where a task goes with it, by every
-        transition that may fire."""
+        """The action places in which a robot may carry a task, found by following tasks through
+        every transition that may fire."""
         net = self.net
         carrying: Set[int] = set()
         possible = self._possible()
@@ -253,9 +253,7 @@ class ReactingChecks:
             elif name in written or name == "task.id":
                 continue
             elif scope == "task":
-                self._data(
-                    Severity.OK, who + ": the tasks that come in have to bring it", name, places
-                )
+                self._data(Severity.OK, who + ": submitted tasks must contain it", name, places)
             elif open_ended:
                 self._data(
                     Severity.OK,
@@ -267,7 +265,7 @@ class ReactingChecks:
             else:
                 self._data(
                     Severity.WARNING,
-                    who + ", which nothing writes: the action fails there",
+                    who + ", which is never written: the action fails there",
                     name,
                     places,
                 )
@@ -280,4 +278,4 @@ class ReactingChecks:
 
 
 def _more(listed: List[str]) -> str:
-    return ", ... (%d in all)" % len(listed) if len(listed) > LISTED else ""
+    return ", ... (%d in total)" % len(listed) if len(listed) > LISTED else ""

@@ -1,4 +1,4 @@
-"""The report of the check before any robot moves: items as text, and the same as JSON."""
+"""The report of the check before any robot moves: items as text and as JSON."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Sequence, Tup
 
 
 class Severity(enum.Enum):
-    """How bad an item is."""
+    """The severity of an item."""
 
     OK = "ok"
     """Nothing to do."""
     WARNING = "warning"
-    """The plan may run, but somebody should look at it."""
+    """The plan may run, but should be reviewed."""
     REFUSED = "refused"
     """The plan must not run."""
 
@@ -31,8 +31,8 @@ class CheckItem(NamedTuple):
 class PreflightReport(NamedTuple):
     """The answers of :func:`gspn_framework_package.analysis.preflight.check`.
 
-    :ivar states: how many markings were visited; 0 if the structure decided everything.
-    :ivar complete: whether those were all.
+    :ivar states: number of markings visited; 0 if the structure decided everything.
+    :ivar complete: whether these were all.
     :ivar seconds: duration of the check (s).
     """
 
@@ -49,8 +49,8 @@ class PreflightReport(NamedTuple):
 
     @property
     def doubts(self) -> Tuple[str, ...]:
-        """What speaks against a plan that may run, in a few words each: a run can get stuck, robots
-        can wait for good, or transitions never fire."""
+        """Doubts about a plan that may run, in a few words each: a run can get stuck, robots can
+        wait forever, or transitions never fire."""
         if self.refused:
             return ()
         warnings = [item for item in self.items if item.severity is Severity.WARNING]
@@ -62,7 +62,7 @@ class PreflightReport(NamedTuple):
         if number:
             found.append("can get stuck (%d dead marking%s)" % (number, "s"[: number > 1]))
         if any(item.details.get("waits") for item in warnings):
-            found.append("can let robots wait for good")
+            found.append("can let robots wait forever")
         if never:
             found.append(
                 "has %d transition%s"
@@ -72,7 +72,7 @@ class PreflightReport(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """What the check comes to, in a few words."""
+        """The verdict of the check, in a few words."""
         if self.refused:
             return "refused"
         return ", but ".join(filter(None, ("may run", ", and ".join(self.doubts))))
@@ -93,7 +93,7 @@ class PreflightReport(NamedTuple):
         return tuple(item for item in self.items if item.check == check)
 
     def to_json(self) -> Dict[str, Any]:
-        """Everything, as plain JSON values."""
+        """The report as plain JSON values."""
         return {
             "plan": self.plan,
             "accepted": not self.refused,
@@ -122,7 +122,7 @@ class PreflightReport(NamedTuple):
             "by structure alone"
             if not self.states
             else "%d markings visited%s"
-            % (self.states, "" if self.complete else ", and possibly more")
+            % (self.states, "" if self.complete else ", possibly not all")
         )
         return "\n".join(
             lines + ["%s %s (%s, %.3f s)" % (self.plan, self.verdict, how, self.seconds)]
@@ -130,8 +130,8 @@ class PreflightReport(NamedTuple):
 
 
 LISTED = 10
-"""Most findings of one kind, and most names in one sentence, that a report lists; it always gives
-their total number."""
+"""Largest number of findings of one kind, and of names in one sentence, that a report lists; it
+always gives the total number."""
 
 
 class Checklist:
@@ -147,7 +147,7 @@ class Checklist:
     def report_bounds(self, bounds: Dict[str, int], how: str) -> None:
         """Report that these resource places are bounded.
 
-        :param bounds: place -> most tokens.
+        :param bounds: place -> largest number of tokens.
         :param how: how this was decided.
         """
         listed = ", ".join("%s %d" % item for item in itertools.islice(bounds.items(), LISTED))
@@ -163,7 +163,7 @@ class Checklist:
 def name_list(listed: Iterable[str]) -> str:
     """Names for a sentence, abbreviated if there are many."""
     everyone = list(listed)
-    more = ", ... (%d in all)" % len(everyone) if len(everyone) > LISTED else ""
+    more = ", ... (%d in total)" % len(everyone) if len(everyone) > LISTED else ""
     return ", ".join(everyone[:LISTED]) + more
 
 

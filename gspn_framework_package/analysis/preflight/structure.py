@@ -1,4 +1,4 @@
-"""The part of the check that the structure decides, in milliseconds; the markings decide the
+"""The part of the check that the structure decides in milliseconds; the markings decide the
 rest."""
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class StructureChecks:
         self._cover = PolicyCover(plan)
 
     def look_at_structure(self) -> None:
-        """Answer what the structure can answer, and record what is open."""
+        """Answer the questions that the structure decides, and record the open ones."""
         self._look_at_flows()
         self._look_at_cycles()
         self._look_at_predictions()
@@ -71,7 +71,7 @@ class StructureChecks:
             self._list.add(
                 "creates_robots",
                 Severity.REFUSED,
-                "%s takes no robot and has an action place among its outputs: there is no robot "
+                "%s takes no robot but has an action place among its outputs: there is no robot "
                 "to move" % transitions[t].name,
                 transition=transitions[t].name,
             )
@@ -85,7 +85,7 @@ class StructureChecks:
             self._list.add(
                 "conservative",
                 Severity.OK,
-                "every transition moves as many robots in as out, resource places aside (by "
+                "every transition moves as many robots in as out, ignoring resource places (by "
                 "structure)",
                 decided_by="structure",
             )
@@ -97,15 +97,14 @@ class StructureChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.OK,
-                "robots cannot go round without an action or a time between them (by structure)",
+                "robots cannot move in a cycle without an action or time (by structure)",
                 decided_by="structure",
             )
         elif len(cycle) == 1:
             self._list.add(
                 "timeless_cycle",
                 Severity.REFUSED,
-                "the immediate transition %s has no input place: it would fire without end"
-                % cycle[0],
+                "the immediate transition %s has no input place: it would fire forever" % cycle[0],
                 cycle=cycle,
             )
         else:
@@ -121,7 +120,7 @@ class StructureChecks:
             self._list.add(
                 "predictions",
                 Severity.WARNING,
-                "by the plan, the actions of %s take no time, and robots may go round there "
+                "according to the plan, the actions of %s take no time, and robots may cycle there "
                 "without any: a run takes the time that the actions take, but the simulation and "
                 "the analysis may refuse the plan; give these places 'durations'"
                 % name_list(acting),
@@ -147,7 +146,7 @@ class StructureChecks:
         # one server is also the default of a file that does not specify servers
         for single, severity, what in (
             (False, Severity.WARNING, "the file gives a limited number of servers"),
-            (True, Severity.OK, "one server in the file, or none said"),
+            (True, Severity.OK, "the file gives one server, or none"),
         ):
             listed = [t.name for t in differing if (t.servers == 1) is single]
             if listed:
@@ -156,7 +155,7 @@ class StructureChecks:
                     severity,
                     "%s: %s; robots work in parallel, so runs and the analysis of the plan have "
                     "as many servers as "
-                    "robots; the analysis of the net takes the file's word"
+                    "robots; the analysis of the net uses the file's value"
                     % (name_list(listed), what),
                     transitions=listed,
                 )
@@ -166,7 +165,7 @@ class StructureChecks:
             self._list.add(
                 "counters",
                 Severity.OK,
-                "%s: only written, so that they may grow without bound; left out of the "
+                "%s: only written, so they may grow without bound; omitted from the "
                 "exploration" % name_list(self.written),
                 places=list(self.written),
             )
@@ -207,14 +206,14 @@ class StructureChecks:
             )
 
     def _always_moves(self, p: int) -> bool:
-        """Whether a robot in place number ``p`` can continue whatever the others do."""
+        """Whether a robot in place number ``p`` can continue, whatever the others do."""
         if not always_leavable(self.net, p):
             return False
         events = [
             t for t in self.net.consumers[p] if self.net.transitions[t].name in self.plan.events
         ]
         if any(fires_alone(self.net, t, p) for t in events):
-            return True  # as soon as it comes
+            return True  # as soon as the robot arrives
         leaving = [self.net.transitions[t] for t in self.net.consumers[p] if t not in events]
         if any(t.timed for t in leaving) or self._cover.always_moves(p):
             return True
@@ -241,9 +240,8 @@ class StructureChecks:
             self._list.add(
                 "policy",
                 Severity.WARNING,
-                "a row of the policy always matches, and none speaks of a robot in %s: "
-                "it waits there for good, unless its action names a transition"
-                % name_list(ignored),
+                "a row of the policy always matches, but none applies to a robot in %s: "
+                "it waits there forever, unless its action names a transition" % name_list(ignored),
                 places=ignored,
                 waits=True,
             )
@@ -251,14 +249,14 @@ class StructureChecks:
             self._list.add(
                 "policy",
                 Severity.OK,
-                "no place asks for a decision (by structure)",
+                "no place needs a decision (by structure)",
                 decided_by="structure",
             )
         elif all(self._cover.matches(self.net.place_number(name)) for name in asking):
             self._list.add(
                 "policy",
                 Severity.OK,
-                "every marking that asks for a decision has a row (by structure)",
+                "every marking that needs a decision has a row (by structure)",
                 decided_by="structure",
             )
         elif not plan.policy.rows and not plan.strict and weighty:

@@ -1,4 +1,4 @@
-"""The check of a plan that a running team is to go on with."""
+"""The check of a plan to be deployed to a running team."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from gspn_framework_package.model.errors import CancelledError, GspnError
 from gspn_framework_package.model.plan import Plan
 
 CHECK_TIME = 3.0
-"""Seconds that the check of a plan may take while the team runs. What is not decided by then does
-not speak against the plan."""
+"""Seconds that the check of a plan may take while the team runs. Questions undecided by then do not
+count against the plan."""
 
 CHECK_MARKINGS = 50_000
-"""Markings that this check visits at most."""
+"""Largest number of markings that this check visits."""
 
 MARKINGS_AT_LAST = 50
-"""Markings that it visits when the time is over, for what the structure and these show."""
+"""Number of markings that it visits after the time is over, so that they and the structure can be
+reported."""
 
 
 def keeps_robots(plan: Plan) -> bool:
-    """Whether the plan creates and destroys no robots. A run without ROS whose plan keeps them goes
-    on only under plans that do."""
+    """Whether the plan creates and destroys no robots. A run without ROS whose plan does so can
+    only change to plans that do too."""
     return all(flow.taken == flow.put for flow in robot_flows(plan))
 
 
 def report_soon(
     plan: Plan, standalone: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> PreflightReport:
-    """What the check finds in :data:`CHECK_TIME`.
+    """The findings of the check within :data:`CHECK_TIME`.
 
-    :param standalone: whether transitions may create and destroy tokens: in a run without ROS
-        whose present plan does.
-    :raises GspnError: it is no valid plan.
+    :param standalone: whether transitions may create and destroy tokens, as in a run without ROS
+        whose present plan does so.
+    :raises GspnError: the plan is not valid.
     """
     deadline = clock() + CHECK_TIME
     try:

@@ -1,9 +1,9 @@
-"""An old plan against a new one, as they run: do the real durations, outcomes and failures bear out
+"""Compares an old and a new plan as they run: do the real durations, outcomes and failures confirm
 what a computed policy promises?
 
 Both plans are simulated in pairs of runs with the same random numbers, and the differences within
-the pairs are averaged. The interval of their mean is right whether or not the two runs of a pair
-have much in common; the more they have, the narrower it is.
+the pairs are averaged. The interval of their mean is valid whether or not the two runs of a pair
+are correlated; the stronger the correlation, the narrower it is.
 
 >>> from gspn_framework_package.analysis.decisions.aims import Objective
 >>> from gspn_framework_package.model.builder import NetBuilder
@@ -59,31 +59,31 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
 BATCH_SECONDS = 10.0
-"""Default time of the machine for a comparison (s)."""
+"""Default computing time of a comparison (s)."""
 
 LEAST_PAIRS = 20
-"""Fewest pairs of runs, however long they take: a t interval of fewer is not to be trusted where
-the values of a run are skewed."""
+"""Smallest number of pairs of runs, however long they take: with fewer, a t interval is unreliable
+if the values are skewed."""
 
 MOST_PAIRS = 1_000_000
 
 
 _WINDOWS = 20
-"""Parts of a first run in which the warm-up is looked for."""
+"""Number of parts of a first run in which the warm-up is searched for."""
 
 _FIRST_RUNS = 8
-"""First runs of each plan, which decide on the warm-up only."""
+"""First runs of each plan, used only to find the warm-up."""
 
 _MOST_LONGER = 6
-"""A warm-up is lengthened so many times at most."""
+"""Largest number of times that a warm-up is lengthened."""
 
 _ROUNDING = 1e-9
 
 _LOOKS = (20, 60, 200, 600)
-"""Numbers of pairs at which a warm-up that turns out to be too short is lengthened."""
+"""Numbers of pairs after which a warm-up that is too short is lengthened."""
 
 _LONGEST = 20.0
-"""A run that may not reach a condition lasts so many times as long as a first look at it."""
+"""Length of a run that may not reach its condition, as a multiple of a first estimate."""
 
 
 def compare_plans(
@@ -104,29 +104,29 @@ def compare_plans(
     cancel: Optional[Cancel] = None,
     on: Optional[Executor] = None,
 ) -> Against:
-    """Simulate two plans as they run, and compare what they are worth for an aim.
+    """Simulate two plans as they run, and compare their values for an aim.
 
-    The runs end at the earliest of ``seconds``, ``replications`` and ``precision``, but there are
-    at least :data:`LEAST_PAIRS` pairs, unless ``replications`` asks for fewer.
+    The runs end at the earliest of ``seconds``, ``replications`` and ``precision``, but after at
+    least :data:`LEAST_PAIRS` pairs, unless ``replications`` is smaller.
 
     :param old: a validated plan; ``new`` is another with the same places and transitions as far as
         the aim names them.
-    :param seconds: time of this machine (s); None: no limit.
+    :param seconds: computing time (s); None: no limit.
     :param replications: number of pairs of runs.
     :param precision: the half width of the difference, relative to the value of the old plan, that
         is enough.
     :param time: length of a run (s), for the long run and for the probability to reach a condition.
         By default it is chosen.
-    :param warmup: time (s) at the start of a run that the long run leaves out. By default it is
+    :param warmup: time (s) at the start of a run that the long run leaves out. By default, it is
         found in first runs of both plans, which are not used otherwise.
-    :param expected: the difference that a model promises; how many runs it takes to notice a
-        difference is said for this size. By default, for the size that was seen.
+    :param expected: the difference that a model promises, for which the number of runs needed is
+        reported; by default, the observed difference.
     :param losses: how often a robot is lost, per second and robot.
     :param seed: the same seed gives the same runs.
     :param confidence: level of the intervals.
-    :param on: who computes: this process, by default. The same pairs give the same result.
-    :raises UsageError: a number makes no sense, or a plan lacks a name of the aim.
-    :raises ExpressionError: the condition cannot be read.
+    :param on: where to compute: by default in this process. The same pairs give the same result.
+    :raises UsageError: a number is invalid, or a plan lacks a name of the aim.
+    :raises ExpressionError: the condition cannot be parsed.
     :raises RefusedError: a plan cannot be played: a timeless cycle.
     :raises CancelledError: ``cancel`` returned true.
     """
@@ -178,9 +178,9 @@ def _check(
     if not 0 < confidence < 1:
         raise UsageError("a confidence of %g is not possible" % confidence)
     if replications is not None and replications < 2:
-        raise UsageError("%d pairs of runs make no interval" % replications)
+        raise UsageError("%d pairs of runs are too few for an interval" % replications)
     if seconds is not None and not seconds > 0:
-        raise UsageError("%g s are no time" % seconds)
+        raise UsageError("a time of %g s is not possible" % seconds)
     if precision is not None and not 0 < precision < 1:
         raise UsageError("a precision of %g is not possible" % precision)
     if time is not None:
@@ -271,7 +271,7 @@ class _Comparison:
         elif warmup is None and self.warmup > time / 2:
             self.warmup = time / 2
             self.notes.append(
-                "a run of %g s is short: its start counts for about %g s" % (time, found)
+                "a run of %g s is short: its start matters for about %g s" % (time, found)
             )
         self.time = time
         self._chosen = warmup is None
@@ -296,8 +296,8 @@ class _Comparison:
     # -- the runs ----------------------------------------------------------------------------------
 
     def settle(self) -> None:
-        """If the runs still change after their warm-up, begin again with a longer one, as long as
-        half of the time is left."""
+        """If the runs still change after their warm-up, start again with a longer one, unless more
+        than half of the time is used up."""
         if self.objective.aim is not Aim.LONG_RUN or not any(
             self._drifting(which) for which in (0, 1)
         ):
@@ -316,7 +316,7 @@ class _Comparison:
         self._cut, self._late = [0, 0], [0, 0]
 
     def compile_for(self, most: int, precision: Optional[float]) -> None:
-        """Use the compiled kernel if the pairs that are missing take long enough."""
+        """Use the compiled kernel if the remaining pairs take long enough."""
         if not self._may_compile or self._player.firings < machine.WORTH_COMPILING:
             return
         now = clock.monotonic()
@@ -335,7 +335,7 @@ class _Comparison:
         self._player.compile()
 
     def played(self, most: int) -> Iterator[PlayedPair]:
-        """Play the next pairs: one here, or up to the next look at them where there are workers."""
+        """Play the next pairs: one in this process, or with workers, all up to the next check."""
         contest = self._contest._replace(time=self.time, warmup=self.warmup)
         if isinstance(self._executor, LocalExecutor):
             self._player.contest = contest
@@ -359,7 +359,7 @@ class _Comparison:
             yield from found
 
     def add(self, pair: PlayedPair) -> None:
-        """Take a pair."""
+        """Add a pair to the results."""
         if isinstance(pair, str):
             self._gave_up = pair
             return
@@ -373,7 +373,7 @@ class _Comparison:
         self.pairs += 1
 
     def is_over(self, precision: Optional[float], confidence: float) -> bool:
-        """Whether there are pairs enough."""
+        """Whether there are enough pairs."""
         if self._gave_up:
             return True
         if self.pairs < LEAST_PAIRS:
@@ -399,11 +399,11 @@ class _Comparison:
         if self.objective.aim is Aim.REACH:
             return paired_shares(old > 0, new > 0, confidence)
         if any(self._missed):
-            return Measured(None, why="not every run comes to the condition")
+            return Measured(None, why="not every run reaches the condition")
         return paired_mean(new - old, confidence)
 
     def result(self, confidence: float, expected: Optional[float]) -> Against:
-        """What the pairs say."""
+        """The result of the pairs."""
         spent = clock.monotonic() - self._pairs_began
         measured = []
         for which, values in enumerate(self._values):
@@ -426,7 +426,7 @@ class _Comparison:
             if not significant and size > 0:
                 needed = self._needed(size, confidence, spent)
         if self._gave_up:
-            self.notes.append("%s and was given up" % self._gave_up)
+            self.notes.append("%s and was abandoned" % self._gave_up)
         found = Against(
             self.objective,
             measured[0],
@@ -456,7 +456,7 @@ class _Comparison:
         missed = self._missed[which]
         if missed:
             come = values[np.isfinite(values)]
-            text = "%d of %d runs never come to the condition" % (missed, len(values))
+            text = "%d of %d runs never reach the condition" % (missed, len(values))
             if len(come):
                 text += "; the others have %.6g on average" % come.mean()
             return Measured(None, why=text)
@@ -467,12 +467,12 @@ class _Comparison:
             cut = self._cut[which]
             if cut and self.objective.aim is Aim.LONG_RUN:
                 self.notes.append(
-                    "%d of %d runs of the %s plan end; the marking then stays as it is"
+                    "%d of %d runs of the %s plan end; the marking then stays the same"
                     % (cut, self.pairs, name)
                 )
             elif cut:
                 self.notes.append(
-                    "%d of %d runs of the %s plan still go on after %.6g s; they count as not "
+                    "%d of %d runs of the %s plan are unfinished after %.6g s; they count as not "
                     "reaching the condition" % (cut, self.pairs, name, self.time or 0.0)
                 )
 
@@ -491,7 +491,7 @@ class _Comparison:
         if self._chosen:
             again = ", and in later ones that still changed" if self._longer else ""
             self.notes.append(
-                "the first %.4g s of each run of %.4g s are left out, as found in %d first runs "
+                "the first %.4g s of each run of %.4g s are left out, from %d first runs "
                 "(MSER)%s" % (self.warmup, self.time or 0.0, _FIRST_RUNS, again)
             )
         for which, name in enumerate(("old", "new")):

@@ -1,4 +1,4 @@
-"""Runs of a plan that are valued by an aim: what they earn, and whether they reach a condition."""
+"""Runs of a plan evaluated by an aim: their reward, and whether they reach a condition."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gspn_framework_package.model.plan_timing import PlanTiming
 
 _COMPILED_EVENTS = 200_000
 _PLAIN_EVENTS = 5_000
-"""Events between two looks at the watch."""
+"""Events between two checks of the watch."""
 
 _TO_LOAD = 4.0
 """Loading the compiled kernel takes a second or two."""
@@ -32,18 +32,18 @@ _TO_COMPILE = 60.0
 class AimedRun:
     """Runs of one plan as it is executed, one after the other.
 
-    Where a run ends, the marking stays as it is: its places go on earning.
+    When a run ends, the marking stays the same: its places continue to earn reward.
 
     :param plan: a validated plan.
-    :param objective: what a run earns, and the condition that it is to reach.
+    :param objective: the reward of a run, and the condition to reach.
     :param watch: receives the progress.
     :param losses: rate (1/s) at which each robot is lost.
     :ivar tables: the plan as arrays.
     :ivar run: the run by the kernel.
-    :ivar assumptions: what is assumed about the times of the plan.
-    :ivar ended: why the current run ended, a status of the kernel; None while it goes on.
+    :ivar assumptions: the assumptions about the times of the plan.
+    :ivar ended: the status of the kernel at the end of the current run; None until then.
     :ivar watch: receives the progress.
-    :ivar deadline: the time of the machine (s, monotonic) at which a run is given up.
+    :ivar deadline: the time of the machine (s, monotonic) at which a run is abandoned.
     """
 
     def __init__(self, plan: Plan, objective: Objective, watch: Watch, losses: float = 0.0) -> None:
@@ -75,10 +75,10 @@ class AimedRun:
         self.run.begin(words.tolist())
 
     def go(self, stop: float = math.inf, most: Optional[int] = None) -> None:
-        """Go on until the clock reaches ``stop`` (s), the run ends, or, if ``most`` is given, so
-        many events have happened.
+        """Continue until the clock reaches ``stop`` (s), the run ends, or ``most`` events have
+        happened.
 
-        :raises RefusedError: there is something that cannot be played.
+        :raises RefusedError: the plan cannot be played.
         :raises CancelledError: the work was cancelled.
         :raises LimitError: the deadline has passed.
         """
@@ -95,7 +95,7 @@ class AimedRun:
                 if most <= 0:
                     break
             if clock.monotonic() > self.deadline:
-                raise LimitError("a run goes on after %.6g s of its own time" % self.now)
+                raise LimitError("a run is unfinished after %.6g s of simulated time" % self.now)
 
     @property
     def now(self) -> float:
@@ -117,11 +117,11 @@ class AimedRun:
         )
 
     def marking(self) -> Tuple[int, ...]:
-        """The marking now."""
+        """The present marking."""
         return tuple(int(n) for n in self.run.state.level[: len(self.run.net.places)])
 
     def earned(self, at: float) -> float:
-        """What the run has earned until the time ``at`` (s), at which it stopped or before which it
+        """The reward of the run up to the time ``at`` (s), at which it stopped or before which it
         ended."""
         state = self.run.state
         whole = sum(reward * float(state.firings[t]) for t, reward in self._transitions)
@@ -137,7 +137,7 @@ class AimedRun:
 
 
 def worth_compiling(seconds: float) -> bool:
-    """Whether so many seconds of simulation are better spent with the compiled kernel."""
+    """Whether the compiled kernel pays off for this many seconds of simulation."""
     if not machine.may_compile():
         return False
     if machine.is_loaded():

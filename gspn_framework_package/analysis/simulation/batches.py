@@ -1,7 +1,7 @@
-"""Batches of replications: the tasks of a simulation, whoever computes them.
+"""Batches of replications: the tasks of a simulation, for any executor.
 
-A replication draws from a stream of its own, by its number. So a batch gives the same values
-wherever it is computed, and batches are the same however many workers there are.
+Each replication has its own random stream, chosen by its number. So a batch gives the same values
+wherever it is computed, and the batches do not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from gspn_framework_package.model.plan_timing import PlanTiming
 
 _COMPILED_EVENTS = 500_000
 _PLAIN_EVENTS = 5_000
-"""Events between two looks at the watch."""
+"""Events between two checks of the watch."""
 
 _PLAIN_SECONDS = 5.0
 """The compiled kernel takes over if plain Python would need this much longer."""
 
 
 class Subject(NamedTuple):
-    """What a simulation plays: plain data.
+    """The subject of a simulation: plain data.
 
     :ivar model: a net or a plan.
     :ivar as_run: whether the plan is played as it runs.
-    :ivar time: length of a run (s); ``warmup``: how much of it at its start is left out.
-    :ivar condition: what ends a run; None if nothing else does.
+    :ivar time: length of a run (s); ``warmup``: the time excluded at its start.
+    :ivar condition: the condition that ends a run; None if there is none.
     :ivar losses: how often each robot is lost (1/s).
     """
 
@@ -56,12 +56,12 @@ class Subject(NamedTuple):
 
 
 class RunBatch(NamedTuple):
-    """So many ``runs``, from the replication with the number ``first`` on.
+    """A number of ``runs``, starting from the replication with number ``first``.
 
-    :ivar planned: how many replications the worker is likely to get, for its choice between plain
-      Python and the compiled kernel.
-    :ivar parts: into how many parts the run of one replication is divided, in place of ``runs``
-      replications; None if it is not.
+    :ivar planned: the number of replications that the worker will probably get, for its choice
+        between plain Python and the compiled kernel.
+    :ivar parts: number of parts into which the run of one replication is divided, instead of
+        ``runs`` replications; None if it is not divided.
     """
 
     first: int
@@ -71,7 +71,7 @@ class RunBatch(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What a batch gave.
+    """The result of a batch.
 
     :ivar samples: a row for each replication.
     :ivar spent: for each place, number of tokens -> seconds.
@@ -84,7 +84,7 @@ class Played(NamedTuple):
 
 
 def player(subject: Subject) -> Union[KernelPlayer, TablePlayer]:
-    """What plays batches of a subject."""
+    """Plays batches of a subject."""
     model = subject.model
     if isinstance(model, Net):
         return KernelPlayer(RaceRun(model, _deadlock_or(subject.condition, model)), [], subject)
@@ -120,7 +120,7 @@ def added(whole: List[Dict[int, float]], spent: Sequence[Dict[int, float]]) -> N
 class KernelPlayer:
     """Replications of a plan as it runs, or of a net, by the kernel.
 
-    :ivar size: how many replications make a good batch.
+    :ivar size: a good number of replications in a batch.
     """
 
     size = 50
@@ -173,7 +173,7 @@ class KernelPlayer:
         self._end()
 
     def _divide(self, count: int) -> None:
-        """Run once, in so many parts."""
+        """Run once, in the given number of parts."""
         subject = self._subject
         self._begin(0)
         if subject.warmup > 0:
@@ -197,12 +197,12 @@ class KernelPlayer:
     def _expect(self, status: int) -> None:
         if status != kernel.AT_STOP:
             raise RefusedError(
-                "the run ends after %g s, so that it has no batches" % self._run.now,
+                "the run ends after %g s, so it cannot be divided into batches" % self._run.now,
                 hint="take replications instead",
             )
 
     def _go(self, stop: float, total: int) -> int:
-        """Go on until ``stop`` or the end of the run; ``total`` replications are planned."""
+        """Continue until ``stop`` or the end of the run; ``total`` replications are planned."""
         run = self._run
         time = self._subject.time
         while True:
@@ -220,7 +220,7 @@ class KernelPlayer:
             if status == kernel.STUCK:
                 marking = run.state.level[: len(self.net.places)]
                 raise RefusedError(
-                    "a run stays in (%s) without end, which does not satisfy the end condition"
+                    "a run stays in (%s) forever, which does not satisfy the end condition"
                     % ", ".join(
                         "%s: %d" % item
                         for item in self.net.named(tuple(marking), zeros=False).items()
@@ -251,9 +251,9 @@ class KernelPlayer:
 
 
 class TablePlayer:
-    """Replications of a plan that is read like a net, by the table of its markings.
+    """Replications of a plan by the rates of its net, using the table of its markings.
 
-    :ivar size: how many replications make a good batch: they advance in step.
+    :ivar size: a good number of replications in a batch: they advance in step.
     """
 
     size = 500
@@ -270,7 +270,8 @@ class TablePlayer:
         subject = self._subject
         sequence = np.random.SeedSequence(subject.seed % 2**64, spawn_key=(batch.first,))
         random = np.random.Generator(np.random.PCG64(sequence))
-        # sums of times are rounded in the order in which the table came to know its states
+        # the rounding of sums of times depends on the order in which the table discovered its
+        # states
         self._table.forget()
         runs = TableRuns(self._table, batch.runs, subject.time, subject.warmup, random)
         runs.go(watch)

@@ -18,8 +18,8 @@ class Estimate(NamedTuple):
     """A mean over the replications, with the half width of its confidence interval (infinite for
     one replication).
 
-    What no replication showed has the mean 0, and as half width the upper bound of the confidence
-    level ("rule of three"): infinite if nothing bounds it.
+    If no replication showed it, the mean is 0 and the half width is the upper confidence bound
+    ("rule of three"), or infinite if there is none.
     """
 
     mean: float
@@ -70,15 +70,14 @@ class Simulation(NamedTuple):
     :ivar time_to_condition: when (s) those replications reached it; None without a condition, or if
       none did.
     :ivar events: total number of firings.
-    :ivar timing: how times were read: ``run`` or ``net``.
+    :ivar timing: the interpretation of time: ``run`` or ``net``.
     :ivar subnets: of a plan with subnets: measure (a key of ``analysis.plan.subnets.TITLES``)
-      -> subnet -> estimate; the time per visit of a subnet that no robot entered is not a number.
-    :ivar batches: number of batches of one long run, in place of replications; None if there were
-      replications.
-    :ivar precision: the wanted relative precision, and the largest that was reached; None if none
-      was asked for.
-    :ivar notes: what the reader of the numbers should know.
-    :ivar samples: the values of each replication, if they were asked for; not in the JSON.
+      -> subnet -> estimate; the time per visit of a subnet that no robot entered is NaN.
+    :ivar batches: number of batches of one long run; None for replications.
+    :ivar precision: the requested relative precision, and the one reached; None if none was
+        requested.
+    :ivar notes: remarks on the results.
+    :ivar samples: the values of each replication, if requested; not in the JSON.
     """
 
     time: float
@@ -130,8 +129,8 @@ def mean(samples: Floats, confidence: float) -> Estimate:
 
 
 def share(samples: Booleans, confidence: float) -> Estimate:
-    """The share of independent samples that are true. If none or all are, the half width is the
-    bound on the share of the others."""
+    """The proportion of independent samples that are true. If none or all are, the half width is
+    the bound on the proportion of the others."""
     count, true = len(samples), int(samples.sum())
     if true in (0, count):
         return Estimate(true / count, 1.0 - (1.0 - confidence) ** (1.0 / count))
@@ -150,7 +149,7 @@ def ratio(amounts: Floats, seconds: Floats, confidence: float) -> Estimate:
 
 
 def throughput(firings: Floats, seconds: Floats, confidence: float) -> Estimate:
-    """Firings per second; if there was none, with an upper bound."""
+    """Firings per second; if there were none, with an upper bound."""
     whole = float(seconds.sum())
     if whole > 0 and not firings.any():
         return Estimate(0.0, -math.log(1.0 - confidence) / whole if confidence < 1 else math.inf)
@@ -158,8 +157,8 @@ def throughput(firings: Floats, seconds: Floats, confidence: float) -> Estimate:
 
 
 def mean_tokens(net: Net, samples: Samples, confidence: float) -> Dict[str, Estimate]:
-    """Place -> time-averaged number of tokens. A place that no token entered was not seen; one that
-    tokens only passed has 0."""
+    """Place -> time-averaged number of tokens. A place that no token entered counts as not seen;
+    one that tokens only passed through has 0."""
     fired = samples.firings.sum(axis=0)
     found = {}
     for p, place in enumerate(net.places):
@@ -202,7 +201,7 @@ def summary(
 
     :param shares: for each place, number of tokens -> seconds.
     :param conditional: whether there is a condition to reach.
-    :param plan: the plan that was simulated, if it was one.
+    :param plan: the plan that was simulated, if any.
     :param settings: the other fields of the result.
     """
     confidence = settings["confidence"]
@@ -228,7 +227,7 @@ def summary(
 
 
 def relative(estimates: List[Estimate]) -> float:
-    """The largest half width of these, relative to its mean."""
+    """The largest half width relative to its mean."""
     return max(
         (e.half_width / abs(e.mean) if e.mean else math.inf for e in estimates), default=math.inf
     )

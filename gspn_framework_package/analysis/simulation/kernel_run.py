@@ -67,7 +67,7 @@ class KernelRun:
             elif status == kernel.TIMELESS:
                 raise RefusedError(
                     "more than %d firings without time between them" % kernel.FIRINGS_PER_ENTRY,
-                    hint="a cycle of immediate transitions must have a way out, and its actions "
+                    hint="a cycle of immediate transitions must have an exit, and its actions "
                     "must take time",
                 )
             else:

@@ -22,8 +22,8 @@ is installed."""
 class _Unsigned(ast.NodeTransformer):
     """Makes every index in a function an unsigned number.
 
-    numba lets negative indices count from the end, and the test for that takes more than half of
-    the time of an event. The kernel has no negative index.
+    numba lets negative indices count from the end; the test for that takes more than half of the
+    time of an event, and the kernel has no negative indices.
     """
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
@@ -70,8 +70,8 @@ def is_loaded() -> bool:
 
 
 def is_cached() -> bool:
-    """Whether the machine code of the kernel seems to be on the disk, so that the compiled form is
-    there within seconds. Imports numba."""
+    """Whether the machine code of the kernel seems to be on the disk, so that the compiled form
+    loads within seconds. Imports numba."""
     play: Any = compiled_kernel()["play"]
     folder = play.stats.cache_path
     source = os.path.getmtime(kernel.__file__)
@@ -83,20 +83,20 @@ def is_cached() -> bool:
 
 
 def as_lists(arrays: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    """A named tuple of arrays, as one of lists."""
+    """Convert a named tuple of arrays to one of lists."""
     return type(arrays)(*(a.tolist() if isinstance(a, np.ndarray) else a for a in arrays))
 
 
 def as_arrays(lists: Tuple[Any, ...], like: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    """A named tuple of lists, as one of arrays of the types of ``like``."""
+    """Convert a named tuple of lists to one of arrays of the types of ``like``."""
     return type(lists)(
         *(np.array(a, dtype=b.dtype) if isinstance(a, list) else a for a, b in zip(lists, like))
     )
 
 
 def ragged(parts: List[List[Any]], dtype: Any = np.int64) -> Tuple[Any, Any]:
-    """Lists of numbers as two arrays: where each begins (and the last one ends), and all of them
-    one after another. The second is never empty, for numba needs its type."""
+    """Lists of numbers as two arrays: the start of each (and the end of the last), and their
+    concatenation. The second is never empty, since numba needs its type."""
     offsets = np.zeros(len(parts) + 1, dtype=np.int64)
     np.cumsum([len(part) for part in parts], out=offsets[1:])
     flat = [value for part in parts for value in part] or [0]

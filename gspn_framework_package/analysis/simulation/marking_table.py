@@ -1,4 +1,4 @@
-"""The race of a plan that is read like a net, over a table of the markings that occur.
+"""The race of a plan by the rates of its net, using a table of the markings that occur.
 
 Many independent replications advance in step: one round draws the next event of each of them. Each
 marking is evaluated once, when a replication first reaches it, so that a round takes only a few
@@ -19,7 +19,7 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking
 
 REMEMBERED_MARKINGS = 500_000
-"""Most markings in the cache before it is cleared."""
+"""Largest number of markings in the cache before it is cleared."""
 
 TIMELESS_FIRINGS = 10_000
 """More consecutive firings in zero time than this are treated as a timeless cycle."""
@@ -36,7 +36,7 @@ class MarkingTable:
         self.forget()
 
     def forget(self) -> None:
-        """Forget all states."""
+        """Clear all states."""
         places = len(self.rules.net.places)
         self._index: Dict[Tuple[Marking, bool], int] = {}
         self._keys: List[Tuple[Marking, bool]] = []
@@ -57,7 +57,7 @@ class MarkingTable:
         return self._keys[state]
 
     def number(self, marking: Marking, waiting: bool) -> int:
-        """The number of a state, which is evaluated if it is new."""
+        """The number of a state; a new state is evaluated."""
         key = marking, waiting
         known = self._index.get(key)
         if known is not None:
@@ -71,7 +71,7 @@ class MarkingTable:
         return number
 
     def target(self, state: int, arc: int) -> int:
-        """Where an arc leads, which is evaluated on first use."""
+        """The target of an arc, evaluated on first use."""
         if self.targets[state, arc] < 0:
             marking, _ = self._keys[state]
             t = int(self.transitions[state, arc])
@@ -143,7 +143,7 @@ class TableRuns:
         self.events = 0
 
     def go(self, watch: Watch) -> None:
-        """Run all replications to their ends."""
+        """Run all replications to the end."""
         graph = self.graph
         state = np.full(self.count, graph.number(graph.rules.net.initial_marking, False))
         timeless = np.zeros(self.count, dtype=np.int64)
@@ -168,7 +168,7 @@ class TableRuns:
             counted = np.maximum(after - np.maximum(before, self.warmup), 0.0)
             if np.isinf(after).any():
                 raise RefusedError(
-                    "a run stays in (%s) without end, which does not satisfy the end condition"
+                    "a run stays in (%s) forever, which does not satisfy the end condition"
                     % ", ".join("%s: %d" % i for i in self._stuck(here[np.isinf(after)][0])),
                     hint="give a time as well",
                 )
@@ -189,7 +189,7 @@ class TableRuns:
             if len(active) and timeless[active].max() > TIMELESS_FIRINGS:
                 raise RefusedError(
                     "more than %d firings without time between them" % TIMELESS_FIRINGS,
-                    hint="a cycle of immediate transitions must have a way out",
+                    hint="a cycle of immediate transitions must have an exit",
                 )
             rounds += 1
             if rounds % 64 == 0:
@@ -218,7 +218,7 @@ class TableRuns:
                 share[count] = share.get(count, 0.0) + seconds
 
     def _forget(self, state: Indices, active: Indices) -> Indices:
-        """Forget all states except the current ones; returns their new numbers."""
+        """Clear all states except the current ones; return their new numbers."""
         keys = {int(s): self.graph.key(int(s)) for s in np.unique(state[active])}
         self.graph.forget()
         fresh = {old: self.graph.number(*key) for old, key in keys.items()}

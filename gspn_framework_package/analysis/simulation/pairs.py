@@ -1,4 +1,4 @@
-"""Pairs of runs of two plans: the tasks of a comparison, whoever computes them."""
+"""Pairs of runs of two plans: the tasks of a comparison, for any executor."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.plan import Plan
 
 _STRATA = 16
-"""Ends of a discounted run; see :func:`_discounted`."""
+"""Number of end times of a discounted run; see :func:`_discounted`."""
 
 _PATIENCE = 10.0
-"""A run may take so many times the time of the whole comparison before it is given up."""
+"""A run is abandoned after this multiple of the time of the whole comparison."""
 
 
 class Contest(NamedTuple):
-    """What the pairs of a comparison share.
+    """The settings shared by the pairs of a comparison.
 
     :ivar losses: rate (1/s) at which each robot is lost.
-    :ivar seconds: how long (s of the machine) the whole comparison may take; None: no limit.
+    :ivar seconds: computing time (s) of the whole comparison; None: no limit.
     :ivar time: length of a run (s); None if it ends by itself.
-    :ivar warmup: time (s) at the start of a run that is left out.
+    :ivar warmup: time (s) at the start of a run that is excluded.
     """
 
     old: Plan
@@ -42,12 +42,12 @@ class Contest(NamedTuple):
 
 
 class RunValue(NamedTuple):
-    """What a run is worth.
+    """The value of a run.
 
-    :ivar drift: by how much its first third earns more than its last one (1/s).
+    :ivar drift: by how much more its first third earns than its last one (1/s).
     :ivar cut: whether it ended early, or did not end.
     :ivar late: whether it ended after its warm-up.
-    :ivar missed: whether it never came to its condition.
+    :ivar missed: whether it never reached its condition.
     """
 
     value: float
@@ -58,13 +58,13 @@ class RunValue(NamedTuple):
 
 
 PlayedPair = Union[Tuple[RunValue, RunValue], str]
-"""The runs of the old and of the new plan, or why there are none."""
+"""The runs of the old and of the new plan, or the reason why there are none."""
 
 
 class PairPlayer:
     """Plays pairs of runs.
 
-    :ivar runs: those of the old and of the new plan.
+    :ivar runs: the runs of the old and of the new plan.
     """
 
     def __init__(self, contest: Contest, watch: Optional[Watch] = None) -> None:
@@ -134,7 +134,7 @@ def play_pairs(
 ) -> Tuple[List[PlayedPair], int]:
     """Play pairs; see :class:`~gspn_framework_package.analysis.executors.Workload`.
 
-    :param piece: the number of the first pair, and how many there are.
+    :param piece: the number of the first pair, and the number of pairs.
     :returns: the pairs, and the number of their firings.
     """
     before = player.firings
@@ -153,9 +153,9 @@ def play_pairs(
 def _discounted(run: AimedRun, discount: float, seed: int, number: int) -> float:
     """The discounted reward of a run.
 
-    It is what the run earns on average until an exponential time of the rate ``discount``, without
-    any discount. Of that time, one is drawn in each of :data:`_STRATA` equally probable parts.
-    Therefore nothing is cut off, and the mean is exact.
+    It equals the mean undiscounted reward up to an exponential time of rate ``discount``. One such
+    time is drawn in each of :data:`_STRATA` equally probable parts, so nothing is truncated and the
+    mean is exact.
     """
     shift = np.random.default_rng([seed % 2**63, number]).random()
     whole = 0.0

@@ -24,7 +24,7 @@ from gspn_framework_package.model.net import Net
 class RaceRun(KernelRun):
     """Runs of one net.
 
-    :param until: the condition that ends a run, which may ask for ``deadlock``; or None.
+    :param until: the condition that ends a run, which may contain ``deadlock``; or None.
     """
 
     def __init__(self, net: Net, until: Optional[Condition] = None) -> None:
@@ -36,15 +36,15 @@ class RaceRun(KernelRun):
         return int(self.functions["race"](tuple(self.arrays[0]), tuple(self.state), stop, budget))
 
     def after(self, status: int) -> int:
-        """Refuse a choice that no weight decides; see :meth:`KernelRun.after`.
+        """Refuse a choice without weights; see :meth:`KernelRun.after`.
 
-        :raises RefusedError: for that.
+        :raises RefusedError: always.
         """
         if status == kernel.UNDECIDED:
             marking = [int(n) for n in self.state.level[: len(self.net.places)]]
             names = [self.net.transitions[t].name for t in self.net.enabled(marking)]
             raise RefusedError(
-                "no weight decides between %s" % ", ".join(names),
+                "no weights decide between %s" % ", ".join(names),
                 hint="give them weights, or take a plan with a policy",
             )
         return status

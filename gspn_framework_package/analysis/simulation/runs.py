@@ -36,13 +36,13 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 PRECISION_GIVEN_UP_AT = 10**6
-"""Most replications until a wanted precision is given up."""
+"""Largest number of replications for a requested precision."""
 
 FIRST_REPLICATIONS = 30
-"""Replications before the precision is looked at."""
+"""Number of replications before the precision is first checked."""
 
 RARE = 0.01
-"""By default, the precision is wanted of all throughputs of at least this part of the largest."""
+"""By default, the precision applies to all throughputs of at least this fraction of the largest."""
 
 
 def simulate(
@@ -68,25 +68,25 @@ def simulate(
 
     :param subject: a net, or a validated plan, which then follows its policy.
     :param time: length of a run (s).
-    :param replications: number of runs (default 1000); with ``precision``, the most.
-    :param seed: the same seed gives the same result, whichever form of the kernel runs.
+    :param replications: number of runs (default 1000); with ``precision``, the largest number.
+    :param seed: the same seed gives the same result, whichever form of the kernel is used.
     :param warmup: time (s) at the start of each run that the means exclude.
     :param until: a condition that ends a run; for a net, it may contain ``deadlock``.
     :param confidence: level of the confidence intervals.
     :param timing: for a plan: ``run`` plays the token game as it is executed, with the durations of
-        the plan; ``net`` lets the rates of the net race. A net always has the latter.
+        the plan; ``net`` lets the rates of the net race. A net always uses the latter.
     :param losses: how often a robot is lost, per second and robot (only with ``run``).
     :param precision: stop when the half widths, relative to the means, are at most this.
-    :param measures: names of the transitions (throughput) and places (mean tokens) whose precision
-        counts; by default all throughputs of at least a hundredth of the largest, or the time to
-        the condition.
-    :param batches: divide one run, after its warm-up, into so many batches (batch means).
-    :param samples: whether the result has the values of each run.
-    :param on: who computes it: this process, by default. The result is the same to the last bit.
-    :raises UsageError: a number makes no sense, or neither ``time`` nor a condition is given.
+    :param measures: names of the transitions (throughput) and places (mean tokens) to which the
+        precision applies; by default all throughputs of at least a hundredth of the largest, or the
+        time to the condition.
+    :param batches: divide one run, after its warm-up, into this many batches (batch means).
+    :param samples: whether the result contains the values of each run.
+    :param on: where to compute: by default in this process. The result is the same to the last bit.
+    :raises UsageError: a number is invalid, or neither ``time`` nor a condition is given.
     :raises ExpressionError: the condition cannot be parsed.
-    :raises RefusedError: nothing decides a choice, there is a timeless cycle, or a run neither ends
-        nor goes on.
+    :raises RefusedError: a choice is unresolved, there is a timeless cycle, or a run neither ends
+        nor continues.
     :raises CancelledError: ``cancel`` returned true.
     """
     asked = Asked(
@@ -110,7 +110,7 @@ def simulate(
 
 
 class Asked(NamedTuple):
-    """What is asked of a simulation; see :func:`simulate`."""
+    """The settings of a simulation; see :func:`simulate`."""
 
     time: float = math.inf
     replications: Optional[int] = None
@@ -128,8 +128,8 @@ class Asked(NamedTuple):
 class SimulationWork:
     """The simulation of one subject, in rounds of tasks.
 
-    :param workers: how many work on it at once.
-    :param name: what an error is about; empty if that needs no word.
+    :param workers: number of workers computing in parallel.
+    :param name: the subject of an error message; empty if obvious.
     :raises GspnError: see :func:`simulate`.
     """
 
@@ -162,7 +162,7 @@ class SimulationWork:
             if name not in known:
                 raise UsageError(
                     "there is no place or transition '%s'" % name,
-                    hint="--measure takes their names",
+                    hint="--measure takes names of places and transitions",
                 )
         self._parts: List[Samples] = []
         self._spent: List[Dict[int, float]] = [{} for _ in self._net.places]
@@ -193,7 +193,7 @@ class SimulationWork:
         ]
 
     def take(self, round_: Sequence[Played]) -> None:
-        """Take the results of a round of tasks, in their order."""
+        """Add the results of a round of tasks, in order."""
         for played in round_:
             self._parts.append(played.samples)
             added(self._spent, played.spent)
@@ -213,7 +213,8 @@ class SimulationWork:
         return self._parts[0]
 
     def result(self, samples: bool = False) -> Simulation:
-        """What the replications show; ``samples``: whether with the values of each."""
+        """The estimates from the replications; ``samples``: whether to include the values of
+        each."""
         asked = self._asked
         found = self._samples()
         notes = self._player.notes
@@ -241,8 +242,8 @@ class SimulationWork:
 
 
 def finished(works: Sequence[SimulationWork], executor: Executor, watch: Watch) -> Iterator[int]:
-    """Do some simulations together, so that no worker waits for the others of one of them; yield
-    the number of each as soon as it is done.
+    """Run several simulations together so that no worker is idle; yield the number of each as soon
+    as it is done.
 
     :raises GspnError: see :func:`simulate`.
     """
@@ -274,7 +275,7 @@ def _check_numbers(subject: Union[Net, Plan], asked: Asked, replications: int) -
     if math.isinf(time) and not ends:
         raise UsageError("how long is a run?", hint="give a time, or a condition that ends it")
     if replications < 1:
-        raise UsageError("%d replications make no sense" % replications)
+        raise UsageError("%d replications are not possible" % replications)
     if not 0 <= warmup < time:
         raise UsageError("a warm-up of %g s does not fit a run of %g s" % (warmup, time))
     if not 0 < confidence < 1:
@@ -295,20 +296,21 @@ def _check_options(as_run: bool, table: bool, asked: Asked) -> None:
             hint="give a number between 0 and 1, e.g. 0.01",
         )
     if asked.measures and precision is None:
-        raise UsageError("measures are for a wanted precision", hint="give --precision as well")
+        raise UsageError("measures require a precision", hint="give --precision as well")
     if batches is None:
         return
     if table:
         raise UsageError("batches are for nets, and for plans that are simulated as they run")
     if batches < 2:
-        raise UsageError("%d batches make no interval" % batches, hint="take 20 or more")
+        raise UsageError("%d batches are too few for an interval" % batches, hint="take 20 or more")
     if math.isinf(asked.time):
         raise UsageError("how long is the run?", hint="give a time as well")
     if precision is not None or asked.replications is not None:
         raise UsageError("batches divide one run: they exclude a precision and replications")
 
 
-# -- how many ------------------------------------------------------------------------------------
+# -- number of replications
+# ------------------------------------------------------------------------------------
 
 
 def _wanted(
@@ -333,7 +335,7 @@ def _wanted(
 
 
 def _correlated(samples: Samples) -> List[str]:
-    """A note if neighbouring batches are too much alike to be taken for independent ones."""
+    """A note if neighbouring batches are too similar to count as independent."""
     rates = samples.firings.sum(axis=1)
     rates = rates - rates.mean()
     square = float((rates**2).sum())
@@ -343,7 +345,7 @@ def _correlated(samples: Samples) -> List[str]:
     if lag <= 2 / math.sqrt(len(rates)):
         return []
     return [
-        "neighbouring batches are alike (correlation %.2f), so that the intervals are too narrow: "
+        "neighbouring batches are correlated (%.2f), so the intervals are too narrow: "
         "take fewer batches or a longer run" % lag
     ]
 

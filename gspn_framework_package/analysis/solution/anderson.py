@@ -1,8 +1,8 @@
 """Anderson acceleration of a fixed-point iteration ``x = G(x)``.
 
-Instead of going to ``G(x)``, the next point is the combination of the last few ``G(x)`` whose
-changes ``G(x) - x`` cancel out best (Anderson 1965). For a linear ``G`` this is equivalent to GMRES
-(Walker and Ni 2011), and does not need the matrix of ``G``.
+The next point is not ``G(x)`` but the combination of the last few ``G(x)`` whose changes ``G(x) -
+x`` cancel out best (Anderson 1965). For a linear ``G`` this is equivalent to GMRES (Walker and Ni
+2011), and does not need the matrix of ``G``.
 
 The vectors are read and written in parts, so that they need not be in memory.
 """
@@ -16,15 +16,15 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Floats
 
 ANDERSON_DEPTH = 5
-"""Number of earlier steps that are combined."""
+"""Number of earlier steps to combine."""
 
 _DEPENDENT = 1e-12
 """Changes whose directions are this close to linear dependence count as one, since separating them
 would only amplify rounding."""
 
 _PART = 1 << 13
-"""Number of entries of a vector that are read at once: few enough for the processor's cache, and
-for BLAS not to start threads."""
+"""Number of entries of a vector read at once: few enough for the processor's cache, and too few for
+BLAS to start threads."""
 
 
 class Vector(Protocol):
@@ -44,7 +44,7 @@ def parts(size: int) -> Iterator[slice]:
 class Anderson:
     """The memory of one iteration; ``next`` is called with every point and its image under ``G``.
 
-    >>> turn = np.array([[0.0, -0.9], [0.9, 0.0]])  # by itself it would take 260 steps to 1e-12
+    >>> turn = np.array([[0.0, -0.9], [0.9, 0.0]])  # unaccelerated: 260 steps to 1e-12
     >>> point, accelerated = np.array([1.0, 0.0]), Anderson(2)
     >>> for _ in range(4):
     ...     accelerated.next(point, turn @ point + 1.0)
@@ -103,5 +103,5 @@ class Anderson:
             point[part] = moved
 
     def forget(self) -> None:
-        """Start again: the next point is unrelated to the earlier ones."""
+        """Restart: the next point is unrelated to the earlier ones."""
         self._count, self._begun = 0, False

@@ -3,7 +3,7 @@
 Small systems are solved by sparse LU decomposition, large ones by Gauss-Seidel sweeps (compiled by
 numba if it is installed, otherwise one triangular solve per sweep) with Anderson acceleration. An
 answer is accepted by its residual, whatever the method. The residual is relative to the largest
-term, so it says little about unknowns that are far smaller: :func:`polished` does.
+term, so it says little about much smaller unknowns; :func:`polished` improves these.
 """
 
 from __future__ import annotations
@@ -61,18 +61,18 @@ _WORTH_LOADING = 1_000_000
 numba."""
 
 _POLISHED, _POLISHING = 5, 20
-"""Sweeps between two looks at the relative changes of all unknowns, and how many looks at most,
-unless the solution itself took far more sweeps."""
+"""Number of sweeps between two computations of the relative changes of all unknowns, and largest
+number of these, unless the solution itself took far more sweeps."""
 
 _SLOWEST = 0.99
-"""Changes that become smaller more slowly than by this factor are taken to do so by this one."""
+"""If changes shrink more slowly than by this factor, this factor is assumed."""
 
 _SURE = 1e-9
-"""Relative error of all unknowns with which the polishing ends."""
+"""Relative error of all unknowns at which polishing ends."""
 
 _PATIENCE = 100
-"""If the residual has not halved in this many strides, an acceptable answer is taken: the rest is
-rounding."""
+"""If the residual has not halved in this many strides, an acceptable answer is returned: the rest
+is rounding."""
 
 
 class LinearSolution(NamedTuple):
@@ -106,7 +106,7 @@ def solve_linear(
     :param matrix: sparse, non-negative, with an empty diagonal.
     :param diagonal: float array, all positive.
     :param rhs: float array; None for 0: then ``x`` is the solution that sums to 1.
-    :param order: the order in which to sweep, as positions of unknowns; None: as they are numbered.
+    :param order: the order in which to sweep, as positions of unknowns; None: by number.
     :param backward: sweep from the last unknown to the first: better if information flows against
       the order.
     :param watch: receives progress, and may stop the sweeps.
@@ -135,11 +135,11 @@ def solve_linear(
 def demand(found: LinearSolution, accepted: float = ACCEPTED) -> LinearSolution:
     """The solution, if its residual is small enough.
 
-    :raises LimitError: it is not.
+    :raises LimitError: the residual is too large.
     """
     if not found.residual <= accepted:
         raise LimitError(
-            "the linear system was not solved: %s came to a residual of %.1e after %d sweeps"
+            "the linear system was not solved: %s reached a residual of %.1e after %d sweeps"
             % (found.method, found.residual, found.sweeps)
         )
     return found
@@ -220,8 +220,8 @@ def polished(
 ) -> Tuple[LinearSolution, Floats]:
     """A solution with more digits of its small unknowns, and the estimated relative error of each.
 
-    Sweeps add only what is positive, so each unknown gets as many digits as those that it depends
-    on. The error is estimated from how fast the changes become smaller. The arguments are those of
+    Sweeps only add positive terms, so each unknown gets as many digits as those it depends on. The
+    error is estimated from the rate at which the changes shrink. The arguments are those of
     :func:`solve_linear`, with the solution.
     """
     size = len(diagonal)
@@ -241,7 +241,7 @@ def polished(
         return there._replace(values=there.values[place]), errors[place]
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
     sweep = sweeper(matrix, diagonal, constant, False)
-    values = np.maximum(found.values, 0.0)  # rounding may have left something below 0
+    values = np.maximum(found.values, 0.0)  # rounding may have left negative values
     before, errors = np.ones(size), np.ones(size)
     most = max(_POLISHING, found.sweeps // (2 * _POLISHED))
     for number in range(1, most + 1):
@@ -330,7 +330,7 @@ def iterate(
     scale: Optional[float] = None,
     vector: Callable[[int], Vector] = np.empty,
 ) -> LinearSolution:
-    """Repeat accelerated sweeps until the residual is small, or stays as it is.
+    """Repeat accelerated sweeps until the residual is small or stops shrinking.
 
     :param sweep: one sweep; it may change its argument.
     :param residual_of: the residual of some values, see :func:`residual`.
@@ -338,7 +338,7 @@ def iterate(
     :param diagonal: all positive.
     :param scale: the largest entry of the right-hand side; None if that is 0: then the solution
         sums to 1.
-    :param vector: makes the vectors that only this function uses. The sweeps get float arrays.
+    :param vector: creates the vectors that only this function uses. The sweeps get float arrays.
     """
     size = len(values)
     accelerated = Anderson(size, vector=vector)
@@ -405,7 +405,7 @@ def sweeper(
 ) -> Callable[[Floats], Floats]:
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place.
 
-    It reads ``constant`` each time, which the caller may change."""
+    It reads ``constant`` in each call, so the caller may change it."""
     worth = matrix.nnz >= _WORTH_LOADING or "numba" in sys.modules
     sweep = _compiled_sweep() if worth else None
     if sweep is None:

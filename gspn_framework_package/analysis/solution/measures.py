@@ -1,4 +1,4 @@
-"""Performance measures: what a distribution over markings means for places and transitions (thesis
+"""Performance measures: a distribution over markings expressed for places and transitions (thesis
 2.4)."""
 
 from __future__ import annotations
@@ -95,13 +95,13 @@ class Measures:
     @property
     def mean_waiting_time(self) -> Dict[str, float]:
         """Mean time (s) that a token stays in each place, by Little's law: mean tokens divided by
-        their arrival rate. It is infinite if tokens stay and none arrives, and not a number if
-        there never are any."""
+        their arrival rate. It is infinite if tokens stay and none arrive, and NaN if there never
+        are any."""
         return waiting_times(self.graph.net, self.mean_tokens, self.throughput)
 
     @property
     def sojourn_times(self) -> Floats:
-        """Mean time (s) of one stay in each state of the chain: float array, infinite in absorbing
+        """Mean time (s) of a stay in each state of the chain: float array, infinite for absorbing
         states."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.chain.exit_rates
@@ -115,7 +115,7 @@ class Measures:
 
         :param rates: place -> reward per token and second; or a function from markings (int array,
             one row a state) to rewards per second (float array).
-        :param impulses: transition -> reward for each firing.
+        :param impulses: transition -> reward per firing.
         :raises UsageError: the net has no place or transition of that name.
         """
         total = 0.0

@@ -18,7 +18,7 @@ def gauss_seidel_sweep(
     first: int,
 ) -> None:
     """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix is in
-    CSR form. It, ``constant`` and ``share`` may be those of some rows only: from ``first`` on."""
+    CSR form. The matrix, ``constant`` and ``share`` may cover only some rows, from ``first`` on."""
     size = len(share)
     for i in range(size):
         row = size - 1 - i if backward else i

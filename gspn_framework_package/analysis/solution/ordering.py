@@ -1,9 +1,9 @@
 """The order in which Gauss-Seidel sweeps visit the states of a chain.
 
 A sweep carries probability along a whole path of states at once, as long as the path follows the
-order; probability that flows against the order waits for the next sweep. So the best order has the
-least backward flow. The candidates are the order of discovery, and those that sort the markings
-place by place.
+order; probability that flows against the order waits for the next sweep. The best order therefore
+has the least backward flow. The candidates are the order of discovery, and those that sort the
+markings place by place.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _PLACES = 2_000
 discovery."""
 
 _WORTH = 0.7
-"""Another order is worth sorting for if it leaves less than this share of the backward flow."""
+"""Another order is worth the sorting if it leaves less than this share of the backward flow."""
 
 
 def sweep_order(chain: Chain, states: Indices) -> Optional[Indices]:
-    """The order in which to sweep, as positions in ``states``; None for the order they are in.
+    """The order in which to sweep, as positions in ``states``; None for the present order.
 
     :param states: int array: states of the chain, ascending.
     """

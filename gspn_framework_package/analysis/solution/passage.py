@@ -1,8 +1,8 @@
 """First passage to a condition: the mean time, the probability that it ever holds, and the
-probability that it does within a given time.
+probability that it holds within a given time.
 
 The states in which the condition holds are made absorbing, vanishing ones included: a condition
-that holds for zero time has held. Let G be these states, ``q(i, j)`` the rate from state i to state
+that holds for zero time counts. Let G be these states, ``q(i, j)`` the rate from state i to state
 j, ``e(i)`` the sum of the rates out of i, and ``p0`` the initial distribution. The probability
 ``h(i)`` of ever reaching G from i and, if G is certain to be reached, the mean time ``m(i)`` until
 then, are the least non-negative solutions of::

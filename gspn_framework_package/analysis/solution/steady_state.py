@@ -44,7 +44,7 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 
 
 class SteadyState(NamedTuple):
-    """Where the chain is in the long run.
+    """The long-run distribution of a chain.
 
     :ivar distribution: float array over its states: the long-run share of time in each.
     :ivar components: the recurrent classes, ordered by their first state, each with the probability
@@ -52,7 +52,7 @@ class SteadyState(NamedTuple):
     :ivar residual: the largest residual of the linear systems behind it, relative to the largest
       term of the system.
     :ivar errors: float array: the estimated absolute error of each entry of the distribution.
-    :ivar method: how the largest of these systems was solved.
+    :ivar method: the method that solved the largest of these systems.
     """
 
     chain: Chain
@@ -119,7 +119,7 @@ def _stationary_in_each(
         if solution is None or not solution.residual <= ACCEPTED:
             yield stationary(chain, states, watch)
             continue
-        # each imbalance may be that of any entry
+        # each imbalance may come from any entry
         terms = chain.exit_rates[states] * solution.values
         wrong = max(solution.residual, np.finfo(float).eps) * terms.max()
         with np.errstate(divide="ignore"):

@@ -7,7 +7,7 @@ chain seen at the ticks of a Poisson clock of rate ``c`` has the transition matr
     P = I + Q / c
     p(t) = p0 * exp(Q * t) = sum over k >= 0 of exp(-c * t) * (c * t)**k / k! * p0 * P**k
 
-All terms are non-negative, so that nothing cancels; the omitted terms have a total weight of less
+All terms are non-negative, so nothing cancels; the omitted terms have a total weight of less
 than :data:`TRUNCATION_ERROR`. See A. Jensen, "Markoff chains as an aid in the study of Markoff
 processes", *Skandinavisk Aktuarietidskrift* 36 (1953), and W. J. Stewart, *Introduction to the
 Numerical Solution of Markov Chains* (Princeton University Press, 1994), chapter 8.
@@ -62,7 +62,7 @@ class Evolution:
         self._moves: Optional[Matrix] = None
 
     def advance(self, duration: float) -> Floats:
-        """Let ``duration`` seconds pass; returns the distribution after that.
+        """Advance the time by ``duration`` seconds; returns the distribution then.
 
         :raises UsageError: the duration is negative or not finite.
         """
@@ -123,7 +123,8 @@ def transient(
 
 
 def check_tolerance(tolerance: float) -> None:
-    """:raises UsageError: a distribution cannot be so far from the steady state."""
+    """Check a tolerance. :raises UsageError: a distribution cannot be that far from the steady
+    state."""
     if not 0 < tolerance < 1:
         raise UsageError(
             "a tolerance of %g is not possible" % tolerance, hint="give a number between 0 and 1"
@@ -166,7 +167,7 @@ def time_to_steady_state(
             break
         low, step = high, 2 * step
         if low.time > 1e300:
-            raise UsageError("the steady state is not approached")
+            raise UsageError("the chain does not approach the steady state")
     while step > 0.01 * (low.time + step):
         step /= 2
         middle = Evolution(chain, low.distribution, watch=watch)

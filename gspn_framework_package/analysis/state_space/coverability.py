@@ -1,5 +1,5 @@
-"""The coverability tree and graph of Karp and Miller (1969): what an unbounded net can reach, with
-``OMEGA`` for "any number of tokens".
+"""The coverability tree and graph of Karp and Miller (1969): the reachable markings of an unbounded
+net, with ``OMEGA`` for "any number of tokens".
 
 It is exact for nets without inhibitor arcs, capacities and priorities. For other nets a growing
 sequence is accepted only if the additional tokens cannot prevent it from firing again; otherwise
@@ -23,10 +23,10 @@ OMEGA = 1 << 62
 
 
 _COMPARISONS = 400
-"""Budget of comparisons with ancestor markings, for each node that the limit allows."""
+"""Budget of comparisons with ancestor markings, per node that the limit allows."""
 
 _NODE_BYTES = 400
-"""Memory of a node besides its counts."""
+"""Memory of a node in addition to its counts."""
 
 
 class TreeNode(NamedTuple):
@@ -49,10 +49,10 @@ class CoverabilityTree:
     """The tree of a net.
 
     :param untimed: immediate transitions have no precedence (plain Petri net rule).
-    :param limit: most nodes to build.
-    :param memory: most bytes to use.
+    :param limit: largest number of nodes.
+    :param memory: largest number of bytes.
     :param seconds: longest time (s).
-    :raises LimitError: a limit was reached, or a growth could not be judged.
+    :raises LimitError: a limit was reached, or a growth could not be decided.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class CoverabilityTree:
         first: Dict[Tuple[int, ...], int] = {self.net.initial_marking: 0}
         self.nodes.append(TreeNode(self.net.initial_marking, -1, -1, 0))
         with_concession = self.net.enabled(self.net.initial_marking, by_priority=False)
-        # numbers of nodes, with what the parent of each enabled
+        # numbers of nodes, with the transitions enabled in the parent of each
         waiting: Deque[Tuple[int, Tuple[int, ...]]] = deque([(0, with_concession)])
         while waiting:
             number, with_concession = waiting.popleft()
@@ -225,8 +225,8 @@ class CoverabilityTree:
 
 
 class _Near:
-    """Finds what a marking enables from what its predecessor enabled, by checking only the
-    transitions around the places that have changed."""
+    """Derives the transitions enabled in a marking from those of its predecessor by checking only
+    the transitions next to changed places."""
 
     def __init__(self, net: Net) -> None:
         self._net = net
@@ -254,7 +254,7 @@ class _Near:
 
 
 class _Monotone:
-    """Judges whether a firing sequence stays possible with more tokens on some places."""
+    """Decides whether a firing sequence stays possible with more tokens in some places."""
 
     def __init__(self, net: Net, untimed: bool) -> None:
         self._net = net
@@ -266,7 +266,8 @@ class _Monotone:
         ]
 
     def require(self, growing: Sequence[int], fired: Set[int]) -> None:
-        """:raises LimitError: tokens on ``growing`` might prevent the transitions ``fired``."""
+        """Check a growth. :raises LimitError: tokens in ``growing`` might prevent the transitions
+        ``fired``."""
         lowest = min(self._urgency[t] for t in fired)
         for p in growing:
             urgent = any(self._urgency[t] > lowest for t in self._net.consumers[p])

@@ -1,4 +1,4 @@
-"""What the exploration engines share: their result, their allowance, growing arrays.
+"""Common parts of the exploration engines: their result, their allowance, growing arrays.
 
 An engine is a function ``explore(packed, limit, watch) -> RawGraph``: ``numpy_engine`` (always
 available) and ``numba_engine`` (if numba is installed). ``sparse_engine`` takes the net itself.
@@ -22,8 +22,8 @@ _Result = TypeVar("_Result")
 class RawGraph(NamedTuple):
     """The graph that an engine found.
 
-    :ivar states: uint64 array of shape ``(n, words)``, the initial state first; None where the
-        markings are stored otherwise.
+    :ivar states: uint64 array of shape ``(n, words)``, the initial state first; None if the
+        markings are stored elsewhere.
     :ivar offsets: the arcs of state ``s`` are ``offsets[s]:offsets[s + 1]``.
     :ivar targets: for each arc, the number of the state it leads to.
     :ivar labels: for each arc, its transition in engine order.
@@ -39,19 +39,19 @@ class RawGraph(NamedTuple):
 
 
 class Allowance(NamedTuple):
-    """What an exploration may use: ``memory`` (bytes), and time ``until`` a moment of the monotonic
-    clock (s)."""
+    """The resources of an exploration: ``memory`` (bytes), and the time ``until`` which it may run
+    (s, monotonic clock)."""
 
     memory: float = math.inf
     until: float = math.inf
 
     def left(self, used: float) -> bool:
-        """Whether any of it is left when ``used`` bytes are in use."""
+        """Whether resources are left when ``used`` bytes are in use."""
         return used <= self.memory and time.monotonic() < self.until
 
     def shortage(self, states: int, limit: int, seconds: float) -> Tuple[str, str]:
-        """What ran out, if an exploration that began with ``seconds`` ended early: the option to
-        raise, and its value (empty: the limit on states)."""
+        """The exhausted resource of an exploration that began with ``seconds`` and ended early: the
+        option to raise, and its value (empty: the limit on states)."""
         if states > limit:
             return "--limit", ""
         if time.monotonic() >= self.until:
@@ -79,14 +79,14 @@ def in_wide_fields(
     by_priority: bool = True,
     alike: Optional[Indices] = None,
 ) -> _Result:
-    """Do ``work`` on a packed net, and again with wider fields as often as a count outgrows its
+    """Do ``work`` on a packed net, repeating it with wider fields whenever a count outgrows its
     field.
 
-    :param bounds: for each place, the most tokens that it can hold (None: unknown).
+    :param bounds: for each place, the largest number of tokens that it can hold (None: unknown).
     :param work: raises FieldOverflowError if a field is too narrow.
     :param by_priority: see :class:`~.packing.PackedNet`.
     :param alike: int array: a number for each place; places with the same number get fields of the
-        same width. None: each has a width of its own.
+        same width. None: each has its own width.
     :raises LimitError: a field already has the maximum width.
     """
     widths = starting_widths(net, bounds)
@@ -111,7 +111,7 @@ class Growing:
         self.used = 0
 
     def reserve(self, count: int) -> None:
-        """Make room for ``count`` rows in total."""
+        """Reserve space for ``count`` rows in total."""
         capacity = len(self.array)
         if count > capacity:
             # zeroing a larger reserve would make it occupy memory

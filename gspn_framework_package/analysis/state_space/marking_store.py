@@ -1,8 +1,8 @@
 """The markings of a state space, in one of two representations with the same interface.
 
-:class:`PackedStore` keeps machine words with a field for each place. In nets of thousands of places
-nearly all fields would repeat the initial marking, so :class:`SparseStore` keeps only the places
-that differ from a base marking.
+:class:`PackedStore` keeps machine words with a field for each place. In nets of thousands of
+places, nearly all fields would repeat the initial marking, so :class:`SparseStore` keeps only the
+places that differ from a base marking.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class PackedStore:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """Size in bytes."""
         return int(self._words.nbytes)
 
     def packed(self, states: Selection = None) -> Words:
@@ -65,8 +65,8 @@ class PackedStore:
         return [float(weights @ self.column(p)[states]) for p in range(len(self.packing.widths))]
 
     def distributions(self, states: Indices, weights: Floats) -> List[Dict[int, float]]:
-        """For each place: count -> total weight of the ``states`` that have it; without the counts
-        of weight 0."""
+        """For each place: count -> total weight of the ``states`` with that count; counts of weight
+        0 are omitted."""
         found = []
         for p in range(len(self.packing.widths)):
             totals = np.bincount(self.column(p)[states], weights=weights)
@@ -99,7 +99,7 @@ class SparseStore:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """Size in bytes."""
         return int(
             self._offsets.nbytes + self._places.nbytes + self._counts.nbytes + self._base.nbytes
         )
@@ -199,7 +199,7 @@ class Columns:
     """The columns of some markings, computed on access.
 
     :param store: the markings.
-    :param part: which of them; by default all.
+    :param part: the selected ones; by default all.
     """
 
     def __init__(self, store: Union[PackedStore, SparseStore], part: slice = slice(None)) -> None:

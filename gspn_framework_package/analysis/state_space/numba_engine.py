@@ -3,7 +3,7 @@ installed.
 
 States are taken in order of discovery, in rounds. First every core expands its share of the round:
 it computes the successors, and looks them up in a hash table that does not change meanwhile. Most
-successors are known; the others are then entered sequentially, in the order of their arcs. So the
+successors are known; the others are then entered sequentially in the order of their arcs. So the
 numbering does not depend on the number of cores, and no locks are needed.
 
 Within a share, the engine computes the successors of a block of states and touches their slots in
@@ -45,10 +45,11 @@ _BLOCK = 32
 """Number of states, or of pending entries, whose memory accesses are in flight together."""
 
 _SHARE = 8192
-"""Most states of a round that one core expands; a round of no more states uses a single core."""
+"""Largest number of states of a round that one core expands; a smaller round uses a single core."""
 
 _SHARE_ARCS = 1 << 17
-"""Most arcs that the buffers of a share hold (except in nets of very many transitions)."""
+"""Largest number of arcs that the buffers of a share hold (except in nets of very many
+transitions)."""
 
 _NARROW = 512
 """Rounds of fewer states run consecutively inside compiled code, since calling it takes longer than
@@ -67,7 +68,7 @@ def explore(
     """The reachability graph of ``packed``; the parameters are those of ``numpy_engine``.
 
     :param cores: number of cores; 0: as many as numba may use, at most 8.
-    :param room: the exploration ends when this is used up.
+    :param room: the exploration ends when it is used up.
     """
     transitions = len(packed.order)
     cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
@@ -147,9 +148,9 @@ class _Rules(NamedTuple):
 
 
 class _Buffers(NamedTuple):
-    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, and
-    where the arcs of each state end; for the arcs whose target is not known, their numbers and the
-    packed markings that they lead to."""
+    """The results of one core for its share: targets (-1: unknown so far) and labels of the arcs,
+    and the end of each state's arcs; for arcs with unknown targets, their numbers and the packed
+    markings they lead to."""
 
     targets: Indices
     labels: Indices

@@ -33,11 +33,11 @@ _SMALL_TABLE = 1 << 17
 searches rarer."""
 
 _BLOCK = 1 << 16
-"""States that are entered into a larger table at once; more would need more memory than they
-save time."""
+"""Number of states entered into a larger table at once; more would cost more memory than the time
+saved is worth."""
 
 _ROWS = 1 << 15
-"""Most states of one round."""
+"""Largest number of states of one round."""
 
 
 def explore(
@@ -53,8 +53,8 @@ def explore(
     :param limit: the exploration ends when more than this many states are known.
     :param rounds: it also ends after this many rounds.
     :param room: it also ends when this is used up.
-    :param representative: returns for packed markings those that stand for them, which are visited
-        in their place; None: each stands for itself.
+    :param representative: returns the representatives of packed markings, which are visited
+        instead; None: each represents itself.
     :raises FieldOverflowError: the fields are too narrow.
     """
     transitions = len(packed.order)
@@ -156,8 +156,8 @@ def _mask_by_transition(packed: PackedNet, block: Words) -> Booleans:
 
 
 def has_concession(packed: PackedNet, row: int, block: Words) -> Booleans:
-    """In which states the transition ``row`` (in engine order) would fire, were it not for others
-    of higher precedence."""
+    """The states in which the transition ``row`` (in engine order) would fire if no other had
+    higher precedence."""
     columns = [np.ascontiguousarray(block[:, w]) for w in range(packed.words)]
     mask = np.empty(len(block), dtype=bool)
     _concession(packed, row, columns, np.empty(len(block), dtype=np.uint64), mask)
@@ -199,7 +199,7 @@ class StateTable:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
+        """Size in bytes."""
         return int(self._slots.nbytes)
 
     def insert(self, keys: Words, states: Growing) -> Indices:
@@ -270,7 +270,7 @@ class StateTable:
             self._rebuild(capacity, states)
 
     def _rebuild(self, capacity: int, states: Growing) -> None:
-        self._slots = np.zeros(0, dtype=np.int32)  # the old ones are released first
+        self._slots = np.zeros(0, dtype=np.int32)  # the old entries are released first
         self._slots = np.full(capacity, _EMPTY, dtype=np.int32 if capacity < 2**31 else np.int64)
         mask = capacity - 1
         for begin in range(0, states.used, _BLOCK):

@@ -3,7 +3,7 @@
 Every place has a field of ``width`` bits and one guard bit above it. With the guard bits of the
 input places set, one subtraction tests all of them at once: a guard bit that survives means "enough
 tokens". Inhibitor arcs and capacities use the same test with the answer inverted, and firing is one
-addition. A guard bit that is set after an addition means that a count has outgrown its field; the
+addition. A guard bit that is set after an addition means that a count outgrew its field; the
 exploration then restarts with wider fields, so no count ever wraps silently.
 """
 
@@ -133,7 +133,7 @@ class PackedNet(Packing):
             need_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
         for p, threshold in thresholds(net, t).items():
             if threshold >> self.widths[p]:
-                # more than the field can hold: so large a count would cause an overflow first
+                # more than the field can hold: such a count would cause an overflow first
                 continue
             inhibit[self.word_of[p]] += threshold << self.shift_of[p]
             inhibit_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])

@@ -45,7 +45,7 @@ class Properties:
     """Properties of a state space.
 
     :param space: a complete state space.
-    :raises LimitError: it is not complete.
+    :raises LimitError: the space is not complete.
     """
 
     def __init__(self, space: StateSpace) -> None:
@@ -54,7 +54,7 @@ class Properties:
 
     @property
     def bounds(self) -> Dict[str, int]:
-        """The most tokens that each place can hold."""
+        """The largest number of tokens that each place can hold."""
         return {
             place.name: most
             for place, most in zip(self.space.net.places, self.space.store.largest())

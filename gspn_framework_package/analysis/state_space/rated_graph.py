@@ -1,5 +1,5 @@
-"""A reachability graph with numbers on its arcs: rates where time passes, probabilities where none
-does.
+"""A reachability graph with numbers on its arcs: rates where time passes, probabilities where it
+does not.
 
 It comes from a net's state space (:func:`rate`), or from a plan under its policy
 (``plan.space``). The later steps, beginning with the elimination of vanishing markings, treat both
@@ -24,7 +24,7 @@ class RatedGraph(NamedTuple):
     initial one.
 
     :ivar net: the net whose markings and transitions these are.
-    :ivar vanishing: boolean array, one value per state: no time is spent there.
+    :ivar vanishing: boolean array, one value per state: whether no time is spent there.
     :ivar sources: int array, one value per arc, like the next three.
     :ivar targets: int array.
     :ivar transitions: int array: numbers of transitions.
@@ -32,8 +32,8 @@ class RatedGraph(NamedTuple):
         probability of one that leaves a vanishing state.
     :ivar store: the markings of the states.
     :ivar parts: the parts of places that states distinguish, by name; of a plan as it runs.
-    :ivar part_counts: int array, one row per state: how many robots are in each of these parts.
-    :ivar exchanged: what its states were taken together by; None: each is itself alone.
+    :ivar part_counts: int array, one row per state: number of robots in each of these parts.
+    :ivar exchanged: the exchange that grouped its states; None: each state represents only itself.
     """
 
     net: Net
@@ -82,7 +82,7 @@ def rate(space: StateSpace) -> RatedGraph:
 
     :raises LimitError: the state space is not complete.
     :raises UsageError: it was explored untimed.
-    :raises RefusedError: no weight decides a choice (weight 0 leaves it to a policy).
+    :raises RefusedError: a choice has no weights (weight 0 leaves it to a policy).
     """
     space.require_complete("its Markov chain")
     if space.untimed:
@@ -137,7 +137,7 @@ def firing_rate(
 def enabling_degree(
     net: Net, t: int, store: Union[PackedStore, SparseStore], states: Indices
 ) -> Indices:
-    """How many times transition number ``t`` could fire at once in each of ``states`` (numbers)."""
+    """The enabling degree of transition number ``t`` in each of ``states`` (numbers)."""
     degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
     for p, weight in net.inputs[t]:
         np.minimum(degree, store.column(p, states) // weight, out=degree)
@@ -155,7 +155,7 @@ def _normalise(space: StateSpace, vanishing: Booleans, sources: Indices, values:
         state = int(sources[unweighted[0]])
         names = [name for name, _ in space.successors(state)]
         raise RefusedError(
-            "no weight decides between %s in %s" % (", ".join(names), _text(space, state)),
+            "no weights decide between %s in %s" % (", ".join(names), _text(space, state)),
             hint="give them weights, or analyse a plan with a policy",
         )
     alone = arcs[count[sources[arcs]] == 1]

@@ -48,27 +48,28 @@ _SPARSE = 1 << 15
 time, as differences."""
 
 _SMALL = 1_500_000
-"""Up to this many states, numpy finishes before numba's machine code is even loaded, which takes
+"""Up to this many states, numpy finishes before numba's machine code is loaded, which takes
 more than a second."""
 
 _FEW_ROUNDS = 5_000
-"""Most rounds of that attempt with numpy, about a second: numpy is slow if the graph is deep and
-narrow."""
+"""Largest number of rounds of that attempt with numpy (about a second): numpy is slow if the graph
+is deep and narrow."""
 
 INVARIANT_EFFORT = 100_000
-"""Most steps of the search for invariants that is done to get narrow fields."""
+"""Largest number of steps of the search for invariants that serves to narrow the fields."""
 
 
 class Exchanged(Protocol):
-    """Equal parts of a net that were exchanged, so that one state stands for several. What holds of
-    a place or transition, taken over the states that stand for all, becomes right for each by the
-    mean over all that it can be exchanged with."""
+    """Exchangeable parts of a net, so that one state represents several. A value of a place or
+    transition over the representative states must be averaged over all nodes that it can be
+    exchanged with."""
 
     def over_places(self, values: Sequence[float]) -> List[float]:
-        """For each place the mean of ``values`` over all that it can be exchanged with."""
+        """For each place, the mean of ``values`` over all places that it can be exchanged with."""
 
     def over_transitions(self, values: Sequence[float]) -> List[float]:
-        """For each transition the mean of ``values`` over all that it can be exchanged with."""
+        """For each transition, the mean of ``values`` over all transitions that it can be exchanged
+        with."""
 
     def over_distributions(
         self, distributions: Sequence[Mapping[int, float]]
@@ -96,8 +97,8 @@ class StateSpace:
     :ivar explored: the number of states whose successors are known.
     :ivar engine: the engine that explored it: ``numpy``, ``numba`` or ``sparse``.
     :ivar store: the markings.
-    :ivar shortage: if it is not complete, the resource that ran out: the option to raise, and its
-      value.
+    :ivar shortage: if it is not complete, the exhausted resource: the option to raise, and its
+        value.
     """
 
     def __init__(
@@ -140,23 +141,24 @@ class StateSpace:
 
     @property
     def memory(self) -> int:
-        """Bytes that the arrays take."""
+        """Size of the arrays in bytes."""
         return int(
             self.store.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes
         )
 
     def count(self, states: Union[Indices, Booleans, slice]) -> int:
-        """How many states of the whole these ``states`` (numbers, slice or mask) stand for: one
-        each, unless equal parts were exchanged."""
+        """Number of states of the whole space that these ``states`` (numbers, slice or mask)
+        represent: one each, unless equal parts were exchanged."""
         return len(np.arange(len(self))[states])
 
     @property
     def whole_arcs(self) -> int:
-        """The number of firings between the states that these states stand for."""
+        """The number of firings between the states that these states represent."""
         return self.arcs
 
     def require_complete(self, question: str) -> None:
-        """:raises LimitError: a limit was reached, so that ``question`` is not decided."""
+        """Require completeness. :raises LimitError: a limit was reached, so ``question`` is not
+        decided."""
         if not self.complete:
             raise LimitError(
                 "not decided within %s" % self.extent, element=question, hint=self.hint
@@ -240,13 +242,13 @@ class StateSpace:
 
     @property
     def starts(self) -> Booleans:
-        """Boolean array: the states that count as the beginning."""
+        """Boolean array: the initial states."""
         found = np.zeros(len(self), dtype=bool)
         found[0] = True
         return found
 
     def distinct(self, states: Indices) -> Indices:
-        """One of ``states`` (numbers, ascending) for each of their markings."""
+        """One of ``states`` (numbers, ascending) per marking."""
         return states
 
     @property
@@ -255,11 +257,11 @@ class StateSpace:
         return np.flatnonzero(self.is_dead)
 
     exchanged: Optional[Exchanged] = None
-    """What the states were taken together by; None: each is itself alone."""
+    """The exchange that grouped the states; None: each state represents only itself."""
 
     further_steps = 0
-    """How many kinds of steps there are in which no transition fires; their numbers follow those of
-    the transitions."""
+    """Number of kinds of steps in which no transition fires; they are numbered after the
+    transitions."""
 
     # -- arcs --------------------------------------------------------------------------------------
 
@@ -329,14 +331,14 @@ def explore(
     :param engine: ``numpy``, ``numba``, ``sparse``, or ``auto``: sparse for nets of thousands of
         places, numba for large state spaces, if it is installed.
     :param untimed: give immediate transitions no precedence over others, and no priorities among
-        themselves: the markings that the robots of a plan, which also take time in decision places,
-        can reach.
+        themselves: the result covers the markings that the robots of a plan can reach, which also
+        spend time in decision places.
     :param progress: receives the number of states at intervals.
     :param cancel: called at intervals; returns whether to stop.
-    :param bounds: for each place, the most tokens it can hold (None: unknown), if the caller knows
-        them; otherwise they come from the P-invariants. A bound that is too low costs time, never
-        correctness.
-    :param memory: stop when the exploration takes more than this many bytes.
+    :param bounds: for each place, the largest number of tokens it can hold (None: unknown), if the
+        caller knows them; otherwise they come from the P-invariants. A bound that is too low costs
+        time, but not correctness.
+    :param memory: stop when the exploration uses more than this many bytes.
     :param seconds: stop after this time (s).
     :raises CancelledError: ``cancel`` returned true.
     :raises UsageError: the engine is not available.
@@ -403,7 +405,7 @@ def _run(
         from gspn_framework_package.analysis.state_space import numba_engine
     except ImportError as error:
         raise UsageError(
-            "the engine numba is not there: %s" % error, hint="install numba, or choose numpy"
+            "the engine numba is not available: %s" % error, hint="install numba, or choose numpy"
         ) from None
     return numba_engine.explore(packed, limit, watch, room=room), "numba"
 

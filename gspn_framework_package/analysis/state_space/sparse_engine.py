@@ -32,7 +32,7 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 
 _STATE_BYTES = 230
-"""Memory of a state besides its changed places: the object and its entry in the index."""
+"""Memory of a state in addition to its changed places: the object and its entry in the index."""
 
 _ARC_BYTES = 16
 
@@ -43,7 +43,7 @@ _ASKING = 10_000
 """Number of arcs between two checks of the watch."""
 
 _MANY = 64
-"""Number of transitions from which it pays to fire them all together."""
+"""From this number of transitions on, firing them all together pays off."""
 
 _WHOLE = 4_000_000
 """Up to this many entries, markings are stored as a whole instead of as differences from the
@@ -145,8 +145,8 @@ class _Rules:
     def enabled_after(
         self, marking: Dict[int, int], before: Tuple[int, ...], fired: int
     ) -> Tuple[int, ...]:
-        """What is enabled in ``marking``, which resulted from firing ``fired`` in a marking that
-        enabled ``before``."""
+        """The transitions enabled in ``marking``, which resulted from firing ``fired`` in a marking
+        that enabled ``before``."""
         work = len(before) + sum(len(self._looking[p]) for p, _ in self._effects[fired])
         if len(self._marked) + len(marking) < work // 4:
             marked = [p for p in self._marked if p not in marking] + [
@@ -163,8 +163,8 @@ class _Rules:
         return tuple(found)
 
     def _enabled_by(self, marking: Dict[int, int], marked: Sequence[int]) -> Tuple[int, ...]:
-        """What is enabled, found from the marked places. This is used if they are few, and the
-        firing emptied a place that thousands of transitions take from."""
+        """The enabled transitions, found from the marked places. This is used if these are few and
+        the firing emptied a place that thousands of transitions take from."""
         near = set(self._always)
         for p in marked:
             near.update(self._taking[p])
@@ -219,7 +219,7 @@ class _Together:
         self._initial = np.array(net.initial_marking, dtype=np.int64)
         flat = list(chain.from_iterable(effects))
         self._places = np.array([p for p, _ in flat], dtype=np.int64)
-        # Changes of more than MAX_WIDTH bits are clipped: they are too large anyway, and two
+        # Changes of more than MAX_WIDTH bits are clipped: they are too large in any case, and two
         # clipped numbers can be added without overflow.
         most = 1 << MAX_WIDTH
         self._changes = np.array(

@@ -1,5 +1,5 @@
-"""A few states of a state space that is too large for one process: with the firings from them, and
-the immediate firings that follow."""
+"""A part of a state space too large for one process: a few states, the firings from them, and the
+immediate firings that follow."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gspn_framework_package.analysis.state_space.packing import PackedNet, Packi
 from gspn_framework_package.analysis.state_space.space import StateSpace
 
 _ROWS = 1 << 13
-"""Most states that are expanded at once."""
+"""Largest number of states expanded at once."""
 
 _ROUND = 1 << 19
-"""Most states times transitions that are expanded at once."""
+"""Largest product of states and transitions expanded at once."""
 
 
 def timed_in(packed: PackedNet) -> Booleans:
@@ -25,15 +25,15 @@ def timed_in(packed: PackedNet) -> Booleans:
 
 
 def rows_of_round(transitions: int) -> int:
-    """Most states that should be expanded at once."""
+    """Largest number of states to expand at once."""
     return max(1, min(_ROWS, _ROUND // max(transitions, 1)))
 
 
 def window(packed: PackedNet, words: Words) -> StateSpace:
-    """A state space of its own: some states, which are numbered first, the firings from them, and
-    whatever immediate firings follow, up to the next tangible states, from which nothing fires.
+    """A separate state space: some states (numbered first), the firings from them, and the
+    immediate firings that follow, up to the next tangible states, which have no arcs.
 
-    :param words: the packed markings of different states, one row each.
+    :param words: the packed markings of distinct states, one row each.
     """
     timed = timed_in(packed)
     size = len(packed.order)

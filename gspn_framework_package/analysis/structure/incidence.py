@@ -1,4 +1,4 @@
-"""The arcs of a net as arrays, for questions that look at all arcs of a large net at once."""
+"""The arcs of a net as arrays, for questions that consider all arcs of a large net at once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Incidence(NamedTuple):
 
 
 def flatten(rows: Sequence[WeightedPlaces]) -> Incidence:
-    """The entries of ``net.inputs`` and the like."""
+    """The entries of ``net.inputs`` and similar lists."""
     lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
     of = np.repeat(np.arange(len(rows)), lengths)
     flat = list(chain.from_iterable(rows))
@@ -38,5 +38,5 @@ def flatten(rows: Sequence[WeightedPlaces]) -> Incidence:
 
 
 def effects(net: Net) -> Incidence:
-    """What the firings of the transitions change."""
+    """The changes made by the firings of the transitions."""
     return flatten([net.effect(t) for t in range(len(net.transitions))])

@@ -1,12 +1,12 @@
 """Minimal non-negative P-invariants and T-invariants (semiflows), and the bounds that they imply.
 
-The algorithm is that of Farkas with the support test of Colom and Silva (1991). Before it, the
-elimination handles the columns that one row alone can cancel, or two rows with each other: they
-need no test and create no additional rows, and in most large nets they are nearly all columns.
-There can be exponentially many minimal invariants; the search stops at a limit and reports it.
+The algorithm is that of Farkas with the support test of Colom and Silva (1991). A first elimination
+handles the columns that concern a single row or two rows that cancel each other: these need no test
+and create no additional rows, and in most large nets they are nearly all columns. There can be
+exponentially many minimal invariants; the search stops at a limit and reports it.
 
-A net may have 100,000 nodes. So the columns are a sparse matrix, and NumPy drops those that cannot
-cancel; Python objects are made only of what remains.
+A net may have 100,000 nodes, so the columns are a sparse matrix, and NumPy drops those that cannot
+cancel; Python objects are created only for the rest.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _ROWS = "steps of invariants"
 _ALL = 1 << 62
 
 _VECTORISED = 32
-"""Number of entries that NumPy handles in the time of one step of Python."""
+"""Number of entries that NumPy processes in the time of one step of Python."""
 
 
 class Invariant(NamedTuple):
@@ -93,7 +93,7 @@ def transition_surpluses(
     names = [t.name for t in net.transitions]
     columns = _transition_columns(net)
     places = np.arange(len(net.places))
-    columns = _Columns(  # what a place gains is discarded
+    columns = _Columns(  # tokens that a place gains may be discarded
         columns.number + len(places),
         np.concatenate([columns.items, columns.number + places]),
         np.concatenate([columns.indices, places]),
@@ -130,15 +130,15 @@ def bounds_of(
 
 
 def uncovered_place(net: Net) -> Optional[str]:
-    """A place that is in no P-invariant, if that is evident without a search; None proves
-    nothing."""
+    """A place that is in no P-invariant, if that is evident without a search; None leaves it
+    open."""
     lost = _Elimination(_place_columns(net), Effort(_ALL)).lost
     return net.places[min(lost)].name if lost else None
 
 
 def uncovered_transition(net: Net) -> Optional[str]:
-    """A transition that is in no T-invariant, if that is evident without a search; None proves
-    nothing."""
+    """A transition that is in no T-invariant, if that is evident without a search; None leaves it
+    open."""
     lost = _Elimination(_transition_columns(net), Effort(_ALL)).lost
     return net.transitions[min(lost)].name if lost else None
 
@@ -226,13 +226,13 @@ def _is_simple(lowering: Set[int], raising: Set[int]) -> bool:
 
 
 class _Elimination:
-    """Cancels what can be cancelled without a choice.
+    """Cancels indices for which there is no choice.
 
     If all columns change an index in the same direction, they are dropped; if a single column
     raises it and a single one lowers it, the two are merged. The smaller column is merged into the
     larger one, so a ring costs no more than its arcs.
 
-    :ivar rows: what remains.
+    :ivar rows: the remaining rows.
     :ivar lost: the numbers of the columns that are in no combination that gives zero.
     """
 
@@ -288,7 +288,7 @@ class _Elimination:
         self._effort.spend(1, _ROWS)
         lowering, raising = self._at[index]
         if not lowering or not raising:
-            # iterating over a set that was once large takes as long when it is empty
+            # iterating over a set that was once large takes just as long when it is empty
             if lowering or raising:
                 for number in list(lowering or raising):
                     self._drop(number)
@@ -333,13 +333,13 @@ class _Elimination:
 class _Row(NamedTuple):
     support: int  # bit set of the atoms
     weights: Dict[int, int]
-    residual: Dict[int, int]  # what is not yet cancelled
+    residual: Dict[int, int]  # the part not yet cancelled
 
 
 def _afford_rows(rows: int, effort: Effort) -> int:
-    """How many steps it takes to build the bit sets of the supports of so many rows.
+    """Number of steps to build the bit sets of the supports of this many rows.
 
-    :raises LimitError: the limit does not allow them.
+    :raises LimitError: they exceed the limit.
     """
     steps = rows**2 >> 10
     effort.afford(steps)
@@ -401,7 +401,7 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
 
 
 def _cost(signs: Tuple[Set[int], Set[int]]) -> int:
-    """How many more rows there are after cancelling an index."""
+    """Number of additional rows after cancelling an index."""
     lowering, raising = len(signs[0]), len(signs[1])
     return lowering * raising - lowering - raising
 

@@ -59,7 +59,7 @@ class NetClasses(NamedTuple):
     """The classes that a net belongs to.
 
     :ivar ordinary: all arc weights are 1.
-    :ivar pure: no transition takes from and puts into the same place.
+    :ivar pure: no place is both input and output of a transition.
     :ivar state_machine: ordinary; every transition has one input and one output place.
     :ivar marked_graph: ordinary; every place has one input and one output transition.
     :ivar free_choice: ordinary; a place with several output transitions is the only input of each.
@@ -67,7 +67,7 @@ class NetClasses(NamedTuple):
       places.
     :ivar asymmetric_choice: ordinary; of two places that share an output transition, one has all
         the output transitions of the other.
-    :ivar inhibitors: it has inhibitor arcs (which the other classes ignore).
+    :ivar inhibitors: there are inhibitor arcs (which the other classes ignore).
     """
 
     ordinary: bool
@@ -144,10 +144,10 @@ def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
     signs = changes.positive
     changed = meetings(changes)
     readers, inhibited = incidence.flatten(net.inputs), incidence.flatten(net.inhibitors)
-    taken = np.isin(meetings(readers), changed[~signs])  # another reader takes
+    taken = np.isin(meetings(readers), changed[~signs])  # another reader takes tokens
     fed = np.isin(meetings(inhibited), changed[signs])
     feeding = np.isin(changed, meetings(inhibited)) & signs
-    # Those that meet are connected through a node for their meeting.
+    # Transitions in conflict are connected through a node for the conflict.
     transitions = np.concatenate(
         [
             readers.transitions[taken],
@@ -184,7 +184,7 @@ class Structure:
     def __init__(
         self, net: Net, *, limit: int = STRUCTURE_LIMIT, watch: Optional[Callable[[], Watch]] = None
     ) -> None:
-        """:param limit: most elementary steps of each search.
+        """:param limit: largest number of elementary steps of each search.
         :param watch: creates the watch of a search, which receives progress and may stop the
           search."""
         self.net = net
@@ -227,7 +227,7 @@ class Structure:
 
     @cached_property
     def unmarked_siphon(self) -> Tuple[str, ...]:
-        """The places of the largest siphon that holds no token: none of them ever gets one."""
+        """The places of the largest unmarked siphon: none of them ever gets a token."""
         empty = [place.name for place in self.net.places if not place.tokens]
         return largest_siphon(self.net, empty, arcs=self._arcs)
 
@@ -296,7 +296,7 @@ class Structure:
 
     @property
     def _change_of_all(self) -> List[int]:
-        """What every place gains when each transition fires once."""
+        """The tokens that every place gains when each transition fires once."""
         change = [0] * len(self.net.places)
         for t in range(len(self.net.transitions)):
             for p, by in self.net.effect(t):

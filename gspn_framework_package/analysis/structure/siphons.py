@@ -4,16 +4,16 @@ A *siphon* is a set of places such that every transition that puts a token into 
 out of it; a *trap* is the same with the directions exchanged. The minimal ones are listed by
 branching on the places of one already found: each branch excludes one of its places. A minimal set
 is strongly connected (every place of it is fed, through others of it, by every other), so each
-strongly connected part of the net is searched on its own. There can be exponentially many minimal
+strongly connected part of the net is searched separately. There can be exponentially many minimal
 sets; the search stops at a limit and reports it. Inhibitor arcs are ignored.
 
 Two questions are decided without a list: the largest siphon or trap inside a set of places, and
 whether every siphon holds a marked trap (:func:`unguarded_siphon`). The latter examines only the
 siphons that avoid the marked traps found so far.
 
-A net may have 100,000 nodes, and most of the work is done again with one place less. So the sets
-are byte arrays, which are copied in microseconds, and each part of the net is searched in a
-numbering of its own.
+A net may have 100,000 nodes, and most of the work is repeated with one place fewer. Therefore sets
+are byte arrays, which are copied in microseconds, and each part of the net is searched with its own
+numbering.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def unguarded_siphon(
 
 def _marked_part(trap: _Inside, marked: Booleans) -> Set[int]:
     """A smaller marked trap inside a marked trap."""
-    for p in np.flatnonzero(trap.mask & marked).tolist():  # the set that this mark demands
+    for p in np.flatnonzero(trap.mask & marked).tolist():  # it must contain this place
         needed, possible, closed = trap.demand({p})
         if possible and closed:
             return needed
@@ -147,12 +147,12 @@ def _marked_part(trap: _Inside, marked: Booleans) -> Set[int]:
 
 
 class _Rules:
-    """The arcs in terms of siphons; for traps, the directions are exchanged. Places and transitions
+    """The arcs as seen by siphons; for traps, the directions are exchanged. Places and transitions
     are numbered from 0.
 
     :ivar feeding: for each place the transitions that put tokens into it: each of them must take
-        from every set that has the place.
-    :ivar taking: for each transition the places that it takes from.
+        from every siphon that contains the place.
+    :ivar taking: for each transition, the places that it takes from.
     :ivar fed: for each transition the places that it puts tokens into.
     :ivar asking: for each place the transitions that take from it.
     :ivar numbers: for each place its number in the net.
@@ -173,7 +173,7 @@ class _Rules:
         self.connected = connected
 
     def of_part(self, places: Sequence[int], effort: Effort, connected: bool = False) -> _Rules:
-        """The rules of these places alone; they get the numbers of their order here."""
+        """The rules restricted to these places, which are numbered by their order here."""
         place = {p: i for i, p in enumerate(places)}
         transition: Dict[int, int] = {}
         for p in places:
@@ -223,7 +223,7 @@ def _pairs(rows: Sequence[Sequence[int]]) -> Tuple[Indices, Indices]:
 
 
 class Directions:
-    """The arcs of a net in terms of siphons and of traps, made once for all questions on both."""
+    """The arcs of a net as seen by siphons and by traps, built once for all questions on both."""
 
     def __init__(self, net: Net) -> None:
         taken, fed = _sets(net.inputs), _sets(net.outputs)
@@ -237,7 +237,8 @@ def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
 
 
 class _Inside:
-    """The largest siphon (trap) inside a set of places, updated when a place leaves that set.
+    """The largest siphon (trap) inside a set of places, updated when a place is removed from the
+    set.
 
     :ivar size: the number of its places.
     """
@@ -374,7 +375,7 @@ class _Inside:
 
 
 _VECTORISED = 32
-"""Number of elements that compiled code handles in the time of one step of Python."""
+"""Number of elements that compiled code processes in the time of one step of Python."""
 
 _PLACES = "steps of siphons and traps"
 
@@ -475,7 +476,7 @@ def _branch(
             pivot = _shrunk(inside)
             found.add(rules.in_net(pivot))
         for p in sorted(pivot - needed):
-            if p in needed:  # by now the other places demand it
+            if p in needed:  # by now, the other places require it
                 continue
             waiting.append((inside, p, frozenset(needed)))
             needed, possible, closed = inside.demand(needed | {p})
@@ -491,7 +492,7 @@ def _branch(
 
 def _shrunk(inside: _Inside) -> Set[int]:
     """A minimal set inside ``inside``, which must not be empty."""
-    needed: Set[int] = set()  # what every set inside contains
+    needed: Set[int] = set()  # the places that every set inside contains
     for p in inside.numbers():
         if p in needed or not inside.has(p):
             continue

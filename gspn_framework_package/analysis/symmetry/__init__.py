@@ -1,4 +1,4 @@
-"""Exchangeable parts of a net, and its state space with one marking for each orbit of them.
+"""Exchangeable parts of a net, and its state space with one marking per orbit.
 
 Modules: ``asked``, ``automorphisms``, ``factors``, ``lumped_properties``, ``lumped_space``,
 ``symmetry``.

@@ -1,8 +1,8 @@
-"""Conditions as terms that do not depend on the order in which equal parts are named.
+"""Conditions as terms that are independent of the order in which equal parts are named.
 
 ``busy1 + busy2 >= 1`` and ``busy2 + busy1 >= 1`` are the same term. A permutation of the places
-that maps a condition to the same term does not change where it holds, so equal parts may be
-exchanged although the condition names them.
+that maps a condition to the same term preserves its truth, so equal parts may be exchanged although
+the condition names them.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from gspn_framework_package.model.condition import Condition
 
 _ANY_ORDER = ("+", "*", "==", "!=", "and", "or", "min", "max")
 _FLAT = ("and", "or", "min", "max")
-"""The operations that may be nested in any way. Sums may be too, if they are sums of counts and of
-whole numbers, which floats hold exactly."""
+"""The associative operations. Sums are associative too if they consist of counts and whole numbers,
+which floats represent exactly."""
 
 Term = Tuple[Hashable, Tuple[int, ...]]
-"""An operation, and the numbers of the terms that it takes; sorted, if their order is free."""
+"""An operation and the numbers of its operands, sorted if their order does not matter."""
 
 
 class Terms:
-    """Numbers the terms of conditions, from 0: equal terms have one number.
+    """Numbers the terms of conditions from 0; equal terms have the same number.
 
-    :ivar terms: the terms; each takes only terms with lower numbers.
+    :ivar terms: the terms; operands have lower numbers.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class Terms:
     def of(self, condition: Condition, to: Optional[Sequence[int]] = None) -> int:
         """The number of the term of a condition.
 
-        :param to: place number -> the number of the place to put in its stead.
+        :param to: place number -> number of the place that replaces it.
         """
         stack: List[int] = []
         for step, argument in condition.program:
@@ -74,12 +74,12 @@ class Terms:
 
 
 def in_any_order(operation: Hashable) -> bool:
-    """Whether the parts of a term may change places."""
+    """Whether the operands of a term may be reordered."""
     return operation in _ANY_ORDER
 
 
 def is_kept(condition: Condition, generators: Sequence[Sequence[int]]) -> bool:
-    """Whether these permutations of the places leave a condition as it is."""
+    """Whether these permutations of the places preserve a condition."""
     terms = Terms()
     term = terms.of(condition)
     return all(terms.of(condition, generator) == term for generator in generators)

@@ -1,7 +1,7 @@
-"""The automorphisms of a net: the permutations of its nodes that leave the net as it is.
+"""The automorphisms of a net: the permutations of its nodes that preserve the net.
 
 The net becomes an undirected graph with colours: a vertex for each place, each transition and each
-arc. The colour of a vertex holds everything that matters for the behaviour, so that a permutation
+arc. The colour of a vertex encodes everything that matters for the behaviour, so a permutation
 of equally coloured, equally linked vertices is an automorphism of the net with its rates, weights,
 priorities, servers, capacities and initial marking. The library igraph finds generators of the
 group, with the algorithm BLISS (T. Junttila and P. Kaski, ALENEX 2007).
@@ -28,10 +28,11 @@ def automorphisms(
 ) -> List[Indices]:
     """Generators of the group of the automorphisms of a net.
 
-    :param asked: conditions that have to stay what they are.
-    :param distinguished: a value for each transition; different values are not exchanged.
+    :param asked: conditions to preserve.
+    :param distinguished: a value for each transition; only transitions with equal values are
+        exchanged.
     :return: each generator as an int array over the nodes (the places, then the transitions): the
-        node that each becomes. Only those that move a place.
+        image of each node. Only generators that move a place are returned.
     :raises UsageError: igraph is not installed.
     """
     places = len(net.places)
@@ -62,15 +63,15 @@ def _add_conditions(
     asked: Sequence[Condition], edges: List[Tuple[int, int]], colours: List[Hashable]
 ) -> None:
     """Add conditions to the graph of a net: a vertex for each of their terms (a place has one
-    already), and one for each part that a term takes.
+    already), and one for each operand of a term.
 
-    A term is identified by its height, so no automorphism takes a term for a part of it.
+    A term is coloured by its height, so no automorphism maps a term to one of its operands.
     """
     terms = Terms()
     roots = [terms.of(condition) for condition in asked]
     needed = set(roots)
     for number in range(len(terms.terms) - 1, -1, -1):
-        if number in needed:  # not so: the inner part of a sum of three
+        if number in needed:  # except the inner part of a sum of three
             needed.update(terms.terms[number][1])
     vertices: Dict[int, int] = {}
     heights: Dict[int, int] = {}
@@ -94,7 +95,7 @@ def _igraph() -> Any:
         import igraph
     except ImportError as error:
         raise UsageError(
-            "symmetries are found by igraph, which is not there: %s" % error,
+            "symmetries are found by igraph, which is not installed: %s" % error,
             hint="pip install igraph",
         ) from None
     return igraph

@@ -1,19 +1,19 @@
-"""Groups of permutations of the places, in the forms for which the least marking of an orbit is
-found fast.
+"""Groups of permutations of the places, in forms for which the least marking of an orbit is found
+quickly.
 
 A group falls into *factors* that move different places. Each is one of
 
 - an :class:`Exchange`: equal blocks of places in any order (all permutations of the blocks), such
-  as the places of equal robots or machines. A block may have factors of its own. Sorting the blocks
+  as the places of equal robots or machines. A block may have inner factors. Sorting the blocks
   gives the least marking.
 - a :class:`Listed` group: up to ``MOST_LISTED`` permutations, such as the turns and reflections of
   a ring. The least of all images is the least marking.
-- a :class:`Turned` group: such a list for parts that have factors of their own, such as a ring of
-  cells with equal machines in each. The least of all images after these factors did their part is
-  the least marking.
+- a :class:`Turned` group: such a list for parts with inner factors, such as a ring of cells with
+equal machines in each. The least of all images, after reduction by the inner factors, is the least
+marking.
 
-Of other groups the part that has these forms is used. That is exact too: any group of automorphisms
-is.
+Of other groups, a subgroup of these forms is used. That is exact too, since any group of
+automorphisms is.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.model.errors import LimitError
 
 MOST_LISTED = 1_024
-"""Most permutations of a group that are listed."""
+"""Largest number of permutations of a listed group."""
 
 _MOST_TRIED = 200
-"""Most generators of a group of unknown form from which a part is chosen."""
+"""Largest number of generators of a group of unknown form from which a subgroup is chosen."""
 
 _KEY_BITS = 63
 _EXACT_BITS = 52
-"""Bits of a whole number that a float holds exactly."""
+"""Number of bits of a whole number that a float represents exactly."""
 
 
 class Exchange:
@@ -56,7 +56,7 @@ class Exchange:
 
     @property
     def text(self) -> str:
-        """What it exchanges, in words."""
+        """The exchanged parts, in words."""
         blocks, places = self.blocks.shape
         inside = ", and within them %s" % self.inner[0].text if self.inner else ""
         return "%d equal parts of %d place%s, in any order%s" % (
@@ -67,7 +67,7 @@ class Exchange:
         )
 
     def moved(self, to: Indices) -> Exchange:
-        """The same group on other places: ``to`` has the new number of each."""
+        """The same group on other places; ``to`` maps each to its new number."""
         return Exchange(to[self.blocks], [factor.moved(to) for factor in self.inner])
 
     def reduce(self, counts: Indices) -> Indices:
@@ -100,7 +100,7 @@ class Exchange:
         return keys
 
     def _arrangements(self, keys: Sequence[Indices]) -> Indices:
-        """In how many ways blocks with these words, which are sorted, can be arranged."""
+        """The number of arrangements of blocks with these sorted words."""
         markings, blocks = keys[0].shape
         repeats = ones(markings, self.order)
         run = np.ones(markings, dtype=np.int64)
@@ -114,7 +114,7 @@ class Exchange:
 
 
 class Listed:
-    """A group of few permutations.
+    """A small group of permutations.
 
     :ivar places: int array: the places that it moves.
     :ivar images: int array, a row for each permutation: the places that ``places`` become.
@@ -131,7 +131,7 @@ class Listed:
 
     @property
     def text(self) -> str:
-        """What it exchanges, in words."""
+        """The exchanged parts, in words."""
         return "%d arrangements of %d places" % (self.order, len(self.places))
 
     def moved(self, to: Indices) -> Listed:
@@ -153,8 +153,8 @@ class Listed:
         return sizes
 
     def _least(self, values: Floats, weights: Floats) -> Tuple[Indices, Indices]:
-        """The words of the least images of markings (one row each), and how many permutations
-        leave each marking as it is."""
+        """The words of the least images of markings (one row each), and the number of permutations
+        that fix each marking."""
         codes = (values @ weights).reshape(len(values), self.order, -1)
         same = (codes == codes[:, :1]).all(axis=2).sum(axis=1)
         alive = np.ones(codes.shape[:2], dtype=bool)
@@ -190,9 +190,9 @@ class Listed:
 
 
 class Turned:
-    """Few permutations of parts with factors of their own.
+    """A small group of permutations of parts with inner factors.
 
-    :param inner: the factors within the parts: a group N that the others keep (q N = N q).
+    :param inner: the factors within the parts: a normal subgroup N (q N = N q).
     :param turns: the others.
     :ivar order: the number of permutations.
     """
@@ -205,7 +205,7 @@ class Turned:
 
     @property
     def text(self) -> str:
-        """What it exchanges, in words."""
+        """The exchanged parts, in words."""
         return "%s, and within them %s" % (self.turns.text, self.inner[0].text)
 
     def moved(self, to: Indices) -> Turned:
@@ -233,7 +233,8 @@ class Turned:
             less = found[differs, everywhere] < least[differs, everywhere]
             least[:, less] = found[:, less]
         counts[places] = least
-        # as many orbits of the inner factors as there are turns, for each that keeps the first one
+        # the number of orbits of the inner factors is that of turns divided by those that keep the
+        # first orbit
         return sizes * (self.turns.order // same)
 
 
@@ -250,7 +251,7 @@ class Factors(NamedTuple):
 def factors_of(generators: Sequence[Indices]) -> Factors:
     """The factors of the group with these generators (int arrays over the places).
 
-    If its form is unknown, those of a part of it: then not all generators are covered.
+    If its form is unknown, those of a subgroup, which does not cover all generators.
     """
     factors: List[Factor] = []
     covered: List[int] = []
@@ -287,8 +288,8 @@ def _support(generator: Indices) -> Indices:
 
 
 def _recognise(generators: Sequence[Indices]) -> Optional[List[Factor]]:
-    """The factor of a group whose generators are connected, as a list of one; None: of no known
-    form."""
+    """The factor of a group whose generators are connected, as a list of one; None if its form is
+    unknown."""
     blocks = _exchanged(generators)
     if blocks is not None:
         return [Exchange(blocks)]
@@ -300,8 +301,8 @@ def _recognise(generators: Sequence[Indices]) -> Optional[List[Factor]]:
 
 
 def _part(generators: Sequence[Indices], numbers: List[int]) -> Tuple[List[Factor], List[int]]:
-    """The factors of a part of a group of unknown form, and the numbers of its generators, chosen
-    one after the other, those that move few places first."""
+    """The factors of a subgroup of a group of unknown form, and the numbers of its generators,
+    chosen greedily, those that move few places first."""
     factors: List[Factor] = []
     kept: List[int] = []
     for n in sorted(numbers, key=lambda n: len(_support(generators[n])))[:_MOST_TRIED]:
@@ -322,7 +323,7 @@ def _exchanged(generators: Sequence[Indices]) -> Optional[Indices]:
     moves = np.array([g != np.arange(len(g)) for g in generators])
     if len(generators) < 2 or any((g[g] != np.arange(len(g))).any() for g in generators):
         return None
-    # the two or more generators that move a block are different ones for each block
+    # each block is moved by a different set of two or more generators
     blocks: Dict[bytes, List[int]] = {}
     for place in np.flatnonzero(moves.any(axis=0)).tolist():
         blocks.setdefault(moves[:, place].tobytes(), []).append(place)
@@ -330,8 +331,8 @@ def _exchanged(generators: Sequence[Indices]) -> Optional[Indices]:
 
 
 def _in_order(blocks: List[List[int]], generators: Sequence[Indices]) -> Optional[Indices]:
-    """The blocks with corresponding places in the same column; None: the generators do not swap
-    them so."""
+    """The blocks with corresponding places in the same column; None if the generators do not swap
+    them this way."""
     block_of = {place: b for b, block in enumerate(blocks) for place in block}
     swaps: List[Tuple[int, int, Indices]] = []
     for generator in generators:
@@ -360,14 +361,14 @@ def _in_order(blocks: List[List[int]], generators: Sequence[Indices]) -> Optiona
 
 
 def _listed(generators: Sequence[Indices]) -> Optional[Listed]:
-    """The group, if it has few elements."""
+    """The group, if it is small."""
     places = np.flatnonzero(np.any([g != np.arange(len(g)) for g in generators], axis=0))
     number = np.full(len(generators[0]), -1, dtype=np.int64)
     number[places] = np.arange(len(places))
     moves = [number[g[places]] for g in generators]
     found = [np.arange(len(places))]
     seen: Set[bytes] = {found[0].tobytes()}
-    for element in found:  # grows meanwhile
+    for element in found:  # grows during the loop
         for move in moves:
             image = move[element]
             if image.tobytes() not in seen:
@@ -379,7 +380,7 @@ def _listed(generators: Sequence[Indices]) -> Optional[Listed]:
 
 
 def _nested(generators: Sequence[Indices]) -> Optional[Factor]:
-    """Permutations of blocks that have factors of their own: the generators that move few places
+    """Permutations of blocks with inner factors: the generators that move few places
     are those within a block, the others exchange blocks."""
     order = sorted(generators, key=lambda g: len(_support(g)))
     sizes = [len(_support(g)) for g in order]
@@ -408,7 +409,7 @@ def _turned(inner: Sequence[Indices], outer: Sequence[Indices]) -> Optional[Turn
 
 def _in_product(factors: Sequence[Factor], places: Indices, image: Indices) -> bool:
     """Whether the permutation that takes ``places`` to ``image`` and moves no others belongs to the
-    product of the groups; False also if that is not seen."""
+    product of the groups; may be False although it does."""
     moved = dict(zip(places.tolist(), image.tolist()))
     rest = {p for p, q in moved.items() if p != q}
     for factor in factors:
@@ -455,7 +456,8 @@ def _wreath(inner: Sequence[Indices], outer: Sequence[Indices]) -> Optional[Exch
 
 
 def _halves(inner: Sequence[Indices], swap: Indices) -> Optional[Indices]:
-    """Two blocks that a permutation swaps, such that each of ``inner`` moves places of one."""
+    """Two blocks swapped by a permutation, such that each of ``inner`` moves places of one
+    block."""
     if (swap[swap] != np.arange(len(swap))).any():
         return None
     half: Dict[int, bool] = {}

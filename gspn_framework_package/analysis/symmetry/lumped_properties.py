@@ -15,14 +15,14 @@ from gspn_framework_package.model.errors import LimitError
 
 
 class LumpedProperties(Properties):
-    """Properties of the whole, read off the space of the orbits.
+    """Properties of the whole net, derived from the space of orbits.
 
-    A cycle of orbits unrolls to a cycle of markings, since a permutation repeated often enough
-    moves nothing. So bounds, L0, L1 and L3 (by orbits of transitions), deadlocks and reversibility
-    follow at once. But one final component of orbits may stand for several of markings that
-    exchange into each other, such as "robot 1 has the tool for good" and "robot 2 has". It stands
-    for one if one of its markings is its whole orbit. Otherwise home states, and whether
-    exchangeable transitions are live, are not decided.
+    A cycle of orbits unrolls to a cycle of markings, since a permutation repeated often enough is
+    the identity. So bounds, L0, L1 and L3 (by orbits of transitions), deadlocks and reversibility
+    follow at once. But one final component of orbits may represent several components of markings
+    that an exchange maps to each other, such as "robot 1 keeps the tool forever" and "robot 2
+    does". It represents one if one of its markings is its whole orbit. Otherwise, home states and
+    the liveness of exchangeable transitions are not decided.
 
     :param space: a complete lumped space.
     """
@@ -46,7 +46,7 @@ class LumpedProperties(Properties):
 
     @cached_property
     def alone(self) -> Booleans:
-        """Boolean array over the components: the final ones that stand for one component of
+        """Boolean array over the components: the final ones that represent a single component of
         markings."""
         found = self.components
         alone = np.zeros(found.number, dtype=bool)
@@ -63,7 +63,7 @@ class LumpedProperties(Properties):
         if not len(states) or self.alone.any():
             return states
         if len(states) == 1 and len(self.space.deadlocks):
-            return states[:0]  # several deadlocks that exchange into each other
+            return states[:0]  # several deadlocks that an exchange maps to each other
         raise _several()
 
     @cached_property
@@ -96,6 +96,6 @@ class LumpedProperties(Properties):
 
 def _several() -> LimitError:
     return LimitError(
-        "not decided: a final component of orbits may stand for several of markings",
-        hint="analyse the whole (without --lump)",
+        "not decided: a final component of orbits may represent several components of markings",
+        hint="analyse the whole net (without --lump)",
     )

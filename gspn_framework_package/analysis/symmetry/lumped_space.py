@@ -29,8 +29,8 @@ from gspn_framework_package.model.net import Marking
 class LumpedSpace(StateSpace):
     """Reachable markings, one for each orbit; made by :func:`explore_lumped`.
 
-    :ivar symmetry: what was exchanged.
-    :ivar sizes: int array: for each state the number of markings that it stands for.
+    :ivar symmetry: the symmetry used.
+    :ivar sizes: int array: for each state, the number of markings that it represents.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class LumpedSpace(StateSpace):
         return int((self.sizes.astype(object) * np.diff(self.offsets)).sum())
 
     def find(self, marking: Union[Sequence[int], Dict[str, int]]) -> Optional[int]:  # type: ignore[override]
-        """See :meth:`StateSpace.find`: the state that stands for this marking."""
+        """See :meth:`StateSpace.find`: the state that represents this marking."""
         counts = self.net.marking(marking) if isinstance(marking, dict) else tuple(marking)
         least = np.array([counts], dtype=np.int64)
         self.symmetry.reduce(least)
@@ -78,15 +78,16 @@ class LumpedSpace(StateSpace):
         if not self.symmetry.keeps(condition):
             raise RefusedError(
                 "equal parts were exchanged, but this condition names them: %s" % condition.text,
-                hint="say in advance what will be asked, or analyse the whole (without --lump)",
+                hint="name the conditions in advance, or analyse the whole net (without --lump)",
             )
         return super().holds(condition)
 
     def _firings_to(self, state: int) -> List[Tuple[int, Marking]]:
         """A shortest firing sequence to a state: each transition, and the marking after it.
 
-        The arcs lead from orbit to orbit. From the last marking back, a marking of each earlier
-        orbit is found that a firing leads on from; the orbit of the initial marking has only one.
+        The arcs lead from orbit to orbit. Backwards from the last marking, a marking with a
+        suitable firing is found in each earlier orbit; the orbit of the initial marking has only
+        one.
         """
         net = self.net
         after = self.marking(state)
@@ -133,7 +134,7 @@ def explore_lumped(
     """Find one marking of each reachable orbit. The parameters are those of
     :func:`~gspn_framework_package.analysis.state_space.space.explore`.
 
-    :param symmetry: what is exchanged; a net without any is explored as a whole.
+    :param symmetry: the exchangeable parts; a net without any is explored as a whole.
     :raises CancelledError: ``cancel`` returned true.
     """
     net = symmetry.net
@@ -155,5 +156,5 @@ def explore_lumped(
             symmetry, PackedStore(packing, graph.states), graph, packed.order, shortage
         )
 
-    # what is exchanged gets fields of one width
+    # exchangeable places get fields of the same width
     return in_wide_fields(net, bounds, run, alike=symmetry.place_orbits)

@@ -1,21 +1,24 @@
-"""The symmetry of a net: which of its parts can be exchanged, and the least marking of each orbit.
+"""The symmetry of a net: its exchangeable parts, and the least marking of each orbit.
 
 Let G be a group of automorphisms of a net, with its rates, weights, priorities and initial marking
-(:mod:`~gspn_framework_package.analysis.symmetry.automorphisms`). What a marking m enables, and at
-which rates, g(m) enables under other names. So the orbits of markings under G are a lumping of the
-Markov chain: the rate from m to an orbit is the same for all m of an orbit (strong lumpability: J.
-G. Kemeny and J. L. Snell, *Finite Markov Chains*, Van Nostrand, 1960, section 6.3; for symmetries
-of nets, G. Chiola, C. Dutheillet, G. Franceschinis and S. Haddad, *Stochastic well-formed colored
-nets and symmetric modeling applications*, IEEE Transactions on Computers 42(11), 1993).
+(:mod:`~gspn_framework_package.analysis.symmetry.automorphisms`). A marking m and its image g(m)
+enable corresponding transitions at the same rates. Hence the orbits of markings under G are a
+lumping of the Markov chain: the rate from m to an orbit is the same for all m of an orbit (strong
+lumpability: J. G. Kemeny and J. L. Snell, *Finite Markov Chains*, Van Nostrand, 1960, section 6.3;
+for symmetries of nets, G. Chiola, C. Dutheillet, G. Franceschinis and S. Haddad, *Stochastic
+well-formed colored nets and symmetric modeling applications*, IEEE Transactions on Computers
+42(11), 1993).
 
-It suffices, then, to visit one marking of each orbit. Since g(m0) = m0 for the initial marking m0,
+It is therefore sufficient to visit one marking of each orbit. Since g(m0) = m0 for the initial
+marking m0,
 
 - with m every g(m) is reachable, so the number of reachable markings is the sum of the sizes of the
   visited orbits;
-- the distribution over markings is the same under every g at all times: it is so at the start, and
-  the rates are the same under g. So it is in the steady state too (the limit of the means over
-  time), with one recurrent class or several. Hence the mean count of a place p is that of g(p), and
-  so the mean, over the orbit of p, of what the lumped chain gives: the sum over that orbit is the
+- the distribution over markings is the same under every g at all times: this holds at the start,
+and the rates are the same under g. It therefore also holds in the steady state (the limit of the
+means over time), with one recurrent class or several. Hence the mean count of a place p equals that
+of g(p), and so the average of the lumped chain's values over the orbit of p: the sum over that
+orbit is the
   same in all markings of an orbit. The same holds for the distribution of the count, and for the
   throughput of a transition.
 """
@@ -35,7 +38,7 @@ from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.net import Net
 
 _ROWS = 1 << 15
-"""Most markings that are reduced at once."""
+"""Largest number of markings reduced at once."""
 
 
 class Symmetry:
@@ -43,10 +46,10 @@ class Symmetry:
 
     :param asked: conditions that no exchange may change.
     :param distinguished: see :func:`~.automorphisms.automorphisms`.
-    :ivar factors: the factors of the group that is used.
+    :ivar factors: the factors of the group used.
     :ivar generators: its generators: int arrays over places and transitions.
-    :ivar unused: the number of generators of the whole group that it does without, since the form
-        of the group is unknown.
+    :ivar unused: the number of generators of the whole group that are not used because the form of
+        the group is unknown.
     :ivar place_orbits: int array: the number of the orbit of each place.
     :ivar transition_orbits: int array: the number of the orbit of each transition.
     :raises UsageError: igraph is not installed.
@@ -70,7 +73,7 @@ class Symmetry:
 
     @property
     def order(self) -> int:
-        """The number of permutations of the group that is used."""
+        """The number of permutations of the group used."""
         return math.prod(factor.order for factor in self.factors)
 
     def keeps(self, condition: Condition) -> bool:
@@ -79,7 +82,7 @@ class Symmetry:
 
     @property
     def text(self) -> List[str]:
-        """What can be exchanged, in words: one sentence part for each factor."""
+        """The exchangeable parts, in words: one phrase per factor."""
         return [factor.text for factor in self.factors]
 
     def reduce(self, markings: Indices) -> Indices:
@@ -117,7 +120,7 @@ class Symmetry:
 
 
 def _over(orbit: Indices, values: Sequence[float]) -> List[float]:
-    """For each node the mean of ``values`` over its orbit."""
+    """For each node, the mean of ``values`` over its orbit."""
     if not len(orbit):
         return []
     return (np.bincount(orbit, weights=values) / np.bincount(orbit))[orbit].tolist()

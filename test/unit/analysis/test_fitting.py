@@ -443,7 +443,7 @@ def test_robots_and_halves_that_differ_are_named_and_others_are_not() -> None:
     assert any("A: the robots differ: r2 takes 1.3" in n and "2 such tests" in n for n in notes)
     late = np.concatenate((generator.gamma(30, 1 / 30, 60), generator.gamma(30, 1.3 / 30, 60)))
     notes = fit_plan(small_plan(), attempts(late)).notes
-    assert any("A: it changed in the course of the run" in note for note in notes)
+    assert any("A: it changed during the run" in note for note in notes)
 
 
 def test_an_outcome_that_depends_on_the_time_is_said() -> None:

@@ -233,7 +233,7 @@ def test_nothing_is_left_in_the_folder_even_while_it_works(tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(UsageError, match="no temporary file can be made"):
+    with pytest.raises(UsageError, match="cannot create a temporary file"):
         Scratch(tmp_path / "nowhere")
 
 

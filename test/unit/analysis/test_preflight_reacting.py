@@ -215,7 +215,7 @@ def with_actions(work, charge):
 @pytest.mark.parametrize(
     ("other", "severity", "text"),
     [
-        (SILENT, WARNING, "reads 'robot.pose', which nothing writes: the action fails there"),
+        (SILENT, WARNING, "reads 'robot.pose', which is never written: the action fails there"),
         (FunctionAction("a.f", "f"), OK, "only the functions and ExecGSPN servers of Charge can"),
         (KEEPS, OK, "every name that an action reads is written"),
     ],
@@ -232,7 +232,7 @@ def test_data_of_tasks():
     plan = couriers()
     plan = replace(plan, actions={"Idle": None, "Carry": reads}).validate()
     ((severity, text),) = said(plan, "data")
-    assert severity is OK and "the tasks that come in have to bring it" in text
+    assert severity is OK and "submitted tasks must contain it" in text
     known = reads._replace(message={"data": {"from": "task.id"}})
     plan = replace(plan, actions={"Idle": None, "Carry": known}).validate()
     assert said(plan, "data") == [(OK, "every name that an action reads is written")]

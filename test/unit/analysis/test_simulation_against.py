@@ -182,7 +182,7 @@ def test_what_is_never_reached_has_no_mean_time():
     found = compare_plans(
         DARE, WALK, Objective.time_to("there == 1"), replications=50, seconds=None
     )
-    assert found.old.mean is None and "never come to the condition" in found.old.why
+    assert found.old.mean is None and "never reach the condition" in found.old.why
     assert found.new.mean == 0.0 and not found.significant
     assert found.text.startswith("not decided") and "never come" in found.text
     data = json.loads(json.dumps(found.to_json(), allow_nan=False))
@@ -310,7 +310,7 @@ def test_a_warm_up_that_is_too_short_is_lengthened():
     [
         (Objective.long_run({"nowhere": 1.0}), {}, "'nowhere'"),
         (Objective.long_run({"no*": 1.0}), {}, "nothing in the net matches 'no"),
-        (Objective.long_run(TRIPS), {"replications": 1}, "make no interval"),
+        (Objective.long_run(TRIPS), {"replications": 1}, "are too few for an interval"),
         (Objective.long_run(TRIPS), {"confidence": 1.0}, "confidence of 1"),
         (Objective.long_run(TRIPS), {"seconds": 0.0}, "no time"),
         (Objective.long_run(TRIPS), {"warmup": 5.0, "time": 5.0}, "warm-up of 5"),

@@ -318,7 +318,7 @@ def test_batches_of_one_run_agree_with_many_runs():
     for name, estimate in one.throughput.items():
         other = many.throughput[name]
         assert abs(estimate.mean - other.mean) < estimate.half_width + other.half_width
-    with pytest.raises(RefusedError, match="has no batches"):
+    with pytest.raises(RefusedError, match="cannot be divided into batches"):
         simulate(replace(plan, until="At_Dock >= 2"), time=3000.0, batches=30)
 
 

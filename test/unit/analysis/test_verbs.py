@@ -288,7 +288,7 @@ def test_conservative_says_what_is_counted(run):
         in analysed
     )
     _, checked, _ = run("check", PLANS / "measure")
-    assert "every transition moves as many robots in as out, resource places aside" in checked
+    assert "every transition moves as many robots in as out, ignoring resource places" in checked
 
 
 @pytest.mark.parametrize(

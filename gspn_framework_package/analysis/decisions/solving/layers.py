@@ -160,7 +160,7 @@ def reduce(
             if not live[starts].all():
                 raise RefusedError(
                     "a timeless trap: immediate transitions fire without end, whatever is chosen",
-                    hint="a cycle of immediate transitions must have a way out",
+                    hint="a cycle of immediate transitions must have an exit",
                 )
         inner, component, count = found.rows, found.of, found.number
     unknown = live if goal is None else live & ~goal
