@@ -66,7 +66,7 @@ def test_a_policy_stays_although_its_simulation_fails(tmp_path, monkeypatch, cap
     assert main([*OPTIMISE, "-o", target]) == 1
     told = capsys.readouterr().out
     assert "best policy: 0.571428571" in told
-    assert "not decided: what a simulation of both plans says: it never ends" in told
+    assert "not decided: the simulation of both plans: it never ends" in told
     assert read_plan(target).policy.rows
 
 

@@ -51,7 +51,7 @@ def test_without_a_name_nothing_is_written(tmp_path, capsys, monkeypatch):
         (["--reward", "x*=1"], 2, "nothing in the net matches 'x*'"),
         (["--mean-time-to", "p1 =="], 2, "p1"),
         ([*CHECKS, "--never", "p1:Check"], 2, "p1:Check"),
-        ([*CHECKS, "--may-wait", "p1:Check_Temperature_L1"], 2, "nothing is chosen in"),
+        ([*CHECKS, "--may-wait", "p1:Check_Temperature_L1"], 2, "there is no choice in"),
         ([*CHECKS, "--at-least", "t1"], 2, "NAME>=VALUE"),
         ([*CHECKS, "--uncertain", "t2:AlarmOff_L1=1"], 2, "TRANSITION=LOW..HIGH"),
         ([*CHECKS, "--team-sizes", "3"], 2, "--team-sizes '3'"),

@@ -1,4 +1,4 @@
-"""What a policy is computed for: the aim, its constraints and how the plan is read."""
+"""The request for a policy: the aim, its constraints and the interpretation of the plan."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ AIM_WIDTH = 1e-6
 """Default width of the certified interval, relative to its value."""
 
 NARROWEST = 1e-12
-"""Narrowest width that can be asked for: rounding errors are not much smaller."""
+"""Smallest width that can be requested: rounding errors are not much smaller."""
 
 _LISTED = 6
-"""Most rewards in the words for an objective."""
+"""Largest number of rewards in the description of an objective."""
 
 
 class Aim(enum.Enum):
@@ -89,7 +89,7 @@ class Objective:
 
     def resolved(self, net: Net) -> Objective:
         """The objective with the patterns among its rewards replaced by the names in ``net`` that
-        they match: ``*`` and ``?`` as in file names. A name of the net itself is not taken for a
+        they match: ``*`` and ``?`` as in file names. A name of the net is never interpreted as a
         pattern.
 
         :raises UsageError: nothing matches a pattern.
@@ -127,7 +127,7 @@ class AtLeast(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> AtLeast:
-        """Read ``NAME>=VALUE``. :raises UsageError: it is something else."""
+        """Read ``NAME>=VALUE``. :raises UsageError: the text has another form."""
         name, sign, bound = text.rpartition(">=")
         try:
             value = float(bound)
@@ -142,18 +142,18 @@ class AtLeast(NamedTuple):
 
 @dataclass(frozen=True)
 class Request:
-    """Everything that a policy is computed from, besides the plan.
+    """Everything that a policy is computed from, except the plan.
 
     :ivar never: conditions that may never hold.
     :ivar at_least: constraints on the long run.
     :ivar may_wait: places in which a robot may wait although it could go on.
     :ivar reading: how time is read: ``run`` or ``net``.
-    :ivar fitted: whether the plan's own ``durations``, ``outcomes`` and ``rates`` count, as learned
-      from runs; if not, the nominal rates of the net's file do.
+    :ivar fitted: whether to use the plan's ``durations``, ``outcomes`` and ``rates``, as learned
+        from runs, rather than the nominal rates of the net's file.
     :ivar uncertain: transition -> lowest and highest rate (1/s): the policy is the best for the
       worst of them.
     :ivar team_sizes: the numbers of robots for which to compute choices; None: the plan's own, and
-      those that losses leave.
+        the smaller ones after losses.
     :ivar width: width of the certified interval, relative to its value.
     :ivar limits: how far each part may go.
     """
@@ -198,8 +198,8 @@ class Request:
     def check(self, net: Net) -> None:
         """Check that all names and conditions fit ``net``, and that the parts fit each other.
 
-        :raises UsageError: a name is not in the net, or the request makes no sense.
-        :raises ExpressionError: a condition cannot be read.
+        :raises UsageError: a name is not in the net, or the request is invalid.
+        :raises ExpressionError: a condition cannot be parsed.
         """
         objective = self.objective
         self._check_rewards(net)
@@ -212,7 +212,7 @@ class Request:
                 raise UsageError("%g is not a bound of '%s'" % (bound, name))
         if self.at_least and objective.aim is not Aim.LONG_RUN:
             raise UsageError(
-                "constraints of the long run need an aim of the long run", hint="give rewards"
+                "constraints on the long run need an aim of the long run", hint="give rewards"
             )
         if self.at_least and self.uncertain:
             raise UsageError("constraints cannot be combined with uncertain rates")

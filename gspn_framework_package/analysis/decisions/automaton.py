@@ -17,10 +17,10 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 
 WAIT = -1
-"""The choice of a row in which the robots that could move wait."""
+"""The choice of a row in which robots that could move wait."""
 
 CHANCE = -2
-"""The choice of a row in which nobody decides; also that of the row of a tangible state."""
+"""The choice of a row without a decision; also that of the row of a tangible state."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Automaton:
 
     :ivar tangible: boolean array, one value per state.
     :ivar rows: int64 array of states + 1: state ``s`` has the rows ``rows[s]`` to
-      ``rows[s + 1]``: exactly one if it is tangible (without arcs if nothing happens any more), one
+      ``rows[s + 1]``: exactly one if it is tangible (without arcs if nothing more can happen), one
       or more if it is vanishing.
     :ivar arcs: int64 array of rows + 1: the arcs of each row.
     :ivar targets: int32 array: the state that each arc leads to.
@@ -39,7 +39,7 @@ class Automaton:
       -1 if none does.
     :ivar choices: int32 array, one value per row: the number of the plan's transition that the row
       chooses, :data:`WAIT` or :data:`CHANCE`.
-    :ivar initial: the states that a run begins in: pairs (state, probability).
+    :ivar initial: the possible initial states: pairs (state, probability).
     """
 
     tangible: Booleans
@@ -73,11 +73,11 @@ class Automaton:
 
 
 class Rewards(NamedTuple):
-    """What a run earns; negative values are costs.
+    """The rewards of a run; negative values are costs.
 
     :ivar rate: float array, one value per state: per second in it. It counts in tangible states
       only.
-    :ivar impulse: float array, one value per arc: each time that it is taken.
+    :ivar impulse: float array, one value per arc: each time it is taken.
     """
 
     rate: Floats

@@ -1,4 +1,4 @@
-"""Decisions of a plan, and the best ones: the way from a plan to a policy, in Python.
+"""Decisions of a plan and the best ones: the Python interface from a plan to a policy.
 
 >>> from gspn_framework_package.analysis.decisions.aims import Objective
 >>> from gspn_framework_package.model.builder import NetBuilder
@@ -50,19 +50,20 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
 _STRICTER = 6
-"""How often stricter bounds are tried."""
+"""Number of attempts with stricter bounds."""
 
 
 class TeamSolution(NamedTuple):
     """The solution for a team of one size.
 
     :ivar team: its decision problem.
-    :ivar rewards: what its runs earn; None for TIME_TO and REACH.
-    :ivar goal: boolean array over its states: where the aim is reached; None if it has no goal.
+    :ivar rewards: the rewards of its runs; None for TIME_TO and REACH.
+    :ivar goal: boolean array over its states: the states where the aim is reached; None if it has
+        no goal.
     :ivar lower: certified lower bound of the best value; ``upper``: the upper one.
     :ivar grouped: the decisions by marking, with their value.
-    :ivar row_values: float array over the rows: what each is worth.
-    :ivar constraints: what the policy gives of each constraint.
+    :ivar row_values: float array over the rows: the value of each.
+    :ivar constraints: the values that the policy reaches for the constraints.
     """
 
     team: Team
@@ -75,7 +76,7 @@ class TeamSolution(NamedTuple):
     constraints: List[ConstraintResult]
 
     def value(self, request: Request) -> float:
-        """What the policy is worth; with uncertain rates: at the worst."""
+        """The value of the policy; with uncertain rates: in the worst case."""
         if request.uncertain:
             return self.lower if request.objective.maximise else self.upper
         return self.grouped.evaluated.value
@@ -85,11 +86,11 @@ class Solution(NamedTuple):
     """The best policy for an aim.
 
     :ivar policy: the policy, for the plan's own team and the smaller ones.
-    :ivar value: what it is worth for the plan's own team. With uncertain rates: at the worst.
+    :ivar value: its value for the plan's own team; with uncertain rates, in the worst case.
     :ivar lower: certified lower bound of the best value; ``upper``: the upper one.
     :ivar teams: the solution for each team size, the plan's own first.
-    :ivar without: the sizes of teams for which there is none, with the reason. They do as under the
-      present policy.
+    :ivar without: the sizes of teams for which there is none, with the reason. They follow the
+        present policy.
     """
 
     policy: Policy
@@ -154,9 +155,9 @@ class Decisions:
         :param uncertain: transition -> lowest and highest rate (1/s).
         :param width: width of the certified interval, relative to its value.
         :raises UsageError: the aim does not fit the plan.
-        :raises RefusedError: there is no answer: the constraints cannot be kept, or no policy
+        :raises RefusedError: there is no solution: the constraints cannot be met, or no policy
             reaches the goal.
-        :raises LimitError: the interval did not become as narrow as asked, or not in time.
+        :raises LimitError: the interval did not become as narrow as requested, or not in time.
         """
         plan = self.problem.plan
         request = Request(
@@ -183,8 +184,7 @@ class Decisions:
         return Solution(policy, own.value(request), own.lower, own.upper, tuple(teams), without)
 
     def price_of_never(self, objective: Objective, solution: Solution) -> float:
-        """How much more a policy for the plan's own team would reach, or how much less it would
-        cost, if everything were permitted that may never hold.
+        """The gain in value, for the plan's own team, if the forbidden conditions were permitted.
 
         :param solution: the solution for it, without constraints and uncertain rates.
         :raises LimitError: see :meth:`solve`.
@@ -239,10 +239,10 @@ class _Solver:
         )
 
     def _constrained(self, team: Team, rewards: Rewards, allowed: Booleans) -> TeamSolution:
-        """The best policy that keeps the constraints.
+        """The best policy that meets the constraints.
 
-        Rows of a policy cannot draw between going and waiting, nor between places, so what they do
-        may fall short of a solution that does. Then the solution for stricter bounds is tried.
+        Rows of a policy cannot randomise between going and waiting, nor between places, so they may
+        fall short of a solution that does. In this case, the solution for stricter bounds is tried.
         """
         request = self._request
         found = self._within(team, rewards, allowed, [c.bound for c in request.at_least])
@@ -259,7 +259,7 @@ class _Solver:
             try:
                 best = self._within(team, rewards, allowed, bounds)
             except RefusedError:
-                break  # so strict bounds cannot be kept
+                break  # bounds this strict cannot be met
         if not all(constraint.kept for constraint in best.constraints):
             return found
         value = best.grouped.evaluated.value
@@ -272,7 +272,7 @@ class _Solver:
     def _within(
         self, team: Team, rewards: Rewards, allowed: Booleans, bounds: Sequence[float]
     ) -> TeamSolution:
-        """The best policy with these lower bounds in place of those that were asked for."""
+        """The best policy with these lower bounds instead of the requested ones."""
         request, objective = self._request, self._request.objective
         measures = [
             self._problem.earnings(team, {constraint.name: 1.0}) for constraint in request.at_least
@@ -325,7 +325,7 @@ class _Solver:
             t = net.transition_number(name)
             if not (labels == t).any():
                 raise UsageError(
-                    "its rate plays no part: the plan gives the duration, or it never fires",
+                    "its rate has no effect: the plan gives the duration, or it never fires",
                     element=name,
                     hint="take it out of the uncertain rates, or take the nominal rates",
                 )
@@ -354,7 +354,7 @@ class _Solver:
         chosen = found.row_of[found.row_of >= 0]
         weights[chosen] = 1.0
         grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
-        # what the rows that were written guarantee, not what the solution would
+        # the guarantee of the rows as written, not of the solution
         part = follow_policy(automaton, rewards, grouped.weights, goal)
         own = worst(part.automaton, part.rewards, labels[part.arcs], part.speaks)
         lower, upper = found.lower, found.upper

@@ -1,18 +1,19 @@
-"""From decisions, marking by marking, to a policy with few rows.
+"""Converts decisions for each marking to a policy with few rows.
 
-What one robot does depends on few of the places. So the markings are split, one place after the
-other, until all of a part decide alike; a part is a row with a cell for each place that it was
-split by, and wildcards elsewhere. The next place is the one that separates the decisions best (the
-Gini impurity of Breiman et al., *Classification and Regression Trees*, 1984). A row with more cells
-takes precedence, so a part that mostly decides alike becomes one row and a row for each exception.
-How many are needed at least, and which, follows from the leaves of the tree to its root (Draves,
-King, Venkatachary, Zill, *Constructing optimal IP routing tables*, INFOCOM 1999).
+The decision of a robot depends on few of the places. So the markings are split by one place after
+another until all markings of a part have the same decision; a part becomes a row with a cell for
+each place that it was split by, and wildcards elsewhere. The next place is the one that separates
+the decisions best (the Gini impurity of Breiman et al., *Classification and Regression Trees*,
+1984). A row with more cells takes precedence, so a part whose decisions are mostly the same becomes
+one row plus a row for each exception. The smallest set of rows follows from the leaves of the tree
+to its root (Draves, King, Venkatachary, Zill, *Constructing optimal IP routing tables*, INFOCOM
+1999).
 
-Robots that decide in different places need different counts, so each place has a tree of its own;
-places that share an immediate transition have one together, since its rows speak of all of them.
-Rows with the same cells become one row. Where a robot has to wait although another one decides,
-no row may speak of its place. Where all wait, the last row lets them: it matches everything and
-chooses nothing.
+Robots that decide in different places depend on different counts, so each place has its own tree;
+places that share an immediate transition share a tree, since its rows apply to all of them. Rows
+with the same cells become one row. If a robot must wait although another one decides, no row may
+apply to its place. If all wait, they follow the last row, which matches everything and chooses
+nothing.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ Probabilities = Tuple[Tuple[int, float], ...]
 """Pairs (number of a transition, probability); the probabilities sum to 1. Empty: wait."""
 
 SAME_PROBABILITY = 1e-12
-"""Two probabilities are the same if they differ by no more: rows of several places are rescaled."""
+"""Two probabilities are equal if they differ by no more than this, since rows of several places are
+rescaled."""
 
 
 class Decided(NamedTuple):
@@ -41,7 +43,7 @@ class Decided(NamedTuple):
 
     :ivar markings: integer array (markings x places of the plan's net).
     :ivar choices: for each marking transition -> probability. Robots in a place that none of the
-      transitions leaves wait there. A place of chance needs its probabilities, too.
+      transitions leaves wait there. A chance place needs its probabilities too.
     """
 
     markings: Indices
@@ -51,12 +53,13 @@ class Decided(NamedTuple):
 def policy_of(
     plan: Plan, decided: Decided, *, merge: bool = True, cancel: Optional[Cancel] = None
 ) -> Policy:
-    """Return a policy that decides as asked in each of the markings, for every place in which the
-    marking enables an immediate transition. What it says in other markings is left open.
+    """Return a policy that makes the given decisions in each of the markings, for every place in
+    which the marking enables an immediate transition. In other markings, its decisions are
+    unspecified.
 
-    The same decisions give the same rows, in whatever order they come.
+    The same decisions give the same rows in any order.
 
-    :param plan: the plan; its own policy plays no part.
+    :param plan: the plan; its own policy is not used.
     :param merge: write few rows, with wildcards; otherwise one row for each marking.
     :raises PolicyError: a transition is unknown or exponential, or one marking has two decisions.
     :raises CancelledError: ``cancel`` returned true.
@@ -82,7 +85,7 @@ class _Group:
         self.transitions = [t for t in immediate if any(p in inside for p, _ in net.inputs[t])]
 
     def spoken_of(self, choice: Probabilities, net: Net) -> FrozenSet[int]:
-        """The places of the group that a row with this choice speaks of."""
+        """The places of the group to which a row with this choice applies."""
         inputs = {p for t, _ in choice for p, _ in net.inputs[t]}
         return frozenset(inputs.intersection(self.places))
 
@@ -122,9 +125,9 @@ class _Asked:
         return found
 
     def effective(self, transitions: Sequence[int]) -> Tuple[List[Probabilities], Indices]:
-        """What is asked of these transitions: the distinct choices, the empty one first, then in
-        the order of the net; and the number of each marking's. A choice of which nothing is enabled
-        is as good as none."""
+        """The decisions about these transitions: the distinct choices, the empty one first, then in
+        the order of the net; and the number of each marking's choice. A choice without enabled
+        transitions counts as empty."""
         inside = set(transitions)
         per_kind = [_restricted(kind, inside) for kind in self.kinds]
         choices = sorted({(), *per_kind})
@@ -170,7 +173,7 @@ def _enabled(net: Net, t: int, markings: Indices) -> Booleans:
 
 
 def _joint(net: Net, acts: Sequence[int], immediate: Sequence[int]) -> List[List[int]]:
-    """The action places that immediate transitions leave, joined where they share one."""
+    """The action places that immediate transitions leave, grouped if they share one."""
     group = {p: {p} for p in acts}
     for t in immediate:
         sources = [p for p, _ in net.inputs[t] if p in group]
@@ -187,8 +190,8 @@ def _joint(net: Net, acts: Sequence[int], immediate: Sequence[int]) -> List[List
 
 
 def _one_by_one(asked: _Asked) -> Dict[Cells, List[Probabilities]]:
-    """A row for each marking in which anybody could fire something, over all places whose counts
-    differ."""
+    """A row for each marking in which some robot could fire a transition, over all places whose
+    counts differ."""
     care = np.zeros(len(asked), dtype=bool)
     for enabled in asked.enabled.values():
         care |= enabled
@@ -260,10 +263,10 @@ class _Node:
     :ivar up: the number of the part that it was split from; -1 for the whole.
     :ivar cell: the place and count by which it was split.
     :ivar members: its markings.
-    :ivar label: what is asked in all of them; -1 if they differ.
-    :ivar mixed: whether no row for the whole part can be overridden where it does not hold.
-    :ivar best: the labels, as bits, that the rows of the parts above had best say here; if they say
-      anything else, one more row is needed.
+    :ivar label: the decision in all of them; -1 if they differ.
+    :ivar mixed: whether a row for the whole part could not be overridden where it does not apply.
+    :ivar best: the labels, as bits, that rows of the parts above should give here; any other label
+        costs one more row.
     """
 
     __slots__ = ("best", "cell", "counts", "label", "members", "mixed", "up")
@@ -281,9 +284,9 @@ class _Node:
 class _Tree:
     """Splits markings until all of a part have the same label.
 
-    :param labels: of each marking; 0: nobody moves.
-    :param spoken: label -> a number for the places that its rows speak of. A row overrides another
-      one only if it speaks of the same places.
+    :param labels: of each marking; 0: no robot moves.
+    :param spoken: label -> a number for the places that its rows apply to. A row only overrides
+        another one that applies to the same places.
     """
 
     def __init__(
@@ -332,7 +335,8 @@ class _Tree:
                 todo.append(_Node(number, cell, part))
 
     def _best_column(self, members: Indices, labels: Indices, kinds: int) -> int:
-        """The column that leaves the least impurity. :raises PolicyError: all columns are equal."""
+        """The column with the smallest remaining impurity. :raises PolicyError: all columns are
+        equal."""
         if not self._columns:
             raise PolicyError("one marking has two decisions")
         width = int(self._starts[-1])
@@ -350,7 +354,7 @@ class _Tree:
         return best
 
     def _choose(self) -> None:
-        """From the leaves to the root: which labels need the fewest rows in each part."""
+        """From the leaves to the root: find the labels that need the fewest rows in each part."""
         for number in range(len(self._nodes) - 1, -1, -1):
             node = self._nodes[number]
             if node.label >= 0:
@@ -371,7 +375,7 @@ class _Tree:
         """The rows: cells and label."""
         found: List[Tuple[Cells, int]] = []
         cells: List[Cells] = []
-        says: List[int] = []  # the label that the rows of a part and of those above it give
+        says: List[int] = []  # the label given by the rows of a part and of those above it
         for node in self._nodes:
             mine: Cells = ()
             label = 0
@@ -386,7 +390,7 @@ class _Tree:
         return found
 
     def _most_frequent(self, node: _Node) -> int:
-        """Of the best labels, the one of most markings; of these, the first."""
+        """Of the best labels, the most frequent one; of these, the first."""
         if node.label >= 0:
             return node.label
         counts = np.bincount(self._labels[node.members])
@@ -395,7 +399,7 @@ class _Tree:
 
 
 def _verify(asked: _Asked, policy: Policy, watch: Watch) -> None:
-    """Look every marking up in the policy. :raises PolicyError: it decides differently."""
+    """Look up every marking in the policy. :raises PolicyError: it decides differently."""
     net = asked.net
     table = policy.bind(net)
     for group in asked.groups:

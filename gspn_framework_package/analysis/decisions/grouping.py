@@ -1,17 +1,18 @@
-"""From the solution of a decision problem to decisions by marking, which a policy can carry out.
+"""Converts the solution of a decision problem to decisions by marking, which a policy can carry
+out.
 
-In a state one row is best. A policy answers each robot that asks, so each place of a marking gets
-the best of its transitions if that is as good as the best row of the state. Otherwise the place is
-*silent*: its robots wait, in no time, until the others have moved.
+In each state, one row is best. A policy answers each robot that asks, so each place of a marking
+gets the best of its transitions if that is as good as the best row of the state. Otherwise, the
+place is *silent*: its robots wait, for zero time, until the others have moved.
 
-Of decisions that are equally good, those of the present policy are kept, but not where a run would
-go round in them for ever: putting the goal off is as good as going there only if it ends. There,
-the decision that leads nearer to the goal is taken (de Alfaro, *Computing Minimum and Maximum
+Among equally good decisions, those of the present policy are kept, unless a run would cycle in them
+forever: postponing the goal is only as good as approaching it if it ends. In this case, the
+decision that leads closer to the goal is taken (de Alfaro, *Computing Minimum and Maximum
 Reachability Times*, CONCUR 1999).
 
-As the plan runs, several states may have one marking, and a policy does not distinguish them. Where
-they would decide differently, the marking's decision is improved for all of them together, each
-with the weight of how often it is visited; the value of the result is then computed by itself.
+As the plan runs, several states may have one marking, and a policy does not distinguish them. If
+their best decisions differ, the marking's decision is improved for all of them together, weighted
+by how often each is visited; the value of the result is then computed separately.
 """
 
 # In one piece: the decisions of all places are improved together, on the same arrays
@@ -41,17 +42,17 @@ from gspn_framework_package.model.errors import LimitError, RefusedError
 
 _TIES = (1e-9, 1e-12, 0.0)
 """Two decisions whose values differ by less than this share of the largest value are equal. A loop
-takes such a difference again and again: if the policy is then worth less than the best, a smaller
-share is tried."""
+accumulates such differences: if the policy is then worse than the best, a smaller share is
+tried."""
 
 _SILENT, OPEN = -1, -2
-"""Instead of the number of a transition: the robots wait; nothing speaks for one or the other."""
+"""Instead of the number of a transition: the robots wait; there is no preference."""
 
 _ROUNDS = 12
-"""Most rounds in which the decisions of markings are improved."""
+"""Largest number of rounds that improve the decisions of markings."""
 
 _COMBINATIONS = 256
-"""Most combinations of decisions of a marking that are all tried."""
+"""Largest number of combinations of decisions of a marking for an exhaustive search."""
 
 
 class Grouped(NamedTuple):
@@ -60,10 +61,9 @@ class Grouped(NamedTuple):
     :ivar decided: the decisions.
     :ivar weights: float array: the probability of each row under them.
     :ivar evaluated: their value.
-    :ivar silent: how many pairs of a marking and a place are silent although a robot there could
-      go on.
-    :ivar notes: what had to be given up: sentences for people.
-    :ivar kept: whether they are those of the present policy.
+    :ivar silent: number of silent pairs of a marking and a place where a robot could move.
+    :ivar notes: the compromises, as sentences for people.
+    :ivar kept: whether these are the decisions of the present policy.
     """
 
     decided: Decided
@@ -85,9 +85,9 @@ def group(
     watch: Optional[Watch] = None,
 ) -> Grouped:
     """The decisions by marking that come closest to a solution: those of the present policy if none
-    that were found are worth more.
+    found have a higher value.
 
-    :raises RefusedError: they have no value, or not one that the states show.
+    :raises RefusedError: they have no value, or one that the states cannot represent.
     """
     grouping = _Grouping(team, rewards, objective, goal, allowed, watch)
     found: Optional[Grouped] = None
@@ -118,13 +118,13 @@ def group_random(
     watch: Optional[Watch] = None,
 ) -> Grouped:
     """The decisions by marking that come closest to a policy that draws among its rows. Where it
-    mixes the decisions of several places, only one of them speaks."""
+    mixes the decisions of several places, only one of them decides."""
     return _Grouping(team, rewards, objective, goal, allowed, watch).drawn(weights)
 
 
 def present_choices(team: Team) -> Decided:
-    """What the plan's present policy does in each marking that asks; where nothing decides, the
-    first transition in file order that can fire."""
+    """The decision of the plan's present policy in each marking that needs one; if nothing decides,
+    the first transition in file order that can fire."""
     table = _Table(team)
     problem = team.problem
     net = problem.plan.net
@@ -153,7 +153,7 @@ def present_choices(team: Team) -> Decided:
 
 
 def _first_states(team: Team) -> Indices:
-    """For each distinct marking the first state that has it."""
+    """For each distinct marking, the first state with it."""
     _, first = np.unique(team.marking_of, return_index=True)
     return first
 
@@ -171,7 +171,7 @@ written."""
 def reaches(evaluated: Evaluated, best: Any, objective: Objective) -> bool:
     """Whether the value of a policy is the best one, as far as the certified bounds of both show.
 
-    :param best: what has the bounds of the best value, ``lower`` and ``upper``.
+    :param best: an object with the bounds ``lower`` and ``upper`` of the best value.
     """
     if objective.maximise:
         return bool(evaluated.upper >= best.lower)
@@ -179,14 +179,14 @@ def reaches(evaluated: Evaluated, best: Any, objective: Objective) -> bool:
 
 
 class _Table:
-    """The markings of a team that ask, and what they enable.
+    """The markings of a team that need a decision, and what they enable.
 
     :ivar asking: the places (numbers of the plan's net) that immediate transitions leave.
     :ivar enabled: transition -> boolean array over the distinct markings.
     :ivar asks: place -> boolean array: some immediate transition that leaves it is enabled.
     :ivar needed: boolean array: the markings that ask.
-    :ivar chance: for each place of chance, per marking, a number for the set of transitions that
-      chance may take, and for each number their probabilities.
+    :ivar chance: for each chance place, per marking, a number for the set of transitions that
+        chance may take, and for each number their probabilities.
     """
 
     def __init__(self, team: Team) -> None:
@@ -229,7 +229,7 @@ class _Table:
 
 
 class _Grouping:
-    """The work of one team."""
+    """The computation for one team."""
 
     def __init__(
         self,
@@ -250,7 +250,8 @@ class _Grouping:
         self._table = _Table(team)
         self._collect()
 
-    # -- what robots could ask for -----------------------------------------------------------------
+    # -- possible requests of robots
+    # -----------------------------------------------------------------
 
     def _collect(self) -> None:
         """Collect the *entries*: a state, a place in which a robot asks, a transition for it."""
@@ -287,7 +288,7 @@ class _Grouping:
         if problem.safety is not None:
             safe = problem.safety.safe
             self._legal = safe[stages.targets[self._arc]] | ~safe[stages.sources[self._arc]]
-        # a transition of a lower priority is none of the choices (chance is taken care of below)
+        # transitions of lower priority are not among the choices (chance is handled below)
         stage = stages.stage[stages.sources[self._arc]]
         lower = (self._row >= 0) & (stage == Stage.DECIDED)
         lower[lower] = ~team.by_policy[self._row[lower]]
@@ -317,7 +318,7 @@ class _Grouping:
     # -- values ------------------------------------------------------------------------------------
 
     def _worth(self, found: Any) -> Floats:
-        """The worth of each row (more is better), of a solution or an evaluation; also of rows
+        """The value of each row (more is better) of a solution or an evaluation, including rows
         that may not be chosen."""
         team, automaton = self._team, self._team.automaton
         values = np.nan_to_num(found.values, nan=0.0, posinf=math.inf, neginf=-math.inf)
@@ -393,7 +394,7 @@ class _Grouping:
         return Grouped(present_choices(team), weights, evaluated, 0, notes, True)
 
     def better(self, one: Grouped, other: Grouped) -> bool:
-        """Whether the decisions of one are worth as much as those of another, or more."""
+        """Whether the decisions of one have at least the value of those of another."""
         return self._sign * one.evaluated.value >= self._sign * other.evaluated.value
 
     def _choose(self, worth: Floats, tie: float) -> Tuple[Indices, Indices, Booleans]:
@@ -408,7 +409,7 @@ class _Grouping:
         allowed_rows = self._allowed[np.maximum(self._row, 0)]
         mine = worth[np.maximum(self._row, 0)]
         good = valued & self._legal & (mine >= best[self._state] - tolerance)
-        # before chance has decided, a place only speaks if that changes nothing
+        # before chance has decided, a place only decides if that changes nothing
         good &= allowed_rows | ~(mine > best[self._state] + tolerance)
 
         # how many states of each pair ask, and in how many of them each transition is best
@@ -438,7 +439,7 @@ class _Grouping:
         chosen[pair[sure]] = transition[sure]
         ever = np.bincount(pair, weights=best_in, minlength=len(self._pairs)) > 0
         chosen[(chosen == OPEN) & ~ever & (states > 0)] = _SILENT
-        # in zero time something else goes first: any decision will do
+        # something else happens first in zero time: any decision will do
         order = np.lexsort((transition, -present, -priority, ~legal, pair))
         first = order[np.unique(pair[order], return_index=True)[1]]
         never = first[(states[pair[first]] == 0) & legal[first]]
@@ -446,7 +447,7 @@ class _Grouping:
         chosen[(chosen == OPEN) & (states == 0)] = _SILENT
         torn = np.zeros(len(self._team.distinct), dtype=bool)
         torn[self._marking[chosen == OPEN]] = True
-        # until that is improved: what is best most often
+        # until that is improved, take the decision that is best most often
         order = np.lexsort((transition, -present, -best_in, ~legal, pair))
         first = order[np.unique(pair[order], return_index=True)[1]]
         unsure = first[chosen[pair[first]] == OPEN]
@@ -456,8 +457,8 @@ class _Grouping:
         return chosen, np.flatnonzero(torn), good & everywhere[of]
 
     def _advanced(self, chosen: Indices, good: Booleans) -> Indices:
-        """The decisions changed among equals where a run would never come to the goal although it
-        could, or would take no time for ever.
+        """The decisions, replaced by equally good ones where a run would never reach a reachable
+        goal or would cycle in zero time.
 
         :param good: boolean array over the entries: those that are equally good.
         """
@@ -487,7 +488,8 @@ class _Grouping:
                 if not leading.any():
                     break
                 first = np.flatnonzero(leading)
-                # what leads there at once comes before what leads to another that must change
+                # entries that lead there directly take precedence over those that lead to another
+                # one that must change
                 near = does[after[self._state[first]]]
                 order = first[np.lexsort((self._transition[first], -self._present[first], ~near))]
                 pairs, at = np.unique(self._pair[order], return_index=True)
@@ -497,8 +499,7 @@ class _Grouping:
         return chosen
 
     def _taken(self, chosen: Indices) -> Optional[Booleans]:
-        """Boolean array: the rows that are taken under decisions; None: a run cannot follow
-        them."""
+        """Boolean array: the rows taken under some decisions; None: a run cannot follow them."""
         _, kind, kinds = self._decided(chosen, {})
         try:
             weights = self._team.problem.weights_of_decided(self._team, kind, kinds)
@@ -509,7 +510,7 @@ class _Grouping:
         return taken
 
     def _keep_waiting(self, chosen: Indices, worth: Floats, best: Floats, tolerance: float) -> None:
-        """Where waiting is as good as the rest and the present policy waits, let robots wait."""
+        """Let robots wait where waiting is equally good and the present policy waits."""
         team, problem = self._team, self._team.problem
         wait = self._wait >= 0
         good = np.zeros(len(wait), dtype=bool)
@@ -524,7 +525,7 @@ class _Grouping:
         chosen[(stays & asked)[self._marking]] = _SILENT
 
     def _stuck(self, chosen: Indices) -> Indices:
-        """The markings with a state in which robots would wait that may not."""
+        """The markings with a state in which robots would wait that must not."""
         team = self._team
         speaks = np.zeros(len(team.automaton), dtype=bool)
         speaks[self._state[(chosen[self._pair] == self._transition) & (self._row >= 0)]] = True
@@ -543,7 +544,7 @@ class _Grouping:
         torn: Indices,
         worth: Floats,
     ) -> Tuple[Optional[_Followed], Indices]:
-        """Improve the decisions of the markings ``torn`` until nothing is better."""
+        """Improve the decisions of the markings ``torn`` until no change is better."""
         best, best_chosen = found, chosen
         seen = {chosen.tobytes()}
         for _ in range(_ROUNDS):
@@ -638,7 +639,8 @@ class _Grouping:
         for pair, t in zip(pairs, way):
             chosen[pair] = t
 
-    # -- policies that draw ------------------------------------------------------------------------
+    # -- randomised policies
+    # ------------------------------------------------------------------------
 
     def drawn(self, weights: Floats) -> Grouped:
         """The decisions that come closest to a policy that draws."""
@@ -648,7 +650,7 @@ class _Grouping:
         visited = np.bincount(automaton.row_states, weights=flow, minlength=len(automaton))
         each = np.where(visited[automaton.row_states] > 0, flow, weights)
         mine = np.where(self._row >= 0, each[np.maximum(self._row, 0)], 0.0)
-        # the place that speaks in each state, and how much it does
+        # the place that decides in each state, and its share
         places = max(len(self._places), 1)
         keys, of = np.unique(self._state * places + self._place, return_inverse=True)
         strength = np.bincount(of.reshape(-1), weights=mine, minlength=len(keys))
@@ -686,12 +688,12 @@ class _Grouping:
         notes = []
         if (mixed & team.decides & (visited > 0)).any():
             notes.append(
-                "where the best policy draws between places, or between going and waiting, only "
-                "one of them speaks"
+                "where the best policy randomises between places, or going and waiting, only "
+                "one of them decides"
             )
         return Grouped(decided, own, found_value, self._silent(chosen), notes)
 
-    # -- what comes out ----------------------------------------------------------------------------
+    # -- the result ----------------------------------------------------------------------------
 
     def _silent(self, chosen: Indices) -> int:
         return int((chosen == _SILENT).sum())

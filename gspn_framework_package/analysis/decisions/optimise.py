@@ -1,4 +1,4 @@
-"""The whole way from a plan and a request to the plan with the best policy.
+"""The complete computation from a plan and a request to the plan with the best policy.
 
 The exact way: decisions and their solution with certified bounds (:mod:`.decisions`), the plan with
 the policy, and the old and the new plan simulated as they run. If there are too many states, the
@@ -36,7 +36,7 @@ SIMULATED = 5.0
 """Default time (s) of computing for the simulation of the old and the new plan."""
 
 _SEARCH = 12.0
-"""A search by simulation may take so many times the time of a simulation."""
+"""Time of a search by simulation, as a multiple of the time of a simulation."""
 
 
 def optimise(
@@ -54,15 +54,15 @@ def optimise(
     :param plan: a validated plan.
     :param request: the aim, the constraints and how to read the plan.
     :param simulated: seconds of computing in which the old and the new plan are simulated as they
-        run; 0: not at all. If there are too many states, a policy is searched by simulation for 12
-        times as long.
+        run; 0: no simulation. If there are too many states, a policy is searched for by simulation
+        for 12 times as long.
     :param seed: seed of the simulation.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
-    :param on: who simulates: this process, by default.
+    :param on: where to simulate: by default in this process.
     :raises UsageError: the request does not fit the plan.
-    :raises RefusedError: there is no answer: the constraints cannot be kept, no policy reaches the
-        goal, or it is open who decides.
+    :raises RefusedError: there is no answer: the constraints cannot be met, no policy reaches the
+        goal, or it is ambiguous who decides.
     :raises CancelledError: ``cancel`` returned true.
     """
     request = request.resolved(plan.net)
@@ -85,7 +85,7 @@ def optimise(
         ).to_json()
 
     if report.exact and simulated > 0:
-        report.add("what a simulation of both plans says", simulate)
+        report.add("the simulation of both plans", simulate)
     report.plan = plan.with_policy(report.plan.policy)
     return report
 
@@ -100,10 +100,10 @@ def _by_rollout(
     cancel: Optional[Cancel],
     on: Optional[Executor],
 ) -> Report:
-    """The policy improved by simulation, in place of an exact answer.
+    """The policy improved by simulation, instead of an exact answer.
 
-    :param error: why there is none.
-    :param simulated: seconds of computing that the user gave; 0: the error stands.
+    :param error: the reason why there is none.
+    :param simulated: computing time (s) given by the user; 0: raise the error.
     """
     if simulated <= 0 or request.at_least or request.uncertain:
         raise error
@@ -130,7 +130,7 @@ def _by_rollout(
 
 
 class _Exactly:
-    """The exact way."""
+    """The exact method."""
 
     def __init__(
         self, plan: Plan, request: Request, progress: Optional[Progress], cancel: Optional[Cancel]
@@ -173,7 +173,7 @@ class _Exactly:
         )
         if solution.without:
             report.undecided.append(
-                "teams of %s robots have no answer of their own: they do as under the present "
+                "teams of %s robots have no separate answer: they follow the present "
                 "policy" % ", ".join(map(str, solution.without))
             )
         if request.uncertain:
@@ -183,7 +183,7 @@ class _Exactly:
                 % own.grouped.evaluated.value
             )
         for what, compute in (
-            ("what the rule costs", lambda: self._add_price_of_never(report, solution)),
+            ("the cost of the rule", lambda: self._add_price_of_never(report, solution)),
             ("the value of the present policy", lambda: self._add_present(report, own)),
             ("where the policies differ", lambda: self._add_choices(report, own)),
             (
@@ -209,7 +209,7 @@ class _Exactly:
         return results
 
     def _wide(self, answer: TeamSolution) -> List[str]:
-        """What to say if the policy may not be the best, as far as the interval shows."""
+        """The remark if, according to the interval, the policy may not be optimal."""
         missed = [constraint for constraint in answer.constraints if not constraint.kept]
         told = [
             "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "
@@ -228,12 +228,12 @@ class _Exactly:
             *told,
             *answer.grouped.notes,
             "whether another policy is better, by at most %.2g %%: the bound is that of policies "
-            "that also see which robots are done, and draw between all that robots could do"
+            "that also see which robots are done, and randomise among all that robots could do"
             % (100 * gap / scale),
         ]
 
     def _open(self, answer: TeamSolution) -> List[str]:
-        """What to say about the interval of the best worst value."""
+        """The remark on the interval of the best worst-case value."""
         scale = max(abs(answer.lower), abs(answer.upper))
         gap = answer.upper - answer.lower
         if gap <= 2 * self._request.width * scale:
@@ -243,10 +243,11 @@ class _Exactly:
             "one side lets the rates differ from marking to marking" % (100 * gap / scale)
         ]
 
-    # -- beside the answer -------------------------------------------------------------------------
+    # -- additional results
+    # -------------------------------------------------------------------------
 
     def _add_price_of_never(self, report: Report, solution: Solution) -> None:
-        """What it costs that something may never hold."""
+        """The cost of the forbidden conditions."""
         request = self._request
         if not request.never:
             return
@@ -281,7 +282,8 @@ class _Exactly:
                 raise
 
     def _add_choices(self, report: Report, own: TeamSolution) -> None:
-        """What robots do by the present policy and by the new one, those that differ first."""
+        """The decisions of robots under the present policy and the new one, those that differ
+        first."""
         team, decided = own.team, own.grouped.decided
         present = _by_marking(present_choices(team))
         net = self._plan.net
@@ -353,7 +355,7 @@ _Told = Tuple[str, Mapping[str, float], Mapping[str, float]]
 def _told(
     before: Mapping[str, float], best: Mapping[str, float], leaving: Mapping[str, AbstractSet[str]]
 ) -> List[_Told]:
-    """The places for which one of two sets of choices says something."""
+    """The places to which at least one of two sets of choices applies."""
     found: List[_Told] = []
     for place, names in leaving.items():
         old, new = _of_place(before, names), _of_place(best, names)
@@ -363,7 +365,7 @@ def _told(
 
 
 class _Worth:
-    """What choices in a marking are worth.
+    """The values of choices in a marking.
 
     :param answer: the solution, whose values of rows it compares.
     :param numbers: the number of each transition.
@@ -388,7 +390,7 @@ class _Worth:
     def lost(
         self, marking: Sequence[int], old: Mapping[str, float], new: Mapping[str, float]
     ) -> Tuple[Optional[float], float]:
-        """What one choice of ``old`` costs in place of ``new`` (None: not known), and how often
+        """The loss of one choice of ``old`` instead of ``new`` (None: unknown), and how often
         robots choose in this marking."""
         at = self._at[tuple(marking)]
         values = [self._value(at, choices) for choices in (old, new)]

@@ -1,10 +1,10 @@
-"""The decision problem of a plan: the Markov automaton of everything that its robots could choose.
+"""The decision problem of a plan: the Markov automaton of all choices of its robots.
 
-In zero time the following happens, in this order, until nothing more does: transitions that only
-take resources fire, by priority and weight; transitions that an action names, or that chance
+In zero time, the following happens in this order until nothing more can happen: transitions that
+only take resources fire, by priority and weight; transitions that an action names, or that chance
 chooses, fire; then the policy makes one decision, among the transitions of the highest priority
-that can fire, or lets the robots wait where they may; then robots move that ask for an exponential
-transition. The states are those of the *untimed closure*, also after losses of robots: every
+that can fire, or lets the robots wait where they may; then robots that request an exponential
+transition move. The states are those of the *untimed closure*, also after losses of robots: every
 marking in which a run may ask the policy.
 """
 
@@ -62,10 +62,10 @@ class Team:
     :ivar distinct: the markings that occur, one row each, in the place order of the plan's net;
       omitted counters are 0.
     :ivar marking_of: int array: for each state the number of its marking in ``distinct``.
-    :ivar twin: boolean array: the states in which robots wait that could go on.
+    :ivar twin: boolean array: the states in which robots wait although they could move.
     :ivar decides: boolean array: the states in which the policy chooses.
     :ivar by_policy: boolean array, one value per row: a policy may choose it if nothing else
-      speaks against it. Other rows of such a state are there for the evaluation of a policy.
+        forbids it. Other rows of such a state serve the evaluation of policies.
     :ivar states_in: int array: for each state its number among the states of all teams.
     :ivar rows_in: int array: the same for its rows.
     :ivar problem: the decision problem that it belongs to.
@@ -95,17 +95,17 @@ class DecisionProblem:
     :param reading: how time is read: ``run`` or ``net``.
     :param may_wait: places in which a robot may wait although it could go on.
     :param never: conditions that may never hold.
-    :param conditions: further conditions that will be asked, so that no counter in them is left
-        out.
+    :param conditions: further conditions that will be queried, so that no counter in them is
+        omitted.
     :param team_sizes: the sizes of teams; None: the plan's own, and those that losses leave.
     :param limits: how far the exploration may go.
     :raises LimitError: there are too many states.
-    :raises RefusedError: it is open who decides, or what may never be cannot be avoided.
+    :raises RefusedError: it is ambiguous who decides, or a forbidden condition cannot be avoided.
     :raises UsageError: a name or a team size does not fit the plan.
 
     :ivar teams: the problem of each team size, that of the plan's own team first.
-    :ivar deciders: place -> why the policy chooses there.
-    :ivar chance: place -> why chance, or the action, chooses there.
+    :ivar deciders: place -> reason why the policy chooses there.
+    :ivar chance: place -> reason why chance or the action chooses there.
     :ivar assumptions: sentences for people.
     :ivar found: place -> who decides there.
     :ivar left_out: counters that nothing reads.
@@ -161,7 +161,7 @@ class DecisionProblem:
             memory=limits.memory,
             seconds=limits.seconds,
         )
-        self.space.require_complete("what the robots can choose")
+        self.space.require_complete("the choices of the robots")
         self._over = (
             self.space.holds(plan.until) if plan.until else np.zeros(len(self.space), dtype=bool)
         )
@@ -177,7 +177,7 @@ class DecisionProblem:
         self.safety: Optional[Safety] = self._judge(never) if never else None
         self.teams: List[Team] = self._teams(own, sizes)
 
-    # -- what is assumed ---------------------------------------------------------------------------
+    # -- assumptions ---------------------------------------------------------------------------
 
     def _assume(self, found: Mapping[str, Decider], timing: PlanTiming) -> List[str]:
         alike: Dict[Tuple[bool, str], List[str]] = {}
@@ -214,8 +214,9 @@ class DecisionProblem:
     # -- states ------------------------------------------------------------------------------------
 
     def _voluntary(self) -> Booleans:
-        """The states in which robots may wait by choice: nothing that could fire takes robots only
-        from places where nobody may wait, or something else goes first that takes no time."""
+        """The states in which robots may wait by choice: no transition that could fire takes robots
+        only from places where waiting is not permitted, and nothing else happens first in zero
+        time."""
         net, stages = self._net, self.stages
         count = len(stages)
         waiting = {self.plan.net.place_number(name) for name in self.may_wait}
@@ -339,12 +340,12 @@ class DecisionProblem:
         for n in wanted:
             mine = (robots == n)[built.original]
             part = mine & needed
-            # in a team that is never seen to ask, no state is more typical than another
+            # in a team that never needs a decision, no state is more typical than another
             teams.append(self._team(n, part if part.any() else mine, self._start(n, robots)))
         return teams
 
     def _needed(self) -> Booleans:
-        """The states that timed play reaches from any marking in which a run may ask the policy."""
+        """The states reachable with time from any marking in which a run may ask the policy."""
         built = self.built
         automaton = built.automaton
         count = len(self.space)
@@ -361,18 +362,18 @@ class DecisionProblem:
         )
 
     def _is_named(self) -> Booleans:
-        """The states in which some robot is further than needed to see all markings: it has named
-        a transition, or it is doing something before it asks the policy."""
+        """The states in which some robot is further than necessary to cover all markings: it has
+        named a transition, or is acting before it asks the policy."""
         found = np.zeros(len(self.space), dtype=bool)
         for name in self._net.resting:
             found |= self.space.column(self._net.net.place_number(name)) > 0
         return found
 
     def _start(self, size: int, robots: Indices) -> int:
-        """The state in which a team of this size begins."""
+        """The initial state of a team of this size."""
         if size == int(robots[0]):
             return 0
-        if len(self._largest.robots) < size:  # the net alone says where they are
+        if len(self._largest.robots) < size:  # only the net says where they are
             return int(np.flatnonzero(robots == size)[0])
         net = self._largest.for_robots(size).net
         marking = self._net.start(net.initial_marking)
@@ -405,7 +406,7 @@ class DecisionProblem:
             self,
         )
 
-    # -- what is asked -----------------------------------------------------------------------------
+    # -- queries -----------------------------------------------------------------------------
 
     def enabled(self, team: Team, t: int) -> Booleans:
         """Boolean array: which of the team's distinct markings enable transition number ``t`` of
@@ -424,7 +425,7 @@ class DecisionProblem:
         return found
 
     def rewards(self, team: Team, objective: Objective) -> Rewards:
-        """What a run earns in a team's automaton.
+        """The rewards of a run in a team's automaton.
 
         :raises UsageError: the net has no such place or transition, or a reward is on a counter.
         :raises RefusedError: a reward is earned on a cycle that takes no time.
@@ -440,7 +441,7 @@ class DecisionProblem:
             if name in net.place_index:
                 if name in self.left_out:
                     raise UsageError(
-                        "'%s' only counts and grows without end, so its tokens are no reward"
+                        "'%s' only counts and grows without bound, so its tokens cannot be rewarded"
                         % name,
                         hint="reward the transition that counts",
                     )
@@ -472,7 +473,7 @@ class DecisionProblem:
             arc = int(wrong[0])
             name = self.plan.net.transitions[automaton.fired[arc]].name
             raise RefusedError(
-                "it has a reward, and can fire without end in no time at %s"
+                "it has a reward, but can fire forever in zero time at %s"
                 % self.named(team, int(sources[arc])),
                 element=name,
                 hint="reward something that takes time",
@@ -495,13 +496,13 @@ class DecisionProblem:
         if unknown:
             raise UsageError(
                 "'%s' only counts, and was left out" % unknown[0],
-                hint="say beforehand that the condition will be asked",
+                hint="announce the condition in advance",
             )
         holds = parsed.holds_in_columns(team.distinct.astype(np.int64).T, len(team.distinct))
         return np.asarray(holds[team.marking_of], dtype=bool)
 
     def allowed(self, team: Team) -> Booleans:
-        """The rows of a team that a policy may choose: also with regard to what may never be."""
+        """The rows of a team that a policy may choose: also with regard to forbidden conditions."""
         if self.safety is None:
             return team.by_policy
         safe = self.safety.safe[self.built.original[team.states_in]]
@@ -528,7 +529,7 @@ class DecisionProblem:
         return found
 
     def weights_of(self, team: Team, policy: Policy) -> Floats:
-        """The probability of each row under a policy, by the plan's own rules.
+        """The probability of each row under a policy, according to the plan's rules.
 
         :raises RefusedError: these rows do not say what the policy does.
         """

@@ -1,4 +1,4 @@
-"""What the computation of a policy found, for scripts and for people."""
+"""The result of computing a policy, for scripts and for people."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from gspn_framework_package.model.errors import CancelledError, GspnError, Limit
 from gspn_framework_package.model.plan import Plan
 
 MOST_CHOICES = 1_000
-"""Most choices that a report lists."""
+"""Largest number of choices that a report lists."""
 
 _PLACES = 8
-"""Most places of a marking in the text."""
+"""Largest number of places of a marking in the text."""
 
 _LISTED = 8
-"""Most choices, and most sensitivities, in the text."""
+"""Largest number of choices, and of sensitivities, in the text."""
 
 
 class TeamResult(NamedTuple):
-    """The answer for a team of ``robots`` robots: how many ``states`` its decision problem has
+    """The answer for a team of ``robots`` robots: the number of ``states`` of its decision problem
     (None: too many), the ``value`` of the policy, and certified bounds of the best value; all None
-    if there is none, and ``why`` there is none. If the policy was improved by simulation, the
-    bounds are those of the 95 % confidence interval of its value."""
+    if there is none; ``why`` is the reason. If the policy was improved by simulation, the bounds
+    are those of the 95 % confidence interval of its value."""
 
     robots: int
     states: Optional[int]
@@ -37,8 +37,8 @@ class TeamResult(NamedTuple):
 
 class ConstraintResult(NamedTuple):
     """A constraint: its ``name``, the ``value`` that the policy reaches, its ``bound``, and its
-    ``price``: how much the aim would gain if the bound were lower by 1. What may never hold has
-    neither value nor bound, and its price is what the aim would gain without it."""
+    ``price``: the gain in the aim if the bound were lower by 1. A forbidden condition has neither
+    value nor bound; its price is the gain without it."""
 
     name: str
     value: Optional[float]
@@ -47,7 +47,7 @@ class ConstraintResult(NamedTuple):
 
     @property
     def kept(self) -> bool:
-        """Whether the policy keeps it, but for rounding."""
+        """Whether the policy meets it, apart from rounding."""
         if self.value is None or self.bound is None:
             return True
         return self.value >= self.bound - 1e-6 * abs(self.bound)
@@ -65,8 +65,8 @@ class Sensitivity(NamedTuple):
 
 class MarkingChoice(NamedTuple):
     """What robots in ``place`` do in a ``marking`` (places with tokens only): transition ->
-    probability under the present policy and under the best one; empty if they wait. ``loss`` is
-    what one such choice of the present policy costs, in units of the aim; None: not known."""
+    probability under the present policy and under the best one; empty if they wait. ``loss`` is the
+    cost of one such choice of the present policy, in units of the aim (None: unknown)."""
 
     marking: Mapping[str, int]
     place: str
@@ -81,11 +81,12 @@ class Report:
 
     :ivar request: what was asked.
     :ivar plan: the plan with the computed policy.
-    :ivar present: the value of the present policy; None: not known, and ``present_why`` says why.
+    :ivar present: the value of the present policy; None: unknown, with the reason in
+        ``present_why``.
     :ivar teams: the plan's own team first.
     :ivar rows: rows of the computed policy.
-    :ivar silent: pairs of a marking and a place for which the policy has no say, since robots in
-      another place decide first.
+    :ivar silent: pairs of a marking and a place where the policy does not decide, since robots in
+        another place decide first.
     :ivar exact: whether the bounds are certified. If not, the policy was improved by simulation.
     :ivar choices: the choices in markings, at most :data:`MOST_CHOICES`; first those that differ
       between the two policies, the costliest of them first.
@@ -113,8 +114,8 @@ class Report:
     failures: List[GspnError] = field(default_factory=list)
 
     def add(self, what: str, compute: Callable[[], None]) -> None:
-        """Add something to the answer; if that fails, what was found before stays, and ``what`` is
-        among what is not decided.
+        """Add something to the answer; if that fails, earlier results stay, and ``what`` is listed
+        as undecided.
 
         :raises CancelledError: it was cancelled.
         """
@@ -255,7 +256,7 @@ class Report:
 
 
 def _finite(value: Optional[float]) -> Optional[float]:
-    """The value, for JSON, which has no infinite numbers."""
+    """The value for JSON, which has no infinite numbers."""
     return value if value is not None and math.isfinite(value) else None
 
 

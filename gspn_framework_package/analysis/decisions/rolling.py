@@ -1,4 +1,4 @@
-"""Rollouts: the tasks of an improvement by simulation. A rollout plays on from a state of a run,
+"""Rollouts: the tasks of an improvement by simulation. A rollout continues from a state of a run,
 under another policy and under the present one, with the same random numbers."""
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ _STRATA = 4
 
 
 class Rolled(NamedTuple):
-    """What the rollouts of a round share: the ``plan`` with its present policy, the aim, the time
-    (s) that a rollout lasts, the seed, and whether the compiled kernel is worth while."""
+    """Shared by the rollouts of a round: the ``plan`` with its present policy, the aim, the time
+    (s) that a rollout lasts, the seed, and whether the compiled kernel is worthwhile."""
 
     plan: Plan
     objective: Objective
@@ -30,8 +30,8 @@ class Rolled(NamedTuple):
 
 
 class Rollouts(NamedTuple):
-    """So many rollouts of the ``candidate`` with that number in its round, from ``states`` in turn;
-    the first has the number ``begin``."""
+    """A number of rollouts of the ``candidate`` with that number in its round, from ``states`` in
+    turn; the first has number ``begin``."""
 
     candidate: int
     policy: Policy
@@ -71,7 +71,8 @@ class Roller:
         return found
 
     def _value(self, run: AimedRun, state: Any, number: int) -> float:
-        """What a run earns that goes on from ``state``, up to what all runs from there share."""
+        """The reward of a run continued from ``state``, up to a constant shared by all runs from
+        there."""
         objective, seed = self._rolled.objective, self._rolled.seed
         words = np.random.SeedSequence(seed % 2**64, spawn_key=(number, 3))
         _resume(run, state, words.generate_state(4, np.uint32).tolist())
@@ -110,8 +111,8 @@ def copied(state: Any) -> Any:
 
 
 def _resume(run: AimedRun, state: Any, words: List[int]) -> None:
-    """Go on from a state of another run of the same plan under any policy, with new random numbers.
-    What robots have drawn from the policy and not yet done is drawn again."""
+    """Continue from a state of another run of the same plan under any policy, with new random
+    numbers. Choices that robots have drawn from the policy but not carried out are drawn again."""
     mine = run.run.state
     run.run.state = type(state)(
         *(

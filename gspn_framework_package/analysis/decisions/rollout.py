@@ -1,16 +1,16 @@
-"""A policy that is improved by simulation, for plans with too many states for the exact method.
+"""Improves a policy by simulation, for plans with too many states for the exact method.
 
-A *rollout* tries another choice where a robot decides, and plays on with the present policy (D. P.
+A *rollout* tries another choice where a robot decides, and continues with the present policy (D. P.
 Bertsekas, D. A. Castanon, *Rollout algorithms for stochastic scheduling problems*, J. Heuristics
-1999). Here each rollout starts from the state of a run just before such a decision, with all that
-its robots are doing. The candidates are single rows of a policy: *in these markings, a robot in
-this place does that*. Both policies play on from the same states with the same random numbers.
-Sequential halving (Z. Karnin, T. Koren, O. Somekh, *Almost optimal exploration in multi-armed
-bandits*, ICML 2013) drops the worse half of the candidates again and again; those that are left are
-tested with rollouts that were not used before. Rows that pass are put before the old ones, if runs
-from the plan's own start confirm that the whole is better. Then the next round begins.
+1999). Here each rollout starts from the state of a run just before such a decision, including the
+progress of its robots' actions. The candidates are single rows of a policy: *in these markings, a
+robot in this place does that*. Both policies continue from the same states with the same random
+numbers. Sequential halving (Z. Karnin, T. Koren, O. Somekh, *Almost optimal exploration in
+multi-armed bandits*, ICML 2013) repeatedly drops the worse half of the candidates; the rest are
+tested with new rollouts. Rows that pass are inserted before the old ones if runs from the plan's
+initial state confirm that the whole policy is better. Then the next round begins.
 
-Nothing is guaranteed but what independent runs from the plan's own start say at the end.
+The only guarantee is the result of independent runs from the plan's initial state at the end.
 """
 
 from __future__ import annotations
@@ -50,37 +50,37 @@ ROLLOUT_SECONDS = 60.0
 """Default time of the machine (s)."""
 
 ROUNDS = 5
-"""Most rounds of improvement."""
+"""Largest number of rounds of improvement."""
 
 SIGNIFICANCE = 0.05
-"""Probability that a round takes up a row that is no better, over all its candidates."""
+"""Probability that a round adopts a row that is no better, over all its candidates."""
 
 ROLLOUT_VISITS = 1500
-"""Decisions that are looked at in a round, at most."""
+"""Largest number of decisions considered in a round."""
 
 PAIRS = 200
-"""Pairs of runs that confirm a policy, if their time is not limited."""
+"""Number of pairs of runs that confirm a policy if their time is not limited."""
 
 _GROUPS = 16
-"""Groups of markings for which other choices are tried in a round."""
+"""Number of groups of markings for which other choices are tried in a round."""
 
 _STARTS = 24
-"""States per group that rollouts start from."""
+"""Number of start states of rollouts per group."""
 
 _FIRST_ROLLOUTS = 8
-"""Rollouts of each candidate at first; twice as many after each halving."""
+"""Initial number of rollouts of each candidate; it doubles with each halving."""
 
 _LAST = 4
-"""Candidates that are tested in the end."""
+"""Number of candidates tested at the end."""
 
 _TESTS = 100
-"""Rollouts of each of them."""
+"""Number of rollouts of each of them."""
 
 _OFTEN = 5
-"""Visits of a group that make it worth a look."""
+"""Smallest number of visits for a group to be considered."""
 
 _HORIZON = 0.4
-"""Length of a rollout, relative to the runs in which decisions are looked at."""
+"""Length of a rollout relative to the runs whose decisions are considered."""
 
 
 class Rollout(NamedTuple):
@@ -88,10 +88,10 @@ class Rollout(NamedTuple):
 
     :ivar policy: the policy; that of the plan if nothing better was found.
     :ivar old: the value of the plan's policy with its interval; ``new``: that of ``policy``;
-      ``difference``: new minus old. They come from runs that nothing else was decided by.
+      ``difference``: new minus old. They come from runs that were not used for any other decision.
     :ivar improved: whether the policy is significantly better.
-    :ivar markings: number of rows, each for a group of markings, that were put before the old ones.
-    :ivar comparison: the runs that say so.
+    :ivar markings: number of rows, each for a group of markings, inserted before the old ones.
+    :ivar comparison: the runs behind these values.
     :ivar notes: sentences for people.
     """
 
@@ -122,22 +122,23 @@ def improve(
     """Improve the policy of a plan by simulation.
 
     :param plan: a validated plan.
-    :param request: the aim; ``never`` and ``may_wait`` are heeded as far as the notes say.
+    :param request: the aim; ``never`` and ``may_wait`` are respected to the extent stated in the
+        notes.
     :param seed: seed of the random numbers.
-    :param seconds: time of the machine (s); the answer may take a little longer. None: no limit,
-        and the same seed gives the same policy on every machine.
-    :param rounds: most rounds.
-    :param visits: decisions that are looked at in a round, at most.
+    :param seconds: computing time (s); the answer may take slightly longer. None: no limit, and the
+        same seed gives the same policy on every machine.
+    :param rounds: largest number of rounds.
+    :param visits: largest number of decisions considered in a round.
     :param pairs: pairs of runs that confirm a policy, if ``seconds`` is None.
-    :param on: who computes the rollouts and the pairs of runs: this process, by default.
+    :param on: where to compute the rollouts and the pairs of runs: by default in this process.
     :raises RefusedError: the request has constraints or uncertain rates, or the plan cannot be
         played.
     :raises CancelledError: ``cancel`` returned true.
     """
     if request.at_least or request.uncertain:
         raise RefusedError(
-            "a policy that is improved by simulation cannot keep constraints of the long run, nor "
-            "heed uncertain rates",
+            "a policy that is improved by simulation cannot respect constraints on the long run or "
+            "uncertain rates",
             hint="leave them out, or raise the limits for the exact method",
         )
     if not request.fitted:
@@ -153,7 +154,7 @@ def _improved(search: _Search, rounds: int) -> Rollout:
     done = 0
     for number in range(rounds):
         if search.is_over():
-            notes.append("the time was over after %d of %d rounds" % (done, rounds))
+            notes.append("the time ran out after %d of %d rounds" % (done, rounds))
             break
         better = search.better(number)
         done += 1
@@ -176,7 +177,7 @@ def _improved(search: _Search, rounds: int) -> Rollout:
     else:
         notes.append(
             "the policy was improved by simulation in %d round%s: it is better than the present "
-            "one, but nothing says how far from the best" % (done, "" if done == 1 else "s")
+            "one, but its distance from the optimum is unknown" % (done, "" if done == 1 else "s")
         )
     notes += found.notes
     return Rollout(
@@ -193,8 +194,8 @@ def _improved(search: _Search, rounds: int) -> Rollout:
 
 
 class _Visit(NamedTuple):
-    """A decision in a run: the marking, the place of the robot, what was chosen (a transition, or
-    WAIT), and the state before the event that led to it."""
+    """A decision in a run: the marking, the place of the robot, the choice (a transition, or WAIT),
+    and the state before the event that led to it."""
 
     marking: Tuple[int, ...]
     place: int
@@ -212,7 +213,7 @@ class _Group(NamedTuple):
 
 @dataclass
 class _Candidate:
-    """Another choice in a group of markings, and what rollouts say about it."""
+    """Another choice in a group of markings, with the results of its rollouts."""
 
     group: _Group
     choice: int
@@ -222,12 +223,12 @@ class _Candidate:
     gains: List[float] = field(default_factory=list)
 
     def starts(self) -> List[Any]:
-        """The states that its rollouts start from, in turn."""
+        """The start states of its rollouts, in turn."""
         visits = self.group.visits
         return [visit.state for visit in visits[:: max(len(visits) // _STARTS, 1)]]
 
     def score(self) -> float:
-        """How much better it looks, in standard errors."""
+        """Its estimated improvement, in standard errors."""
         gains = np.array(self.gains)
         spread = float(gains.std(ddof=1)) / math.sqrt(len(gains))
         middle = float(gains.mean())
@@ -288,12 +289,12 @@ class _Search:
             self.notes.append("the improvement by simulation reads the plan as it runs")
         if self._never:
             self.notes.append(
-                "no choice was taken up that leads at once to a forbidden marking; nothing more is "
+                "no choice was adopted that leads directly to a forbidden marking; nothing more is "
                 "guaranteed about them"
             )
 
     def left(self) -> float:
-        """The time that is left (s)."""
+        """The remaining time (s)."""
         return self._began + self.seconds - clock.monotonic()
 
     def is_over(self) -> bool:
@@ -301,7 +302,7 @@ class _Search:
         return math.isfinite(self.seconds) and self.left() < 0.3 * self.seconds
 
     def compared(self, old: Policy, new: Policy, seconds: float, seed: int) -> Against:
-        """Runs from the plan's own start under two policies."""
+        """Runs from the plan's initial state under two policies."""
         return compare_plans(
             self.plan.with_policy(old),
             self.plan.with_policy(new),
@@ -353,7 +354,7 @@ class _Search:
         return run
 
     def _sample(self, seed: int) -> Tuple[List[_Visit], float]:
-        """Decisions in some runs of the present policy, and how long (s) a rollout lasts."""
+        """Decisions in some runs of the present policy, and the length (s) of a rollout."""
         run = self._run(self._policy)
         robots = len(self.plan.robots)
         steps = 200 + 30 * robots
@@ -444,8 +445,8 @@ class _Search:
         return any(condition.holds(after) for condition in self._never)
 
     def _groups(self, visits: Sequence[_Visit]) -> List[_Group]:
-        """The visits in groups: the finest of three ways in which half of them are in groups with
-        some visits."""
+        """The visits in groups: the finest of three groupings in which half of the visits are in
+        large enough groups."""
         table = self._policy.bind(self.net)
         columns = [self.net.place_index[name] for name in self._policy.places]
         near: Dict[int, List[int]] = {}
@@ -491,7 +492,7 @@ class _Search:
                 spoken = table.distribution(marking, p)
                 if choice == WAIT and spoken is not None:
                     others.update((self.net.transitions[t].name, v) for t, v in spoken.choices)
-            else:  # a row for one place silences the weights of the others
+            else:  # a row for one place disables the weights of the others
                 others.update(
                     (self.net.transitions[t].name, self.net.transitions[t].weight)
                     for t in leaving
@@ -580,7 +581,7 @@ class _Search:
         return Workload(Roller, roll_out, shared, Roller(shared))
 
     def _roll(self, workload: Workload, candidates: List[_Candidate], count: int) -> Iterator[None]:
-        """Add rollouts of each candidate, from the states of its group in turn; there may be a
+        """Add rollouts of each candidate, from the states of its group in turn; the caller may
         pause after each."""
         items = [
             WorkItem(workload, Rollouts(c.number, c.policy, c.starts(), len(c.gains), count), count)

@@ -1,7 +1,8 @@
-"""What may never be: the markings from which a team can always avoid it, whatever else happens.
+"""Forbidden conditions: the markings from which a team can always avoid them, whatever else
+happens.
 
-Judged on the untimed markings, losses included: anything that takes time may end at any moment,
-also while a robot is busy with a decision.
+Decided on the untimed markings, including losses: anything that takes time may end at any moment,
+even while a robot is making a decision.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from gspn_framework_package.model.plan import Plan
 
 
 class Safety:
-    """The greatest set of states that nothing but the policy can leave, without the bad ones.
+    """The greatest set of states without bad ones that only the policy can leave.
 
     :param never: conditions that may never hold.
     :param waits: boolean array: the states in which robots may wait by choice.
-    :raises RefusedError: the plan begins outside of it.
+    :raises RefusedError: the initial state is outside of it.
 
     :ivar safe: boolean array, one value per state of the decision net.
     """
@@ -55,7 +56,7 @@ class Safety:
         decided &= levels == top[stages.sources]
         forced = live & (stages.kinds != Stage.DECIDED)
         sources, targets = stages.sources, stages.targets
-        # a state with decisions, in which nobody may wait, needs one that is safe
+        # a state with decisions in which waiting is not permitted needs a safe decision
         needs = np.zeros(count, dtype=bool)
         needs[sources[decided]] = True
         needs &= ~waits & (stages.stage == Stage.DECIDED)
@@ -80,7 +81,7 @@ class Safety:
         return safe
 
     def _refuse(self) -> None:
-        """:raises RefusedError: with a witness."""
+        """Refuse the plan. :raises RefusedError: always, with a witness."""
         stages = self._stages
         what = " or ".join(self._never)
         live = ~stages.over[stages.sources]
@@ -100,13 +101,13 @@ class Safety:
             else "waiting would not avoid it either: change the plan, or the condition"
         )
         raise RefusedError(
-            "'%s' cannot be avoided for certain: it holds %s%s"
+            "'%s' cannot be avoided with certainty: it holds %s%s"
             % (what, marking, " after %s" % ", ".join(sequence) if sequence else ""),
             hint=hint,
         )
 
     def _who_saves(self) -> List[str]:
-        """Decision places that suffice if robots may wait in them; empty if none do."""
+        """Decision places where permission to wait would suffice; empty if there are none."""
         stages = self._stages
         places = sorted({p for askers in stages.net.askers for p in askers})
 

@@ -1,5 +1,5 @@
 """Who chooses in a place: the policy, or chance (the action, or the weights). The computation of a
-policy may only change what the policy chooses, so every answer comes with its reason."""
+policy may only change choices of the policy, so every answer includes its reason."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
     :param reading: how time is read.
     :param may_wait: places in which a robot may wait although it could go on.
     :raises RefusedError: a place has immediate and exponential outputs, or chance has no weights.
-    :raises UsageError: ``may_wait`` names a place in which nobody can wait.
+    :raises UsageError: ``may_wait`` names a place in which no robot can wait.
     """
     net = plan.net
     spoken = _spoken_of(plan)
@@ -46,16 +46,16 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
             continue
         if len(immediate) < len(leaving) and not (reading == RUN and name in plan.outcomes):
             raise RefusedError(
-                "immediate and exponential transitions leave it, so it is open who decides",
+                "immediate and exponential transitions leave it, so it is ambiguous who decides",
                 element=name,
-                hint="let the policy choose an immediate transition into a place of its own"
+                hint="let the policy choose an immediate transition into a separate place"
                 + (", or give its outcomes" if reading == RUN else ""),
             )
         found[name] = _decider(plan, name, immediate, reading, name in may_wait, name in spoken)
     for name in sorted(may_wait):
         if name not in found:
             raise UsageError(
-                "nothing is chosen in '%s', so no robot waits there by choice" % name,
+                "there is no choice in '%s', so no robot waits there by choice" % name,
                 hint="choose from: %s" % ", ".join(found) if found else "no policy decides here",
             )
         if not found[name].policy:
@@ -88,7 +88,7 @@ def _decider(
     if outcomes is not None and not named:
         return Decider(True, "its outcomes leave it to the policy")
     if named and not leaves_it:
-        return Decider(False, "its outcomes say what the action names", by_action)
+        return Decider(False, "its outcomes are those that the action names", by_action)
     if named:
         if reading == RUN:
             return Decider(True, "its outcomes leave to the policy what the action does not name")
@@ -100,12 +100,12 @@ def _decider(
     if len(by_weight) < len(immediate):
         return Decider(True, "a transition that leaves it has the weight 0")
     if spoken:
-        return Decider(True, "the present policy speaks of it")
-    return Decider(False, "nothing but the weights decides there", by_weight)
+        return Decider(True, "the present policy has rows for it")
+    return Decider(False, "only the weights decide there", by_weight)
 
 
 def _spoken_of(plan: Plan) -> Dict[str, None]:
-    """The places that rows of the policy speak of."""
+    """The places to which rows of the policy apply."""
     net = plan.net
     chosen = {t for row in plan.policy.rows for t, v in row.choices if v > 0}
     return {

@@ -1,7 +1,7 @@
 """A sweep: the measures of a net or plan for each point of a grid of variations.
 
-All points are measured together: their replications are handed out as they come, so no worker waits
-for the slowest point.
+All points are measured together: their replications are distributed as workers become free, so none
+waits for the slowest point.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder().place("up", tokens=1).place("down")
@@ -50,12 +50,12 @@ _OF_A_RUN = ("end_time", "reached", "time_to_condition")
 
 
 class SweepPoint(NamedTuple):
-    """A point of the grid that was measured.
+    """A measured point of the grid.
 
-    :ivar number: in the order of the grid, from 0.
+    :ivar number: its number in the grid, from 0.
     :ivar values: a value for each variation.
     :ivar key: a digest of all that the measures depend on.
-    :ivar replications: how many runs; 0: the measures are exact.
+    :ivar replications: number of runs; 0: the measures are exact.
     """
 
     number: int
@@ -66,16 +66,16 @@ class SweepPoint(NamedTuple):
 
 
 class Sweep:
-    """What is to be measured.
+    """The measurements to make.
 
     :param subject: a net or a validated plan.
-    :param variations: what is varied.
-    :param asked: how each point is simulated.
+    :param variations: the parameters to vary.
+    :param asked: the simulation of each point.
     :param exact: compute the steady state instead of simulating.
-    :param limits: of the exact analysis.
+    :param limits: limits of the exact analysis.
     :param policies: the policies of the variation ``policy``, by the names of their files.
     :ivar keys: the key of each point, in the order of the grid.
-    :raises GspnError: a variation does not fit the subject, or the settings make no sense.
+    :raises GspnError: a variation does not fit the subject, or the settings are invalid.
     """
 
     def __init__(
@@ -119,9 +119,9 @@ class Sweep:
     ) -> Iterator[SweepPoint]:
         """Yield each point as soon as it is measured.
 
-        :param known: points that were measured before, by their keys; they come first.
-        :param on: who computes; this process, by default.
-        :param watch: receives the progress, and is asked whether to stop.
+        :param known: points measured before, by their keys; they are yielded first.
+        :param on: where to compute: by default in this process.
+        :param watch: receives the progress, and may stop the work.
         :raises GspnError: a point cannot be measured; the message names it.
         """
         missing = []
@@ -138,7 +138,8 @@ class Sweep:
     def to_json(
         self, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
     ) -> Dict[str, Any]:
-        """What was varied, and the wanted measures of these points, as plain JSON values."""
+        """The varied parameters and the requested measures of these points, as plain JSON
+        values."""
         found = []
         for point in sorted(points):
             measures: Dict[str, Dict[str, Any]] = {}
@@ -217,11 +218,11 @@ def measures_of(result: Simulation) -> PointMeasures:
 def chosen(
     subject: Union[Net, Plan], wanted: Sequence[str], conditional: bool
 ) -> List[Tuple[str, str]]:
-    """The measures that names stand for, as pairs (measure, name).
+    """The measures selected by names, as pairs (measure, name).
 
     :param wanted: transitions (throughput), places (mean tokens), :data:`_OF_A_RUN`, or a measure
-        of subnets with a subnet (``subnet_time:lift``); names may be patterns. If there are none:
-        when runs end if they end at a condition, else all throughputs.
+        of subnets with a subnet (``subnet_time:lift``); names may be patterns. Without names: the
+        end time if runs end at a condition, otherwise all throughputs.
     :raises UsageError: nothing has such a name.
     """
     net = subject.net if isinstance(subject, Plan) else subject

@@ -1,4 +1,4 @@
-"""Variations of a net or plan: what ``gspn sweep --vary`` says.
+"""Variations of a net or plan: the argument of ``gspn sweep --vary``.
 
 >>> read_variation("robots=1..3").values
 (1, 2, 3)
@@ -20,7 +20,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
 MOST_POINTS = 100_000
-"""Most points of a grid."""
+"""Largest number of points of a grid."""
 
 LARGEST_TEAM = 10_000
 
@@ -52,7 +52,7 @@ class Variation(NamedTuple):
 def read_variation(text: str) -> Variation:
     """Read a variation, such as ``robots=1..20``.
 
-    :raises UsageError: it is none.
+    :raises UsageError: it is invalid.
     """
     name, equals, values = text.partition("=")
     kind, colon, element = name.partition(":")
@@ -111,9 +111,9 @@ def varied(
     """A net or plan with one value for each variation.
 
     :param policies: the policies by the names of their files.
-    :param timing: how the times of a plan are read.
-    :raises UsageError: the subject has no such element, or the value would change nothing there.
-    :raises GspnError: the value is not possible there.
+    :param timing: how the times of a plan are interpreted.
+    :raises UsageError: the subject has no such element, or the value would have no effect.
+    :raises GspnError: the value is invalid there.
     """
     for variation, value in zip(variations, values):
         change = _KINDS[variation.kind].change
@@ -130,7 +130,7 @@ def varied(
 
 def _plan(subject: Union[Net, Plan]) -> Plan:
     if not isinstance(subject, Plan):
-        raise UsageError("this is a net, and only a plan has that", hint="vary its rates or tokens")
+        raise UsageError("this is a net, but only a plan has that", hint="vary its rates or tokens")
     return subject
 
 
@@ -168,7 +168,7 @@ def _duration(subject: Union[Net, Plan], place: str, mean: Any, timing: str) -> 
     old = plan.durations.get(place)
     if old is None or old.mean <= 0 or timing != RUN:
         raise UsageError(
-            "the plan has no duration there that counts",
+            "the plan has no effective duration there",
             hint="there are: %s" % (", ".join(plan.durations) or "none; vary a rate"),
         )
     return replace(plan, durations={**plan.durations, place: old.scaled(mean / old.mean)})

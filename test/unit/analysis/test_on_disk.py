@@ -348,7 +348,7 @@ def test_the_command_stays_in_memory_if_that_is_enough(kanban, capsys):
         (["--memory", "100"], "at least 17 KB"),
         (["--memory", "1GB", "--limit-memory", "1"], "exclude each other"),
         (["--scratch", "/tmp"], "goes with --memory"),
-        (["--memory", "1GB", "--scratch", "/nowhere"], "no temporary file can be made"),
+        (["--memory", "1GB", "--scratch", "/nowhere"], "cannot create a temporary file"),
     ],
 )
 def test_the_command_refuses_what_makes_no_sense(kanban, capsys, arguments, says):

@@ -69,7 +69,7 @@ def test_a_bad_policy_is_improved_but_not_beyond_the_optimum():
     half = (found.old.high - found.old.low) / 2
     assert abs(found.old.mean - exact.present) < 2 * half < 0.1 * exact.present
     again = plan.with_policy(found.policy)
-    assert any("how far from the best" in note for note in found.notes)
+    assert any("distance from the optimum" in note for note in found.notes)
     assert again.policy.rows[-1].choices == plan.policy.rows[-1].choices
 
 
@@ -129,7 +129,7 @@ def test_a_large_team_is_improved_or_told_that_it_is_not(robots):
 
 def test_what_it_cannot_do_is_refused_and_it_can_be_cancelled():
     plan = machines(to_right=1.0)
-    with pytest.raises(RefusedError, match="constraints of the long run"):
+    with pytest.raises(RefusedError, match="constraints on the long run"):
         improve(plan, Request(DONE, at_least=(AtLeast("left_done", 0.1),)))
     with pytest.raises(CancelledError):
         improve(plan, Request(DONE), cancel=lambda: True)

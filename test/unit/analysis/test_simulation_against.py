@@ -184,7 +184,7 @@ def test_what_is_never_reached_has_no_mean_time():
     )
     assert found.old.mean is None and "never reach the condition" in found.old.why
     assert found.new.mean == 0.0 and not found.significant
-    assert found.text.startswith("not decided") and "never come" in found.text
+    assert found.text.startswith("not decided") and "never reach" in found.text
     data = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert data["difference"]["mean"] is None and data["old"]["why"]
 

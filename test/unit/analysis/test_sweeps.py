@@ -110,7 +110,7 @@ def test_each_kind_changes_what_it_says():
         (NET, "rate:skip=2", "no exponential transition 'skip' .there are: fail, repair, use"),
         (NET, "tokens:x=2", "no place 'x'"),
         (a_plan(), "tokens:work=2", "vary robots"),
-        (a_plan(), "duration:work=2", "no duration there"),
+        (a_plan(), "duration:work=2", "no effective duration there"),
         (a_plan(), "failure:tool=0.5", "no action in a place 'tool' .there are: work, rest"),
         (
             a_plan(durations={"work": Duration.exponential(1.0)}),

@@ -71,7 +71,7 @@ def test_the_form_becomes_a_request(plan):
         ),
         ({"aim": "reach", "at_least": [], "goal": ""}, {"goal": "write a condition"}),
         ({"aim": "reach", "at_least": [], "goal": "Gone == 1"}, {"goal": "no place 'Gone'"}),
-        ({"aim": "reach", "goal": "Fast == 1"}, {"aim": "constraints of the long run"}),
+        ({"aim": "reach", "goal": "Fast == 1"}, {"aim": "constraints on the long run"}),
         ({"aim": "discounted", "at_least": [], "discount": "0"}, {"discount": "above 0"}),
         ({"aim": "discounted", "at_least": [], "discount": ""}, {"discount": "give a rate"}),
         ({"never": ["Fast == 1", "Fast =="]}, {"never.1": "Fast =="}),

@@ -1,11 +1,11 @@
-"""The best long run in which other averages are at least as high as asked.
+"""The best long-run policy whose other averages reach given bounds.
 
 Column generation (Dantzig and Wolfe, *Operations Research* 8, 1960): a small linear program mixes
-policies that are known so far; its prices say what each constraint costs. The policy that is best
-at these prices is one problem of the long run. It joins the others, until none is better. That
-problem also bounds the value of all policies. The mixture becomes one policy that draws, by the
-flows of its parts (Altman, *Constrained Markov Decision Processes*, 1999); its value and what it
-keeps of the constraints are computed anew.
+the policies known so far; its prices are the costs of the constraints. Finding the best policy at
+these prices is a long-run problem without constraints. That policy joins the others, until none is
+better. That problem also bounds the value of all policies. The mixture becomes one randomised
+policy, by the flows of its parts (Altman, *Constrained Markov Decision Processes*, 1999); its value
+and its averages are computed again.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
 
 _KEPT = 1e-9
-"""A constraint is kept if it lacks less than this share of its scale."""
+"""A constraint is met if it is violated by less than this share of its scale."""
 
 _ROUNDS = 300
-"""Most policies to mix."""
+"""Largest number of policies to mix."""
 
 
 class Constrained(NamedTuple):
@@ -41,11 +41,11 @@ class Constrained(NamedTuple):
 
     :ivar lower: certified lower bound of the best value, or upper one: ``upper``.
     :ivar weights: float array over the rows: the probability with which each state takes it.
-    :ivar values: what the policy gives of each constrained average.
-    :ivar prices: what a constraint costs: by how much the value would change per unit by which its
-      bound were lower. Never negative; 0 where the constraint does not matter.
+    :ivar values: the policy's value of each constrained average.
+    :ivar prices: the costs of the constraints: the change of the value per unit by which the bound
+        is lowered. Never negative; 0 where the constraint does not matter.
     :ivar evaluated: the value of the policy, with its flows.
-    :ivar rounds: how many policies were mixed from.
+    :ivar rounds: number of policies in the mixture.
     """
 
     lower: float
@@ -78,9 +78,9 @@ def constrained(
     """The best average reward per second under constraints on other averages.
 
     :param at_least: pairs (rewards, bound): their average is at least the bound.
-    :param names: what to call the constraints in messages.
-    :raises RefusedError: the constraints cannot be kept; the message says what can be had.
-    :raises LimitError: the bounds did not come as close as asked.
+    :param names: names of the constraints in messages.
+    :raises RefusedError: the constraints cannot be met; the message says what is possible.
+    :raises LimitError: the bounds did not become as close as requested.
     """
     return _Work(automaton, rewards, at_least, names, maximise, width, allowed, watch).solve()
 
@@ -121,7 +121,7 @@ class _Work:
             self._scales[k + 1] = max(abs(bound), abs(most.upper), 1e-300)
             if most.upper < bound - _KEPT * self._scales[k + 1]:
                 raise RefusedError(
-                    "%s cannot be as high as %.9g: at most %.9g can be had"
+                    "%s cannot be as high as %.9g: at most %.9g is possible"
                     % (self._names[k], bound, most.upper)
                 )
         self._make_feasible()
@@ -157,13 +157,13 @@ class _Work:
         return [self._objective, *self._asked]
 
     def _table(self) -> Floats:
-        """The averages of the columns, in their scales, less what is asked."""
+        """The averages of the columns minus the bounds, in their scales."""
         table = np.array([column.averages for column in self._columns]).T
         table[1:] -= self._bounds[:, None]
         return table / self._scales[:, None]
 
     def _make_feasible(self) -> None:
-        """Add columns until a mixture keeps the constraints."""
+        """Add columns until a mixture meets the constraints."""
         for _ in range(_ROUNDS):
             table = self._table()[1:]
             if not len(table) or (table.min(axis=0) >= 0).any():
@@ -198,7 +198,7 @@ class _Work:
                     for item in zip(self._names, had.tolist(), self._bounds.tolist())
                 )
                 raise RefusedError(
-                    "the constraints cannot be kept together: at the best compromise, %s" % listed
+                    "the constraints cannot be met together: at the best compromise, %s" % listed
                 )
             newest = self._table()[1:, -1]
             if float(prices * self._scales[1:] @ newest) <= proof.x[-1] + 1e-12:
@@ -238,15 +238,15 @@ class _Work:
         try:
             return self._mixed(prices, upper, 0.0)
         except RefusedError:
-            # The parts may never meet: a policy that drew among them once would be one, but not
-            # one without memory. A little of everything connects them.
+            # The parts may have no common states: randomising among them once at the start would
+            # need memory. A small share of every row connects them.
             self._add_everything()
         worst = self._columns[-1].averages[0]
         spread = max(abs(upper - worst), 1e-3 * self._scales[0])
         return self._mixed(prices, upper, 0.25 * self._width * abs(upper) / spread)
 
     def _add_everything(self) -> None:
-        """Add the policy that takes each row now and then, but leaves no end component."""
+        """Add a policy that takes each row occasionally but leaves no end component."""
         automaton = self._automaton
         arrows = arrows_of(automaton)
         states = np.ones(len(automaton), dtype=bool)
@@ -302,17 +302,17 @@ class _Work:
         ):
             if value < bound - 10 * _KEPT * scale:
                 raise LimitError(
-                    "no policy without memory was found that keeps %s at %.9g; it came to %.9g"
+                    "no policy without memory was found that keeps %s at %.9g; it reached %.9g"
                     % (name, bound, value)
                 )
         lower = evaluated.lower
         if upper - lower > self._width * max(abs(lower), abs(upper)):
             raise LimitError(
-                "the bounds came to %.12g and %.12g only"
+                "the bounds only reached %.12g and %.12g"
                 % (self._sign * lower, self._sign * upper),
                 hint="ask for a wider interval",
             )
-        # what the policy lacks of a constraint within the tolerance may lift it above the bound
+        # a violation within the tolerance may raise the value above the bound
         upper = max(upper, evaluated.upper)
         evaluated = _signed(evaluated, self._sign)
         low, high = (lower, upper) if self._sign > 0 else (-upper, -lower)
@@ -357,7 +357,7 @@ def _linear(
     limits: List[Tuple[Optional[float], Optional[float]]],
 ) -> Any:
     """The solution of a small linear program; ``equal`` times the unknowns is 1."""
-    from scipy import optimize  # takes long to import
+    from scipy import optimize  # slow to import
 
     arguments = {
         "A_ub": upper if len(upper) else None,

@@ -1,7 +1,8 @@
-"""The value of a given policy, which may draw among its rows, and where its runs spend their time.
+"""The value of a given policy, which may be randomised, and the time that its runs spend in each
+state.
 
-A policy leaves one row in every state, drawn rows mixed into one. That automaton has only one
-policy, so its optimum is the value, with the same certificate.
+Under a policy, every state has one row, in which randomised rows are mixed. That automaton has only
+one policy, so its optimum is the value, with the same certificate.
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ class Evaluated(NamedTuple):
     :ivar lower: certified lower bound of the value.
     :ivar upper: certified upper bound.
     :ivar values: float array: the value from each state, or, in the long run, the bias. NaN where
-      the policy says nothing.
+        the policy is undefined.
     :ivar row_values: float array: the value of the state of each row if it takes this row now and
       follows the policy later.
-    :ivar gains: float array: the gain per second from each state; None but in the long run.
-    :ivar flow: float array: how often each row is taken. In the long run: times per second;
-      otherwise in the whole run (for DISCOUNTED: each time discounted).
+    :ivar gains: float array: the gain per second from each state; only for the long run, otherwise
+        None.
+    :ivar flow: float array: the frequency of each row: per second in the long run; otherwise in the
+        whole run (for DISCOUNTED: discounted).
     :ivar sojourn: float array: the time in each state. In the long run: its share; otherwise in
       seconds of the whole run (for DISCOUNTED: discounted). 0 in vanishing states.
-    :ivar method: how it was found.
+    :ivar method: the method used.
     """
 
     value: float
@@ -74,9 +76,9 @@ def evaluate_policy(
 
     :param weights: float array over the rows: the probability with which each state takes it. The
       row of a tangible state counts as 1. States whose rows have no weight have no policy; a run
-      may not come there.
+      must not reach them.
     :param goal: see :func:`~.optima.optimum`, as for the other arguments.
-    :raises RefusedError: a run comes to a state without a policy, or the value is infinite.
+    :raises RefusedError: a run reaches a state without a policy, or the value is infinite.
     :raises LimitError: the bounds did not come close enough.
     """
     if aim in (Aim.LONG_RUN, Aim.DISCOUNTED):
@@ -96,7 +98,7 @@ def evaluate_policy(
         )
     except RefusedError as error:
         if not followed.speaks.all() and "allowed" in error.message:
-            raise RefusedError("the policy says nothing in a state that a run comes to") from error
+            raise RefusedError("the policy is undefined in a state that a run reaches") from error
         raise
     sojourn, flow = flows(automaton, aim, weights, goal=goal, discount=discount, watch=watch)
     row_values = _row_values(automaton, aim, rewards, goal, solved.values)
@@ -114,12 +116,12 @@ def evaluate_policy(
 
 
 class Followed(NamedTuple):
-    """What is left of a decision problem under a policy.
+    """A decision problem restricted to a policy.
 
-    :ivar automaton: with one row for each state, in which drawn rows are mixed.
+    :ivar automaton: with one row per state, in which randomised rows are mixed.
     :ivar rewards: what its runs earn; None: nothing.
-    :ivar arcs: int array: for each of its arcs the arc that it was.
-    :ivar speaks: boolean array over the states: whether the policy says something there.
+    :ivar arcs: int array: the original arc of each of its arcs.
+    :ivar speaks: boolean array over the states: whether the policy is defined there.
     """
 
     automaton: Automaton
@@ -144,7 +146,7 @@ def follow_policy(
 
 
 def _mixed(automaton: Automaton, weights: Floats) -> Tuple[Automaton, Indices]:
-    """The automaton with one row per state, and the arc that each of its arcs was."""
+    """The automaton with one row per state, and the original arc of each of its arcs."""
     total = np.bincount(automaton.row_states, weights=weights, minlength=len(automaton))
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(weights > 0, weights / total[automaton.row_states], 0.0)
@@ -171,7 +173,7 @@ def _row_values(
     goal: Optional[Booleans],
     values: Floats,
 ) -> Floats:
-    """What each row is worth if the policy follows."""
+    """The value of each row if the policy is followed afterwards."""
     earned = np.zeros(len(automaton.choices))
     if rewards is not None and aim in (Aim.LONG_RUN, Aim.COST_TO, Aim.DISCOUNTED):
         earned = layers.earnings(automaton, rewards)
@@ -239,7 +241,8 @@ def flows(
 
 
 def _leading(inflow: Matrix, ends: Booleans, exits: Floats) -> Booleans:
-    """The states from which the run surely ends or is discounted, as those of no closed class."""
+    """The states from which the run ends with certainty or is discounted: those in no closed
+    class."""
     count, of = csgraph.connected_components(inflow, connection="strong")
     out = np.asarray(inflow.sum(axis=0)).reshape(-1)
     leaking = exits - out > 1e-12 * np.maximum(exits, 1e-300)
@@ -281,7 +284,7 @@ def _in_the_long_run(
             amount[states] = probability
             continue
         part = inflow[states][:, states]
-        # a mixture of policies that hardly ever meet is too stiff for sweeps
+        # a mixture of policies with few common states is too stiff for sweeps
         found = solve_linear(part, exits[states], None, watch=watch, direct=_DIRECT_SIZE).values
         amount[states] = probability * found / float(found[tangible[states]].sum())
     return amount

@@ -1,9 +1,9 @@
-"""The best values of a model, and how far its equations are from holding.
+"""The best values of a model, and the residual of its equations.
 
 Gauss-Seidel sweeps with Anderson acceleration come first; small models, and those on which the
-sweeps do not get far, are solved by policy iteration. How the values were found does not matter:
-the certificate is the *drift* ``d(s) = c + sum of rate * V - E * V`` of the tangible states, with
-the vanishing ones backed up exactly. In the long run, the highest gain is between the least and the
+sweeps make little progress, are solved by policy iteration. The method does not matter: the
+certificate is the *drift* ``d(s) = c + sum of rate * V - E * V`` of the tangible states, with the
+vanishing ones backed up exactly. In the long run, the highest gain is between the least and the
 largest drift, whatever ``V``.
 """
 
@@ -31,7 +31,7 @@ _SMALL = 2_000
 """Up to this many states, policy iteration begins after a few sweeps."""
 
 _WARM = 20
-"""Sweeps before it."""
+"""Number of sweeps before it."""
 
 _DIRECT = 30_000
 """Up to this many states, policies are evaluated by sparse LU."""
@@ -43,13 +43,13 @@ _CHECKED = 6
 """The drift is computed after this many strides."""
 
 _MOST = 20_000
-"""Most sweeps."""
+"""Largest number of sweeps."""
 
 _PATIENCE = 40
-"""The sweeps are given up when the spread of the drift has not halved in this many checks."""
+"""The sweeps stop when the spread of the drift has not halved in this many checks."""
 
 _ROUNDS = 200
-"""Most rounds of policy iteration."""
+"""Largest number of rounds of policy iteration."""
 
 _SWITCH = 1e-13
 """A row must be better by this share of the largest value to replace another."""
@@ -62,8 +62,8 @@ class Found(NamedTuple):
     :ivar chosen: int array: the best row of each state.
     :ivar low: least drift among the states that matter.
     :ivar high: largest drift.
-    :ivar gain: the gain per second; 0 if none was asked for.
-    :ivar method: how they were found.
+    :ivar gain: the gain per second; 0 if not requested.
+    :ivar method: the method used.
     :ivar rounds: sweeps, or rounds of policy iteration.
     """
 
@@ -106,11 +106,12 @@ def solve_model(
 
     :param accept: whether values are good enough.
     :param matters: boolean array: the states that must be good enough; None: all. The others are
-      too, unless that cannot be had.
+        too, if possible.
     :param long_run: whether to find the gain too; the model is then one end component.
-    :param safe: rows of a policy that ends surely; None: every policy does, or need not.
-    :param start: values to begin with.
-    :raises LimitError: they did not get good enough.
+    :param safe: rows of a policy that ends with certainty; None: every policy does, or none needs
+        to.
+    :param start: initial values.
+    :raises LimitError: they did not become good enough.
     """
     return _Search(model, accept, matters, long_run, safe, watch or Watch()).run(start)
 
@@ -221,7 +222,7 @@ class _Search:
             if not switch.any():
                 break
             chosen = np.where(switch, better, chosen)
-        # rounding errors of the linear solver may be all that is left
+        # only rounding errors of the linear solver may remain
         for _ in range(_WARM):
             model.sweep(values, self._gain)
         if self._good(values) or self._good(values, self._matters):
@@ -307,7 +308,7 @@ class _Search:
 
 
 def _ends(model: Model, chosen: Indices) -> bool:
-    """Whether a policy surely comes to the known states."""
+    """Whether a policy reaches the known states with certainty."""
     matrix = model.matrix[chosen]
     rest = model.exits - np.asarray(matrix.sum(axis=1)).reshape(-1)
     leaving = model.into[chosen] | (rest > 1e-9 * model.exits)

@@ -1,7 +1,7 @@
-"""Graph algorithms on Markov automata: rows that stay possible, end components, who reaches what.
+"""Graph algorithms on Markov automata: possible rows, end components, reachability.
 
 An end component is a set of states, with rows that never leave it and lead from each of its states
-to each other: a policy can stay in it for ever. See L. de Alfaro, *Formal Verification of
+to each other: a policy can stay in it forever. See L. de Alfaro, *Formal Verification of
 Probabilistic Systems* (Stanford University, 1997).
 """
 
@@ -53,7 +53,7 @@ class Arrows(NamedTuple):
         ones = np.ones(len(targets), dtype=bool)
         shape = (self.states, self.states)
         matrix = sparse.csr_matrix((ones, targets, offsets), shape=shape, copy=True)
-        matrix.sum_duplicates()  # with parallel arcs SciPy's search for components never ends
+        matrix.sum_duplicates()  # SciPy's search never ends with parallel arcs
         return matrix
 
 
@@ -74,7 +74,7 @@ def staying(
 ) -> Tuple[Booleans, Booleans]:
     """The largest set of ``states``, with those of their ``rows``, that a policy need never leave.
 
-    :param goal: boolean array: states that belong to the set whatever their rows.
+    :param goal: boolean array: states that belong to the set regardless of their rows.
     :return: boolean arrays over the states and over the rows.
     """
     owners, rows = arrows.row_states, rows & states[arrows.row_states]
@@ -96,7 +96,7 @@ def staying(
 def reaching(
     arrows: Arrows, goal: Booleans, rows: Optional[Booleans] = None
 ) -> Tuple[Booleans, Indices]:
-    """Who can reach ``goal`` by ``rows``.
+    """The states that can reach ``goal`` by ``rows``.
 
     :return: boolean array over the states, including ``goal``; int array: the state after each of
         them on a shortest path to ``goal`` (-1: none, or in ``goal``).
@@ -131,7 +131,8 @@ def rows_toward(arrows: Arrows, after: Indices, rows: Optional[Booleans] = None)
 
 
 def forward(arrows: Arrows, start: Indices, rows: Optional[Booleans] = None) -> Booleans:
-    """Boolean array: the states that ``rows`` may lead to from ``start`` (numbers), with these."""
+    """Boolean array: the states that ``rows`` may lead to from ``start`` (numbers), including
+    ``start``."""
     size = arrows.states
     matrix = arrows.matrix(rows)
     indices = np.concatenate([matrix.indices, start])
@@ -146,7 +147,7 @@ def forward(arrows: Arrows, start: Indices, rows: Optional[Booleans] = None) -> 
 class EndComponents(NamedTuple):
     """The maximal end components.
 
-    :ivar number: how many there are.
+    :ivar number: their number.
     :ivar of: int array: the component of each state; -1: none.
     :ivar rows: boolean array over the rows: those that stay in the component of their state.
     """
@@ -157,8 +158,8 @@ class EndComponents(NamedTuple):
 
 
 def end_components(arrows: Arrows, states: Booleans, rows: Booleans) -> EndComponents:
-    """The maximal end components among ``states`` and ``rows``. A row without arcs stays where it
-    is."""
+    """The maximal end components among ``states`` and ``rows``. A row without arcs stays in its
+    state."""
     states, rows = staying(arrows, states, rows)
     if not rows.any():
         return EndComponents(0, np.full(arrows.states, -1, dtype=np.int64), rows)
@@ -178,11 +179,11 @@ def end_components(arrows: Arrows, states: Booleans, rows: Booleans) -> EndCompo
 
 
 def surely(arrows: Arrows, into: Booleans, rows: Booleans) -> Tuple[Booleans, Booleans]:
-    """Where some policy reaches the goal with probability 1.
+    """The states where some policy reaches the goal with probability 1.
 
-    :param into: boolean array over the rows: those that may lead to the goal, which is no state.
-    :return: boolean array over the states; boolean array over the rows: those after which that is
-        still so.
+    :param into: boolean array over the rows: those that may lead to the goal, which is not a state.
+    :return: boolean array over the states; boolean array over the rows after which this still
+        holds.
     """
     inside = np.ones(arrows.states, dtype=bool)
     possible = rows.copy()
@@ -196,13 +197,13 @@ def surely(arrows: Arrows, into: Booleans, rows: Booleans) -> Tuple[Booleans, Bo
 
 
 def avoiding(arrows: Arrows, into: Booleans, rows: Booleans) -> Tuple[Booleans, Booleans]:
-    """Where some policy never reaches the goal: boolean arrays over the states, and over the rows
-    that stay there."""
+    """The states where some policy never reaches the goal, and the rows that stay there, as boolean
+    arrays."""
     return staying(arrows, np.ones(arrows.states, dtype=bool), rows & ~into)
 
 
 def rows_into(arrows: Arrows, into: Booleans, rows: Booleans) -> Indices:
-    """For each state one of ``rows`` by which it comes nearer to the goal; -1: none does."""
+    """For each state, one of ``rows`` that leads closer to the goal; -1: none."""
     _, after = reaching(arrows, any_of_state(arrows, rows & into), rows)
     found = rows_toward(arrows, after, rows)
     last = np.flatnonzero(rows & into)[::-1]

@@ -1,4 +1,4 @@
-"""From an automaton to the models that are solved, and back with what was found."""
+"""Converts an automaton to the models to solve, and their solutions back."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from gspn_framework_package.model.errors import RefusedError, UsageError
 
 
 class Layer(NamedTuple):
-    """A model made of a part of something, and how to go back.
+    """A model built from a part of something, with the mapping back.
 
-    :ivar arrows: the rows and arcs that it was made from.
+    :ivar arrows: the rows and arcs it was built from.
     :ivar number: int array: the model's state for each of the states there; -1: none.
-    :ivar inner: boolean array over the rows there: those inside of states that became one.
+    :ivar inner: boolean array over the rows there: those inside merged states.
     """
 
     model: Model
@@ -41,8 +41,8 @@ class Layer(NamedTuple):
         return into
 
     def lift_rows(self, chosen: Indices, into: Indices) -> Indices:
-        """``into`` (rows of the states there) with the chosen rows of the model filled in. Where
-        several states became one, the others lead to the one that leaves."""
+        """``into`` (rows of the states there) with the chosen rows of the model filled in. In
+        merged states, the other rows lead to the state that leaves."""
         rows = self.model.row_ids[chosen]
         owners = np.searchsorted(self.arrows.rows, rows, side="right") - 1
         if self.inner.any():
@@ -59,13 +59,13 @@ class Layer(NamedTuple):
 
 
 class Reduced(NamedTuple):
-    """An automaton without what is impossible or takes no time.
+    """An automaton without impossible or timeless parts.
 
     :ivar layer: the model of the states whose values are unknown.
-    :ivar live: boolean array over the automaton's states: what the allowed rows never force to
-      leave.
+    :ivar live: boolean array over the automaton's states: the states that the allowed rows never
+        force a run to leave.
     :ivar rows: boolean array over the automaton's rows: the rows that stay there.
-    :ivar constant: float array over the automaton's rows: what each earns.
+    :ivar constant: float array over the automaton's rows: the reward of each.
     """
 
     layer: Layer
@@ -74,7 +74,7 @@ class Reduced(NamedTuple):
     constant: Floats
 
     def reachable(self, automaton: Automaton) -> Booleans:
-        """Boolean array over the model's states: those that a run may come to."""
+        """Boolean array over the model's states: those that a run may reach."""
         start = self.layer.number[np.array([s for s, _ in automaton.initial], dtype=np.int64)]
         return forward(self.layer.model.arrows, np.unique(start[start >= 0]))
 
@@ -85,7 +85,7 @@ def arrows_of(automaton: Automaton) -> Arrows:
 
 
 def earnings(automaton: Automaton, rewards: Rewards) -> Floats:
-    """What each row earns: per second in a tangible state, otherwise each time.
+    """The reward of each row: per second in a tangible state, otherwise per use.
 
     :raises UsageError: a reward is not a finite number.
     """
@@ -118,8 +118,8 @@ def reduce(
     :param allowed: the rows that may be taken; None: all.
     :param goal: states in which the run ends.
     :param known: their values; None: 0.
-    :raises RefusedError: a start is impossible with these rows, or a cycle takes no time and earns
-      something, or cannot be left.
+    :raises RefusedError: a start is impossible with these rows, or a cycle takes no time and has a
+        reward, or cannot be left.
     """
     arrows = arrows_of(automaton)
     rows = np.ones(len(automaton.choices), dtype=bool) if allowed is None else allowed.copy()
@@ -135,7 +135,7 @@ def reduce(
     count = 0
     if not live[starts].all():
         raise RefusedError(
-            "no choice is allowed from the start on: whatever is chosen, the run comes to a state "
+            "no choice is allowed from the start: whatever is chosen, the run reaches a state "
             "without an allowed choice"
         )
     if _cycle_among(automaton, free):
@@ -146,7 +146,7 @@ def reduce(
                     "a cycle of immediate transitions earns a reward without taking time",
                     hint="give the reward to a transition outside of the cycle, or to a place",
                 )
-            # a component without a way out is a timeless trap, which no run may enter
+            # a component without an exit is a timeless trap, which no run may enter
             outside = rows & ~found.rows
             held = found.of >= 0
             leaves = np.zeros(found.number, dtype=bool)
@@ -159,7 +159,7 @@ def reduce(
             free &= live
             if not live[starts].all():
                 raise RefusedError(
-                    "a timeless trap: immediate transitions fire without end, whatever is chosen",
+                    "a timeless trap: immediate transitions fire forever, whatever is chosen",
                     hint="a cycle of immediate transitions must have an exit",
                 )
         inner, component, count = found.rows, found.of, found.number
@@ -235,7 +235,7 @@ def _cycle_among(automaton: Automaton, states: Booleans) -> bool:
 
 
 def lifted(layers: List[Layer], values: Floats, chosen: Indices) -> Tuple[Floats, Indices]:
-    """Values and rows of the innermost model, in terms of what the outermost was made from."""
+    """Values and rows of the innermost model, expressed for the source of the outermost one."""
     for layer in reversed(layers):
         size = layer.arrows.states
         values = layer.lift(values, np.full(size, np.nan))

@@ -1,12 +1,12 @@
-"""The arrays that the numeric methods work on: the part of an automaton whose values are unknown.
+"""The arrays for the numeric methods: the part of an automaton whose values are unknown.
 
-Everything is maximised here; who minimises negates the rewards. With ``E`` the exit rate, ``c`` the
-constant of a row and ``g`` the gain per second, the values ``V`` that are looked for satisfy::
+Everything is maximised here; callers that minimise negate the rewards. With ``E`` the exit rate,
+``c`` the constant of a row and ``g`` the gain per second, the unknown values ``V`` satisfy::
 
     V(s) = (c(s) - g + sum over the arcs of rate * V(target)) / E(s)              s tangible
     V(s) = max over the rows of c(row) + sum of probability * V(target)           s vanishing
 
-What is known already (goals, other components) is part of the constants.
+Known values (goals, other components) are part of the constants.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from gspn_framework_package.analysis.graph import longest_levels
 from gspn_framework_package.model.errors import LimitError
 
 _WORTH_LOADING = 300_000
-"""Arcs above which compiled loops save more than it takes to load them."""
+"""Number of arcs above which compiled loops save more time than loading them takes."""
 
 _SETTLED = 5e-16
 """A cycle of vanishing states has settled when nothing changes by more than this share of the
 largest value."""
 
 _TURNS = 100_000
-"""Most turns through such a cycle."""
+"""Largest number of iterations of such a cycle."""
 
 _NONE: Indices = np.zeros(0, dtype=np.int64)
 
@@ -58,9 +58,10 @@ class Model:
     :ivar constant: float array, one value per row.
     :ivar exits: float array, one value per state: the exit rate, arcs to known states included; 1
       for vanishing states.
-    :ivar row_ids: int array: where each row was made from.
-    :ivar state_ids: int array: where each state was made from (one of them, if several).
-    :ivar into: boolean array, one value per row: it may lead to a goal, which is no state here.
+    :ivar row_ids: int array: the source of each row.
+    :ivar state_ids: int array: the source of each state (one of them, if several).
+    :ivar into: boolean array, one value per row: whether it may lead to a goal, which is not a
+        state here.
     """
 
     def __init__(
@@ -171,8 +172,8 @@ class Model:
         """Set the values of the vanishing states from those of the tangible ones, in place.
 
         :param chosen: the row that each state takes; None: the best.
-        :raises LimitError: a cycle of vanishing states, which is left with hardly any probability,
-          did not settle.
+        :raises LimitError: a cycle of vanishing states with a tiny exit probability did not
+            converge.
         """
         order, begins, cyclic = self._vanishing_order
         if not len(order):
@@ -197,7 +198,7 @@ class Model:
             settled = self._settle_by_level(values, chosen, tolerance)
         if not settled:
             raise LimitError(
-                "a cycle of immediate transitions is left too seldom to compute what it is worth"
+                "a cycle of immediate transitions is left too rarely to compute its value"
             )
 
     def _settle_by_level(self, values: Floats, chosen: Optional[Indices], tolerance: float) -> bool:
@@ -399,10 +400,10 @@ def made(
         share = np.bincount(arc_rows[loops], weights=data[loops], minlength=len(kept))
         held = new_tangible[owners]
         scale = np.ones(len(kept))
-        # A vanishing state repeats such a row until it leaves; a tangible one just stays.
+        # A vanishing state repeats such a row until it leaves; a tangible one only stays.
         scale[~held] = 1.0 / (1.0 - share[~held])
         rest = new_exits[owners[held]] - share[held]
-        # what rounding leaves of a state that nothing leaves is nothing
+        # in a state without exits, the remainder is only rounding
         new_exits[owners[held]] = np.where(rest > 1e-15 * share[held], rest, 0.0)
         new_constant *= scale
         data = data * scale[arc_rows]

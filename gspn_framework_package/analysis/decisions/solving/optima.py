@@ -1,13 +1,13 @@
 """The best policy of an automaton for an aim, with certified bounds of its value.
 
-Whatever method found the values, the bounds come from the equations they satisfy (Puterman, *Markov
-Decision Processes*, Wiley 1994): with the drift ``d`` of :mod:`.fixed_point`, the best gain in the
-long run is between min d and max d; discounted values are off by at most the largest absolute d,
-divided by the discount; mean times ``V`` are between
-``V / (1 - min d)`` and ``V / (1 - max d)``. Costs and probabilities are off
-by at most the drift times the mean time until the end, which is bounded in the same way. End
-components in which a policy could stay without cost are merged first, so that the equations have
-one solution (de Alfaro, *Computing Minimum and Maximum Reachability Times*, CONCUR 1999).
+Regardless of the method, the bounds come from the equations that the values satisfy (Puterman,
+*Markov Decision Processes*, Wiley 1994): with the drift ``d`` of :mod:`.fixed_point`, the best gain
+in the long run is between min d and max d; discounted values are off by at most the largest
+absolute d, divided by the discount; mean times ``V`` are between ``V / (1 - min d)`` and ``V / (1 -
+max d)``. Costs and probabilities are off by at most the drift times the mean time until the end,
+which is bounded in the same way. End components in which a policy could stay without cost are
+merged first, so that the equations have one solution (de Alfaro, *Computing Minimum and Maximum
+Reachability Times*, CONCUR 1999).
 """
 
 from __future__ import annotations
@@ -73,16 +73,16 @@ def optimum(
 ) -> Solved:
     """The best stationary policy for an aim.
 
-    :param rewards: what a run earns, or costs; None for TIME_TO and REACH.
+    :param rewards: the rewards or costs of a run; None for TIME_TO and REACH.
     :param goal: boolean array over the states: where TIME_TO, COST_TO and REACH end.
     :param discount: the rate (1/s) of DISCOUNTED.
-    :param width: how far the bounds may be apart, relative to the value.
-    :param allowed: boolean array over the rows: which may be taken; None: all.
-    :param start_values: values of the states from which to begin, as of a similar problem.
+    :param width: largest width of the interval, relative to the value.
+    :param allowed: boolean array over the rows: those that may be taken; None: all.
+    :param start_values: initial values of the states, for example from a similar problem.
     :param watch: receives progress, and may stop the work.
     :raises RefusedError: the aim has no finite value here; the message says why.
-    :raises LimitError: the bounds did not come as close as asked, or not in time.
-    :raises UsageError: the arguments make no sense.
+    :raises LimitError: the bounds did not become as close as requested, or not in time.
+    :raises UsageError: the arguments are invalid.
     """
     if not NARROWEST <= width < 1:
         raise UsageError(
@@ -161,7 +161,7 @@ class _Work:
         )
 
     def _begin(self, stack: List[Layer]) -> Optional[Floats]:
-        """The values to begin with, in terms of the innermost model."""
+        """The initial values, expressed for the innermost model."""
         if self._start_values is None:
             return None
         values = self._sign * np.nan_to_num(self._start_values, posinf=0.0, neginf=0.0)
@@ -189,7 +189,7 @@ class _Work:
         known = np.abs(values[np.isfinite(values)])
         if not is_narrow(self._width, 0.45 * low, 0.45 * high, float(known.max(initial=0.0))):
             raise LimitError(
-                "the bounds came to %.12g and %.12g only" % (sign * low, sign * high),
+                "the bounds only reached %.12g and %.12g" % (sign * low, sign * high),
                 hint="ask for a wider interval",
             )
         lower, upper = (low, high) if self._maximise else (-high, -low)
@@ -264,18 +264,18 @@ class _Work:
             inside, rows = ~hopeless, ~hopeless[base.row_states]
         elif self._maximise:
             raise RefusedError(
-                "the highest mean %s is infinite: a policy can keep from the goal" % what
+                "the highest mean %s is infinite: a policy can avoid the goal" % what
             )
         else:
             inside, rows = surely(base.arrows, base.into, everything)
             if not inside[begin].all():
                 raise RefusedError(
-                    "the mean %s is infinite: no policy reaches the goal surely" % what,
+                    "the mean %s is infinite: no policy reaches the goal with certainty" % what,
                     hint="ask for the highest probability to reach it",
                 )
             if negative:
                 raise RefusedError(
-                    "costs are negative where a policy can keep from the goal, so that there may "
+                    "costs are negative where a policy can avoid the goal, so there may "
                     "be no least cost",
                     hint="make them positive",
                 )
@@ -383,7 +383,7 @@ class _Work:
                 states=rest,
                 known=np.nan_to_num(values),
             )
-            # what the goal itself adds is among the constants already
+            # the contribution of the goal is part of the constants already
             begin = layer.number[inner[(inner >= 0) & rest[np.maximum(inner, 0)]]]
             model = layer.model
             matters = forward(model.arrows, np.unique(begin))
@@ -484,7 +484,7 @@ class _Work:
         except LimitError:
             if matters:
                 raise
-            # no run comes here: any answer does
+            # no run reaches it: any answer will do
             found = solve_model(
                 model, lambda *_: True, long_run=True, start=start, watch=self._watch
             )
@@ -508,8 +508,9 @@ class _Work:
         chosen: Indices,
         begin: Indices,
     ) -> Tuple[float, float, Booleans]:
-        """In which end components to stay, and how to come there: fills in the gains and the rows
-        of all other states. Returns the bounds, and the states of the components to stay in."""
+        """Decide in which end components to stay and how to get there: fills in the gains and the
+        rows of all other states. Returns the bounds, and the states of the components to stay
+        in."""
         component, inner = parts.of, parts.rows
         held = component >= 0
         model, staying_rows, layer = with_exits(base, parts, lows)
@@ -522,7 +523,7 @@ class _Work:
             )
             return found.solve(None)[:4]
 
-        # the gain of a component is known within its bounds: what they are at least, and at most
+        # the gain of a component is known within its bounds: its lower and upper bounds
         values, rows, lower, upper = bounded(model)
         if (highs > lows).any():
             upper = max(upper, bounded(with_exits(base, parts, highs)[0])[3])
@@ -553,13 +554,13 @@ class _Work:
     def _transient(
         self, base: Model, stays: Booleans, gains: Floats, bias: Floats, chosen: Indices
     ) -> None:
-        """The bias of the states outside of the components that are stayed in, and their rows."""
+        """The bias of the states outside the components to stay in, and their rows."""
         rest = ~stays
         number, size = layers.numbered(rest, np.zeros(0, dtype=np.int64), 0)
         rows = np.zeros(len(base.constant), dtype=bool)
         scale = float(np.abs(gains).max(initial=0.0))
-        # The rows that keep the gain, of which the bias decides; where one could stay, the row
-        # by which it leaves.
+        # The rows that preserve the gain, among which the bias decides; in states where staying is
+        # possible, the row that leaves.
         kept = base.matrix @ gains >= gains[base.row_states] - 1e-9 * scale
         kept |= base.tangible[base.row_states]
         held = end_components(base.arrows, rest, rest[base.row_states]).of >= 0
@@ -578,7 +579,7 @@ class _Work:
 
         try:
             found = solve_model(part, accept, watch=self._watch)
-        except LimitError:  # it decides nothing but among equals
+        except LimitError:  # it only breaks ties
             bias[rest] = 0.0
             return
         layer.lift(found.values, bias)

@@ -1,12 +1,12 @@
 """The best policy for the worst rates, when rates are known only to lie in intervals.
 
-A rate is shared by all markings, which makes the exact problem hard. Two relaxations bound it. On
-the one side, an opponent may choose the worst rates in each state anew (Iyengar, *Mathematics of
-Operations Research* 30, 2005; Nilim and El Ghaoui, *Operations Research* 53, 2005): the policy
-found so does at least as well when they are shared. Policy and opponent improve in turn; the value
-of the policy is that of the opponent's own problem, with its certificate. On the other side, no
-policy does better for the worst rates than the best one for some of them: corners of the intervals
-are tried.
+A rate is shared by all markings, which makes the exact problem hard. Two relaxations bound it. For
+one bound, an opponent may choose the worst rates separately in each state (Iyengar, *Mathematics of
+Operations Research* 30, 2005; Nilim and El Ghaoui, *Operations Research* 53, 2005): the resulting
+policy does at least as well if they are shared. Policy and opponent improve in turn; the value of
+the policy is that of the opponent's own problem, with its certificate. For the other bound, no
+policy does better for the worst rates than the best policy for any particular rates: corners of the
+intervals are tried.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
 _MOST = 8
-"""Most uncertain rates that one state may have: its corners are listed."""
+"""Largest number of uncertain rates of one state, since all its corners are listed."""
 
 _ALL = 3
 """Up to this many uncertain rates, all corners are tried for the other bound."""
 
 _ROUNDS = 30
-"""Most rounds of policy and opponent."""
+"""Largest number of rounds of policy and opponent."""
 
 
 class Robust(NamedTuple):
@@ -43,7 +43,7 @@ class Robust(NamedTuple):
       most ``upper``.
     :ivar row_of: int array: the row that each state takes.
     :ivar corner: the rates, as factors, at which the other bound was found: by transition.
-    :ivar rounds: how often policy and opponent took turns.
+    :ivar rounds: number of rounds of policy and opponent.
     """
 
     lower: float
@@ -67,21 +67,21 @@ def robust(
     allowed: Optional[Booleans] = None,
     watch: Optional[Watch] = None,
 ) -> Robust:
-    """The best policy for the worst rates. Its interval may be wider than ``width``: it holds what
-    the shared rates leave open.
+    """The best policy for the worst rates. Its interval may be wider than ``width``: it includes
+    the gap left by the shared rates.
 
     :param intervals: transition -> lowest and highest factor of its rate.
     :param labels: int array over the arcs: the transition whose rate each rate is proportional to
       (-1: none); None: the one that fires.
     :param goal: see :func:`~.optima.optimum`, as for the other arguments.
-    :raises UsageError: an interval is none.
+    :raises UsageError: an interval is invalid.
     :raises LimitError: a state has more than eight uncertain rates, or see ``optimum``.
     :raises RefusedError: see ``optimum``.
     """
     for low, high in intervals.values():
         if not 0 < low <= high < np.inf:
             raise UsageError(
-                "%g..%g is no interval of rates" % (low, high), hint="0 < lowest <= highest"
+                "%g..%g is not an interval of rates" % (low, high), hint="0 < lowest <= highest"
             )
     own = np.where(
         automaton.tangible[automaton.row_states[automaton.arc_rows]],
@@ -133,7 +133,7 @@ class _Work:
             if value > sure:
                 sure, row_of = value, solved.row_of
             solved = self._best(factors, solved.values)
-            # what is left to gain against this opponent
+            # the remaining gain against this opponent
             most = solved.upper if self._maximise else -solved.lower
             if most - sure <= 0.5 * self._width * max(abs(most), abs(sure)):
                 break
@@ -200,8 +200,8 @@ class _Work:
         return (solved.lower if self._maximise else -solved.upper), factors
 
     def _corner(self) -> Tuple[float, Dict[int, float]]:
-        """The lowest of the best values at corners of the intervals (more is better), and where it
-        was found."""
+        """The lowest of the best values at corners of the intervals (more is better), and the
+        corner where it was found."""
         found: Dict[int, float] = {}
         if not self._intervals:
             solved = self._best(self._fixed)
@@ -225,7 +225,7 @@ class _Work:
             corner = min(best, key=lambda c: best[c])
             return best[corner], dict(zip(names, corner))
         changed = True
-        while changed:  # one rate after the other to its worse end
+        while changed:  # set one rate after another to its worse end
             changed = False
             for k, t in enumerate(names):
                 low, high = self._intervals[t]
@@ -247,8 +247,8 @@ class _Group(NamedTuple):
 
 class _Game(NamedTuple):
     """The opponent's problem: tangible states with a choice of rates have become vanishing ones,
-    whose rows lead to a tangible state for each corner. ``owners``: the state that each of these
-    was; ``arcs``: the automaton's arc of each arc (-1: a new one)."""
+    whose rows lead to a tangible state for each corner. ``owners``: the original state of each of
+    these; ``arcs``: the automaton's arc of each arc (-1: a new one)."""
 
     automaton: Automaton
     owners: Indices

@@ -1,8 +1,8 @@
-"""How much a value changes with the rates of the net.
+"""The sensitivity of a value to the rates of the net.
 
 Let ``y(s)`` be the time that runs spend in a tangible state (its share, in the long run), ``V`` the
-values and ``rho`` what a firing earns. A rate ``q`` of an arc from s to t that is proportional to
-the rate ``lambda`` of a transition adds ``y(s) * q * (rho + V(t) - V(s)) / lambda`` to the
+values and ``rho`` the reward of a firing. A rate ``q`` of an arc from s to t that is proportional
+to the rate ``lambda`` of a transition adds ``y(s) * q * (rho + V(t) - V(s)) / lambda`` to the
 derivative of the value with respect to ``lambda`` (X.-R. Cao, *Stochastic Learning and
 Optimization*, Springer 2007). At an optimum the best policy has the same derivative.
 """

@@ -291,5 +291,5 @@ def test_a_rate_that_plays_no_part_is_not_uncertain():
     request = Request(
         Objective.long_run({"walked": 1, "driven": 1}), uncertain={"driven": (0.1, 4.0)}
     )
-    with pytest.raises(UsageError, match="driven: its rate plays no part"):
+    with pytest.raises(UsageError, match="driven: its rate has no effect"):
         optimise(plan, request, simulated=0)

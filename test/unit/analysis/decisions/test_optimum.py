@@ -254,7 +254,7 @@ def test_a_goal_that_is_not_reached_surely_has_no_mean_time():
     # from 0 the goal 1 or the trap 2
     automaton = automaton_of([True, True, True], [[[(1, 1.0), (2, 1.0)]], [[]], [[]]])
     goal = np.array([False, True, False])
-    with pytest.raises(RefusedError, match="no policy reaches the goal surely"):
+    with pytest.raises(RefusedError, match="no policy reaches the goal with certainty"):
         optimum(automaton, Aim.TIME_TO, goal=goal, maximise=False)
     assert optimum(automaton, Aim.REACH, goal=goal).lower == pytest.approx(0.5)
 

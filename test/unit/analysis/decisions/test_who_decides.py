@@ -103,7 +103,7 @@ def test_a_place_that_both_kinds_leave_is_refused():
     )
     plan = Plan(net, actions={"a": WORK, "b": WORK}, robots=(RobotSpec("r", "a"),)).validate()
     for reading in (NET, RUN):
-        with pytest.raises(RefusedError, match="open who decides"):
+        with pytest.raises(RefusedError, match="ambiguous who decides"):
             who_decides(plan, reading, frozenset())
     named = replace(plan, outcomes={"a": {"slow": 0.5, "": 0.5}}).validate()
     assert who_decides(named, RUN, frozenset())["a"].policy
@@ -112,7 +112,7 @@ def test_a_place_that_both_kinds_leave_is_refused():
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_assumptions_name_the_place_and_the_reason(reading):
     decisions = DecisionProblem(plan_of(), reading=reading)
-    assert decisions.chance == {"choose": "nothing but the weights decides there"}
+    assert decisions.chance == {"choose": "only the weights decide there"}
     assert any(s.startswith("chance decides in choose: ") for s in decisions.assumptions)
     team = decisions.teams[0]
     free = decisions.allowed(team)
