@@ -227,7 +227,9 @@ def _watch(
             returned = now
         elif joined is None and now > seconds * 2 / 3:
             name = "robot_%d" % (robots + 1)
-            words = launch_words("robot.launch", plan=plan, robot=name, place="Parked", run=RUN)
+            words = launch_words(
+                "robot.launch", plan=plan, robot=name, place="Parked", robots=robots, run=RUN
+            )
             master.programs.start("joins", words)
             joined = now
         time.sleep(0.2)

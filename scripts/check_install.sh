@@ -26,6 +26,13 @@ same_files() {
     echo "$what: $count files"
 }
 
+# only_product WHAT: checks that the file names on standard input are of no test and no experiment.
+only_product() {
+    local names
+    names=$(grep -E '(^|/)(benchmarks|tests?)/|(^|-packages/)agreement/|(^|/)(test_[^/]*\.py|conftest\.py|[^/]*\.test)$' || true)
+    [ -z "$names" ] || die "$1: installed, but no part of the product: $names"
+}
+
 rm -rf "$INSTALLED"
 log=$WORKSPACE/install.log
 make -C "$CATKIN_WS/build" --no-print-directory install >"$log" 2>&1 || { tail -n 20 "$log"; die "installation failed"; }
@@ -34,6 +41,7 @@ same_files "$PACKAGE" "$ROOT/$PACKAGE" "$SITE/$PACKAGE"
 for folder in launch plans; do
     same_files "$folder" "$ROOT/$folder" "$SHARE/$folder"
 done
+only_product "the install space" < <(find "$INSTALLED" -type f -printf '%P\n')
 
 installed "
     rosrun $PACKAGE gspn --version
@@ -66,6 +74,7 @@ if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
     for folder in launch plans; do
         same_files "deb: $folder" "$ROOT/$folder" "$ASIDE/deb/root/usr/share/$PACKAGE/$folder"
     done
+    only_product "the Debian package" < <(find "$ASIDE/deb/root" -type f -printf '%P\n')
     cmp <(dpkg-deb -f "$deb" Version) <(echo "$(cd "$ROOT" && /usr/bin/python3 setup.py --version)-1") || die "another version"
 fi
 
@@ -86,6 +95,7 @@ pip=("-m" pip --disable-pip-version-check)
     && "$VENV/bin/python" "${pip[@]}" wheel -q --no-deps -w "$CHECKOUT/dist" "$CHECKOUT" \
     && "$EMPTY/bin/python" "${pip[@]}" install -q --prefer-binary "$CHECKOUT"/dist/*.whl; } \
     >"$log" 2>&1 || { tail -n 20 "$log"; die "pip does not install the package"; }
+only_product "the wheel" < <("$EMPTY/bin/python" -m zipfile -l "$CHECKOUT"/dist/*.whl | awk '{ print $1 }')
 SITE=$(echo "$EMPTY"/lib/python3*/site-packages)/$PACKAGE
 same_files "$PACKAGE, by pip" "$ROOT/$PACKAGE" "$SITE"
 same_files "plans, by pip" "$ROOT/plans" "$SITE/plans" -not -path './runs/*'

@@ -7,6 +7,7 @@ import runpy
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import pytest
 import yaml
 
 import gspn_framework_package
@@ -99,13 +100,14 @@ def normal(requirement):
     return requirement.replace(" ", "").replace('"', "'")
 
 
-def setup_py(monkeypatch):
-    """Run setup.py as pip does, and return what it hands to setuptools."""
+def setup_py(monkeypatch, name="__main__"):
+    """Run setup.py as pip does, or under another name as catkin does; return what it hands to
+    setuptools."""
     given = {}
     monkeypatch.chdir(ROOT)
     monkeypatch.delenv("CATKIN_BINARY_DIR", raising=False)
     monkeypatch.setattr("setuptools.setup", lambda **words: given.update(words))
-    runpy.run_path("setup.py", run_name="__main__")
+    runpy.run_path("setup.py", run_name=name)
     return given
 
 
@@ -163,6 +165,28 @@ def test_the_extras_want_the_versions_that_the_tests_run_with(monkeypatch):
 def test_a_source_distribution_holds_what_setup_py_reads(monkeypatch):
     files = [file for _, names in setup_py(monkeypatch)["data_files"] for file in names]
     assert files == ["package.xml"]
+
+
+@pytest.mark.parametrize("name", ["__main__", "catkin"])
+def test_neither_experiments_nor_tests_are_installed(monkeypatch, name):
+    """Here what setup.py and CMake are asked to install; scripts/check_install.sh looks into the
+    wheel, the Debian package and the install space."""
+    given = setup_py(monkeypatch, name)
+    folders = [
+        given["package_dir"].get(package, package.replace(".", "/"))
+        for package in given["packages"]
+    ]
+    files = [file for names in given["package_data"].values() for file in names]
+    files += [path.name for folder in folders for path in (ROOT / folder).glob("*.py")]
+    assert {folder.split("/")[0] for folder in folders} <= {
+        "gspn_framework_package",
+        "msg",
+        "plans",
+    }
+    assert not [file for file in files if re.search(r"(^|/)(test_|conftest)|\.test$", file)]
+    cmake = (ROOT / "CMakeLists.txt").read_text("utf-8")
+    assert re.findall(r"foreach\(folder (.*)\)\n  install\(DIRECTORY", cmake) == ["launch plans"]
+    assert cmake.count("install(DIRECTORY") == 1
 
 
 # --- images and workflows: nothing here runs them
