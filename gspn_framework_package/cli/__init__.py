@@ -6,6 +6,6 @@ Modules: ``against``, ``agent``, ``aims``, ``analyse``, ``analysis_text``, ``bre
 ``limits``, ``main``, ``mcp``, ``mcp_server``, ``mcp_tools``, ``memory``, ``modules``,
 ``net_input``, ``new``, ``numbers``, ``on``, ``optimise``, ``orders``, ``plan_output``, ``plot``,
 ``progress``, ``replay``, ``router``, ``run``, ``serve``, ``simulate``, ``simulated_runs``,
-``status``, ``subject``, ``sweep``, ``sweep_figure``, ``sweep_store``, ``table``,
-``team_client``, ``trust``, ``verify``, ``virtual_log``.
+``status``, ``sweep``, ``sweep_figure``, ``sweep_store``, ``table``, ``team_client``, ``trust``,
+``verify``, ``virtual_log``.
 """

@@ -38,8 +38,7 @@ from gspn_framework_package.cli.memory import (
     add_memory_arguments,
     memory_of,
 )
-from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 

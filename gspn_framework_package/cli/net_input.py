@@ -1,17 +1,21 @@
-"""Arguments for the verbs that work on a net: which net, and how to read it."""
+"""Arguments for the verbs that work on a net or a plan: which one, how to read it, and for what
+team."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
-from typing import Dict, List, Tuple, Union
+from typing import Any, Dict, List, Tuple, Union
 
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import interruptible
 from gspn_framework_package.formats import FORMATS, ReadOptions, plan_file
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+
+FITTED, NOMINAL = "fitted", "nominal"
 
 
 def add_net_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +77,48 @@ def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan
     )
     found = interruptible(lambda: plan_file.read_net_or_plan(args.net_file, options))
     return found.plan or found.net, list(found.notes)
+
+
+def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the net or plan, and the options for reading it."""
+    add_net_arguments(parser)
+    parser.add_argument(
+        "--only-net",
+        action="store_true",
+        help="analyse a plan's net by its weights instead of the policy",
+    )
+    parser.add_argument(
+        "--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots"
+    )
+    add_rates_argument(parser)
+
+
+def add_rates_argument(parser: Any) -> None:
+    """Declare which times of a plan count, on a parser or on a group of its arguments."""
+    parser.add_argument(
+        "--rates",
+        choices=(FITTED, NOMINAL),
+        default=FITTED,
+        help="of a plan: what was learned from runs counts (default), or the rates of its net's "
+        "file do",
+    )
+
+
+def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
+    """Return the net or plan that the arguments name, and the reader's notes.
+
+    :raises GspnError: it cannot be read, or the arguments make no sense.
+    """
+    subject, notes = read_net_or_plan_argument(args)
+    if not isinstance(subject, Plan):
+        if args.robots is not None or args.only_net or args.rates == NOMINAL:
+            raise UsageError("--robots, --only-net and --rates are for plans")
+        return subject, notes
+    if args.rates == NOMINAL:
+        subject = subject.nominal()
+    if args.robots is not None:
+        subject = subject.for_robots(args.robots)
+    return (subject.net if args.only_net else subject), notes
 
 
 def print_notes(notes: List[str]) -> None:

@@ -13,10 +13,9 @@ from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import add_aim_arguments, objective_of, pairs
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
-from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.net_input import FITTED, add_rates_argument, print_notes
 from gspn_framework_package.cli.on import add_on_argument, working_on
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
-from gspn_framework_package.cli.subject import FITTED, add_rates_argument
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.model.errors import UsageError
 

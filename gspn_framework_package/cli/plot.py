@@ -17,8 +17,7 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.fit import add_choice, learn
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
-from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net

@@ -17,11 +17,10 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.against import add_against_arguments, refuse_aims, run_against
 from gspn_framework_package.cli.continued import beginning_of, simulate_from
 from gspn_framework_package.cli.continued import notes as continued_notes
-from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.on import add_on_argument
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_in_arguments
-from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.virtual_log import simulate_to_log
 
 

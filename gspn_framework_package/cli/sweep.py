@@ -13,11 +13,10 @@ from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint, chos
 from gspn_framework_package.analysis.sweeps.variation import VARIATION_FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
-from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.on import add_on_argument, working_on
 from gspn_framework_package.cli.plot import begin_picture, save_picture
 from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_in_arguments
-from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.cli.sweep_figure import sweep_figure
 from gspn_framework_package.cli.sweep_store import SUFFIX, PointStore
 from gspn_framework_package.cli.table import aligned
