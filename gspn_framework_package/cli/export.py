@@ -12,10 +12,10 @@ from typing import Any, Dict, List, Mapping, Sequence, Set
 from gspn_framework_package.cli.plan_output import refuse_existing
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.event_log import LogFile, log_files
-from gspn_framework_package.execution.recorded_messages import RecordedMessage, recorded_messages
 from gspn_framework_package.formats.foxglove import foxglove_layout
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.ros.recorded_messages import RecordedMessage, recorded_messages
 
 BETWEEN = 1_000
 """Messages between two reports of progress."""

@@ -6,7 +6,7 @@ Modules: ``actions``, ``agreement``, ``attempts``, ``breakpoints``, ``chance``, 
 ``event_log``, ``event_watch``, ``firing``, ``function_source``, ``ledger``, ``local_kinds``,
 ``log_damage``, ``log_entries``, ``log_writer``, ``logged_attempts``, ``net_difference``,
 ``observation``, ``parent_death``, ``phase``, ``plan_change``, ``plan_modules``,
-``recorded_messages``, ``replayer``, ``rules``, ``seen_firings``, ``simulator``, ``standalone``,
+``replayer``, ``rules``, ``seen_firings``, ``simulator``, ``standalone``,
 ``stored_policy``, ``team_messages``, ``team_state``, ``token_game``, ``turn``, ``verifier``,
 ``virtual_time``, ``worker_pool``.
 """

@@ -3,8 +3,8 @@
 The log gives each robot a phase (:attr:`RobotState.phase`). The phase reported to people and
 programs also takes into account a pause, the end of the run and what is not in the log yet
 (:func:`.team_state.reported_phase`). The members of :class:`Phase` form a table: the name of each
-phase in logs, on ROS, in the thesis and on the page, and flags for what follows from it. Nothing
-else in the package compares these names.
+phase in logs, in reports, in the thesis and on the page, and flags for what follows from it.
+Nothing else in the package compares these names.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ class PhaseReport(NamedTuple):
     """How a phase is reported, and what follows from it."""
 
     state: str
-    """Its name on ROS: in ``GetState``, ``activity`` and the command ``status`` (thesis 4.3.3)."""
+    """Its name in what a robot reports of itself (thesis 4.3.3)."""
     agent: str
     """Its name for an agent that is a thread (thesis 4.1.2, Figure 4.5)."""
     word: str
@@ -101,7 +101,7 @@ class Phase(enum.Enum):
 
     @classmethod
     def of_state(cls, state: str) -> Phase:
-        """The phase with this name on ROS; UNHEARD if there is none."""
+        """The phase that reports name so; UNHEARD if there is none."""
         return _BY_STATE.get(state, cls.UNHEARD)
 
     @classmethod

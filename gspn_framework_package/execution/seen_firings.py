@@ -11,8 +11,8 @@ from gspn_framework_package.model.plan_timing import why_blocked
 
 
 class SeenFiring(NamedTuple):
-    """A firing as ``fired_transitions`` reports it, for example in a rosbag: when it was heard (s),
-    the name of the run, the transition, the robot that asked for it ("" if none did), and the new
+    """A firing that somebody heard of, for example in a recording: when (s), the name of the run,
+    the transition, the robot that asked for it ("" if none did), and the new
     place of each robot that it moved. ``key`` identifies it in the run."""
 
     time: float

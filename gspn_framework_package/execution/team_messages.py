@@ -1,6 +1,6 @@
-"""What a team does, as the fields of messages that tools can read: ``FiredTransition``,
-``RobotActivity``, ``Marking`` and ``TeamState`` (see ``msg/``). Live robots publish them, and
-``gspn export`` makes them of a log.
+"""What a team does, as the JSON objects that watchers read: a firing, the activity of a robot, a
+marking, the state of the team. Live robots publish them, and ``gspn export`` makes them of a log.
+The messages in ``msg/`` have the same fields, and a header.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking, Net
 
 MessageFields = Dict[str, Any]
-"""Name -> value of the fields of a message, but for its header."""
+"""Name -> value of the fields."""
 
 _NUMBERED = (
     Phase.UNHEARD,
@@ -30,7 +30,7 @@ _NUMBERED = (
 )
 
 ROBOT_STATES = tuple(phase.report.state for phase in _NUMBERED)
-"""The states of ``RobotActivity``, at the numbers of its constants; "": UNKNOWN."""
+"""The states of an activity, at the numbers that stand for them; "": unknown."""
 
 
 _SAME = (
@@ -46,12 +46,11 @@ _SAME = (
     "needs_operator",
     "feedback",
 )
-"""The fields of ``RobotActivity`` that have the same name and value in ``activity``."""
+"""The fields that a robot's own report has under the same name."""
 
 
 def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
-    """A firing as a JSON object, with the fields of the ROS message ``FiredTransition`` but for its
-    header."""
+    """A firing as a JSON object."""
     firing = fired.firing
     moved = [move for move in firing.moves if move.target is not None]
     places, counts = marking_lists(firing.marking, fired.plan.net)
@@ -87,7 +86,7 @@ def marking_lists(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
 def robot_fields(
     game: TokenGame, state: TeamState, robot: RobotState, run: str, plan: str
 ) -> MessageFields:
-    """The fields of the ``RobotActivity`` of a robot, according to a log.
+    """The activity of a robot, according to a log.
 
     :param game: the rules that the team follows now.
     :param robot: the robot, one of the state.
@@ -114,10 +113,7 @@ def robot_fields(
 
 
 def activity_fields(activity: Mapping[str, Any]) -> MessageFields:
-    """The fields of the ``RobotActivity`` in what a live robot says of itself.
-
-    :param activity: the JSON object of the topic ``activity``.
-    """
+    """The activity of a robot, according to the report ``activity`` of its own."""
     fields = {name: activity[name] for name in _SAME}
     state = activity["state"]
     return {**fields, "state": ROBOT_STATES.index(state), "state_name": state}

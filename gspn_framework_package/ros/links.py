@@ -14,7 +14,6 @@ import rospy
 
 from gspn_framework_package.execution.agreement.interface import (
     EVERYBODY,
-    SERVICE_OF_MESSAGE,
     Message,
     Send,
 )
@@ -35,6 +34,15 @@ from gspn_framework_package.srv import (
     SetPlaceRequest,
 )
 from gspn_framework_package.team.carrier import NotTaken
+
+SERVICE_OF_MESSAGE = {
+    "prepare": "get_state",
+    "pull": "get_state",
+    "event": "get_place",
+    "accept": "set_place",
+    "learn": "set_place",
+}
+"""Kind of message -> the robot's service that takes it in partial synchronisation."""
 
 AGREEMENT_TOPIC = "/gspn_agreement"
 

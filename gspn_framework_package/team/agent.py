@@ -95,7 +95,7 @@ class PrintedReporter:
 class JsonReporter:
     """A :class:`Reporter` for programs: prints a JSON object per line to standard output. Its key
     ``event`` is ``say``, ``warning`` or ``error``, with a ``text``, or ``diagnosis``, with the
-    values that a robot on ROS publishes on ``/diagnostics``, printed whenever they change."""
+    values that a robot publishes for diagnostics, printed whenever they change."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot

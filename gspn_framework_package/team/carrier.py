@@ -20,7 +20,7 @@ class OperatorRequest(NamedTuple):
     """A request of an operator to a robot: an order, or a question such as ``status``."""
 
     command: str
-    """The name of the order or question, as in the service ``Command``."""
+    """The name of the order or question (see ``docs/commands.md``)."""
     robot: str = ""
     """The robot that the order concerns; "" for the receiving robot or the whole team."""
     argument: str = ""

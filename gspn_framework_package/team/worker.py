@@ -1,4 +1,4 @@
-"""The interface of a replica's host for services and other callers."""
+"""The interface of a replica's host for callers on other threads."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ AnswerT = TypeVar("AnswerT")
 
 
 class Worker:
-    """The interface of a host that services use. ``enqueue`` and ``ask`` may be called from
+    """What callers on other threads use of a host. ``enqueue`` and ``ask`` may be called from
     any thread, the other methods only on the worker thread."""
 
     robot: str

@@ -92,7 +92,7 @@ class ZenohOperator:
     def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
         """Give an order to a robot that answers, preferably the one that it concerns.
 
-        :param command: the command; see the service ``Command``.
+        :param command: the name of the order or question.
         :param robot: the robot that the order concerns.
         :param argument: the argument of the command.
         :param run: the name of the run; required if there are several.

@@ -27,6 +27,9 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
 """Times of the protocol (s) in a simulated world, where messages take a few milliseconds."""
 
+CALLS = ("prepare", "pull", "event", "accept", "learn")
+"""Kinds of messages that are requests of calls under partial synchronisation."""
+
 
 class Weather(NamedTuple):
     """How bad the network is: delays in s, probabilities per message."""
@@ -451,7 +454,7 @@ class World:
         text = self._last[1]
         if message["kind"] != "hello":
             self.protocol_messages += 1 if to else len(self.nodes) - 1
-        call = self.partial and message["kind"] in interface.SERVICE_OF_MESSAGE
+        call = self.partial and message["kind"] in CALLS
         for name, node in list(self.nodes.items()):
             if name == sender or (to and node.name != to):
                 continue

@@ -10,9 +10,9 @@ import pytest
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.recorded_messages import recorded_messages
 from gspn_framework_package.execution.team_messages import ROBOT_STATES
 from gspn_framework_package.formats.message_files import MESSAGE_KINDS, definition, ros_type_name
+from gspn_framework_package.ros.recorded_messages import recorded_messages
 
 PACKAGE = "gspn_framework_package"
 

@@ -439,6 +439,22 @@ def test_the_page_preloads_each_of_its_scripts():
     assert sorted(preloaded) == sorted(set(there) - {"main.js"})
 
 
+#: Services, topics and parameters of the nodes. A layout of Foxglove shows topics.
+NAMES_ON_ROS = re.compile(
+    r"\b(get_state|get_place|fired_transitions|gspn_agreement|robot_activity)\b|[^.]/diagnostics\b"
+    r"|\"~[a-z_]+\""
+)
+
+
+def test_the_core_names_no_service_or_topic_of_the_nodes():
+    named = [
+        name_of(path)
+        for path in MODULES
+        if layer_of(name_of(path)) in INNER and NAMES_ON_ROS.search(path.read_text("utf-8"))
+    ]
+    assert named == [PACKAGE.name + ".formats.foxglove"]
+
+
 def test_every_folder_of_the_package_is_a_layer():
     folders = {path.parent.relative_to(PACKAGE).parts[0] for path in PACKAGE.glob("*/__init__.py")}
     assert folders <= set(LAYERS)

@@ -17,12 +17,11 @@ The host of a replica
   harmless);
 - gives it every protocol message it receives as a :class:`Received`. Loss, duplication, reordering
   and messages that are not for this robot are harmless; messages of its own are ignored;
-- carries out :class:`Send`: in full synchronisation it publishes the message on the common topic
-  (``to`` names a robot, or is "" for everybody; one message to several robots may be published
-  once). In partial synchronisation it publishes messages of kind ``hello`` on the topic; any other
-  message is the request of a call to the robot's service given by :data:`SERVICE_OF_MESSAGE`, whose
-  reply comes back as another :class:`Received`. A call that fails or times out counts as a lost
-  message;
+- carries out :class:`Send`: in full synchronisation it broadcasts the message (``to`` names a
+  robot, or is "" for everybody; one message to several robots may be sent once). In partial
+  synchronisation it broadcasts messages of kind ``hello``; any other message is the request of a
+  call, whose reply comes back as another :class:`Received`. A call that fails or times out counts
+  as a lost message;
 - serves such calls: the request becomes a :class:`Received` with a ``request_id`` chosen by the
   host; the step that takes it returns exactly one :class:`Reply` with that id. An empty reply,
   ``{}``, is not passed back to the caller's replica;
@@ -49,15 +48,6 @@ from gspn_framework_package.model.plan import Plan
 Message = Dict[str, Any]
 """A protocol message as a JSON object (see
 :mod:`~gspn_framework_package.execution.agreement.messages`)."""
-
-SERVICE_OF_MESSAGE = {
-    "prepare": "get_state",
-    "pull": "get_state",
-    "event": "get_place",
-    "accept": "set_place",
-    "learn": "set_place",
-}
-"""Kind of message -> the robot's service that takes it in partial synchronisation."""
 
 EVERYBODY = ""
 """``Send.to`` of a broadcast, which also reaches robots that are not in the team (yet)."""
@@ -209,7 +199,7 @@ class Reply(NamedTuple):
 class Fired(NamedTuple):
     """A transition fired, as every replica learns.
 
-    ``publish``: this robot decided it, and publishes it on ``fired_transitions``. ``private``: a
+    ``publish``: this robot decided it, and its host publishes it. ``private``: a
     local transition of this robot (partial synchronisation). Its position is (robot, visit), slot
     and index have no meaning, and ``firing.marking`` is the marking that this robot knows. It is
     reported again with its position in the agreed log (``private`` and ``publish`` false) once it
