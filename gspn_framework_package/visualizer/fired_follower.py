@@ -82,6 +82,33 @@ class TeamSeen(NamedTuple):
     gone: FrozenSet[str] = frozenset()
 
 
+def team_seen(plan: Plan, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
+    """What robots that run a plan answered about their team.
+
+    :param newest: the answer of the robot whose log is longest.
+    :param answers: those of all. In partial synchronisation, each knows only itself for certain.
+    """
+    robots: Dict[str, RobotSeen] = {}
+    for answer in [newest] + answers:
+        for robot in answer["robots"]:
+            own = robot["robot"] == answer["robot"]
+            known = robots.get(robot["robot"])
+            if known is None or own or (known.visit or 0) < robot["visit"]:
+                place = plan.net.place_index.get(robot["place"], -1)
+                robots[robot["robot"]] = RobotSeen(place, int(robot["visit"]))
+    marking = plan.net.marking(newest["marking"])
+    gone = frozenset(r["robot"] for r in newest["robots"] if Phase.of_state(r["state"]).gone)
+    if plan.synchronisation is not Synchronisation.FULL:
+        counts = [
+            n if p.name in plan.resource_places else 0 for p, n in zip(plan.net.places, marking)
+        ]
+        for name, seen in robots.items():
+            if seen.place >= 0 and name not in gone:
+                counts[seen.place] += 1
+        marking = tuple(counts)
+    return TeamSeen(marking, robots, int(newest["log_length"]), gone)
+
+
 class FiredFollower:
     """Turns the messages of a team into events; see the module.
 

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
-from typing import TYPE_CHECKING, Any, Callable, Optional, Protocol, Set, Tuple
+import time
+from typing import TYPE_CHECKING, Any, Callable, Iterator, List, Optional, Protocol, Set, Tuple
 
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
@@ -104,3 +106,20 @@ def ask_robot(
     :raises UnreachableError: see :class:`RobotLine`.
     """
     return line.call(address, robot, request, lambda answer: answers.put((address, answer)))
+
+
+def answers_of(
+    line: RobotLine, addresses: List[str], request: OperatorRequest, seconds: float
+) -> Iterator[Tuple[str, OperatorAnswer]]:
+    """Put a question to robots; yield the answers that come within a time, each with its address.
+
+    :raises UnreachableError: see :class:`RobotLine`.
+    """
+    answers: Replies = queue.SimpleQueue()
+    give_up = time.monotonic() + seconds
+    asked = [ask_robot(line, address, "", request, answers) for address in addresses]
+    with contextlib.suppress(queue.Empty):
+        for _ in range(sum(asked)):
+            address, answer = answers.get(timeout=max(0.0, give_up - time.monotonic()))
+            if answer is not None:
+                yield address, answer

@@ -5,8 +5,6 @@ second thread asks the team for its state, since an answer may take a while, and
 answers into the queue. The :class:`TeamConnection` reaches the team, over ROS or Zenoh.
 """
 
-# In one piece: one thread owns the state that all of it reads and changes
-
 from __future__ import annotations
 
 import contextlib
@@ -48,8 +46,8 @@ from gspn_framework_package.visualizer.feedback import FeedbackStream
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
     FiredMessage,
-    RobotSeen,
     TeamSeen,
+    team_seen,
 )
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures, LiveComparison
@@ -59,6 +57,7 @@ from gspn_framework_package.visualizer.team_connection import (
     RobotLine,
     TeamConnection,
     UnreachableError,
+    answers_of,
     ask_robot,
 )
 
@@ -389,7 +388,7 @@ class TeamWatch(Activity):
         self._stage = deployed.number
         statuses = [s for _, s in heard if (s["plan"], s["run"]) == (self._hash, self._run)]
         newest = max(statuses, key=lambda s: int(s["log_length"]))
-        self._before = self._team_seen(newest, statuses)
+        self._before = team_seen(self._plan, newest, statuses)
         self._follower = FiredFollower(new)
         self._follower.adopt(self._before, "")
         number = len(self._plans) + 1
@@ -447,7 +446,7 @@ class TeamWatch(Activity):
             return
         self._silent = 0
         newest = max(answers, key=lambda a: int(a["log_length"]))
-        team, before = self._team_seen(newest, answers), self._before
+        team, before = team_seen(self._plan, newest, answers), self._before
         self._before = team
         self._note_deafness(team, before)
         # Firings that are also behind the previous answer were lost, not merely in transit.
@@ -516,18 +515,11 @@ class TeamWatch(Activity):
 
     def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
         """The robots' answers about the team, without late ones."""
-        answers: Replies = queue.SimpleQueue()
         request = OperatorRequest("status", argument="brief", run=self._run)
-        asked = [ask_robot(line, n, "", request, answers) for n in addresses]
         found = []
-        give_up = time.monotonic() + STATUS_TIME + 0.2
-        try:
-            for _ in range(sum(asked)):
-                address, answer = answers.get(timeout=max(0.0, give_up - time.monotonic()))
-                if answer is not None and answer.success:  # otherwise, it is in another run
-                    found += self._read_answer(address, answer.message)
-        except queue.Empty:
-            pass
+        for address, answer in answers_of(line, addresses, request, STATUS_TIME + 0.2):
+            if answer.success:  # otherwise, it is in another run
+                found += self._read_answer(address, answer.message)
         return found
 
     def _read_answer(self, address: str, message: str) -> List[StatusAnswer]:
@@ -542,28 +534,6 @@ class TeamWatch(Activity):
                 % (self._connection.label(address), message)
             )
         return []
-
-    def _team_seen(self, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
-        robots: Dict[str, RobotSeen] = {}
-        for answer in [newest] + answers:
-            for robot in answer["robots"]:
-                own = robot["robot"] == answer["robot"]
-                known = robots.get(robot["robot"])
-                if known is None or own or (known.visit or 0) < robot["visit"]:
-                    place = self._net.place_index.get(robot["place"], -1)
-                    robots[robot["robot"]] = RobotSeen(place, int(robot["visit"]))
-        marking = self._net.marking(newest["marking"])
-        gone = frozenset(r["robot"] for r in newest["robots"] if Phase.of_state(r["state"]).gone)
-        if not self._follower.full:
-            counts = [
-                n if p.name in self._plan.resource_places else 0
-                for p, n in zip(self._net.places, marking)
-            ]
-            for name, seen in robots.items():
-                if seen.place >= 0 and name not in gone:
-                    counts[seen.place] += 1
-            marking = tuple(counts)
-        return TeamSeen(marking, robots, int(newest["log_length"]), gone)
 
     def _show_status(self, status: Dict[str, Any]) -> None:
         for robot in status["robots"]:
