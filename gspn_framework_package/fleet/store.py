@@ -21,7 +21,7 @@ import hashlib
 import json
 import os
 import shutil
-from typing import Any, Dict, Iterator, List, Optional, Sequence
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.fleet.database import (
     TABLES,
@@ -33,6 +33,7 @@ from gspn_framework_package.fleet.database import (
     write_table,
 )
 from gspn_framework_package.fleet.stay_follower import DAY_SECONDS, Moment, Stay
+from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.model.errors import InputError
 
 STORE_FORMAT = "gspn history"
@@ -54,6 +55,24 @@ Manifest = Dict[str, Any]
 from), ``hashes`` (slot -> hash) of ``every`` so many slots, ``state``, ``ingests``, and ``files``
 (table -> names)."""
 
+_MANIFEST: Dict[str, Tuple[type, ...]] = {
+    "key": (str,),
+    "run": (str,),
+    "plan_hash": (str,),
+    "agents": (bool,),
+    "begin": (int, float, type(None)),
+    "end": (int, float, type(None)),
+    "rows": (dict,),
+    "logs": (dict,),
+    "leader": (str,),
+    "hashes": (dict,),
+    "every": (int,),
+    "state": (dict, type(None)),
+    "ingests": (int,),
+    "files": (dict,),
+}
+"""What every one has, and of which kinds."""
+
 
 class Store:
     """A store; see the module.
@@ -71,17 +90,18 @@ class Store:
                 for name in ("runs", *TABLES):
                     os.makedirs(os.path.join(self.folder, name), exist_ok=True)
                 _replace(first, {"format": STORE_FORMAT, "version": STORE_VERSION})
-            with open(first, encoding="utf-8") as file:
-                told = json.load(file)
-        except (FileNotFoundError, NotADirectoryError):
+        except NotADirectoryError:
+            pass
+        if not os.path.exists(first):
             raise InputError(
                 "is no store of a fleet's history",
                 file=folder,
                 hint="'gspn history ingest LOG --store DIR' makes one in a new or empty folder",
-            ) from None
-        except ValueError:
-            raise InputError("is damaged", file=first) from None
-        if told.get("format") != STORE_FORMAT or told.get("version") != STORE_VERSION:
+            )
+        told = read_json(first)
+        if not isinstance(told, dict) or told.get("format") != STORE_FORMAT:
+            raise InputError("does not describe a store of a fleet's history", file=first)
+        if told.get("version") != STORE_VERSION:
             raise InputError(
                 "is a store of version %s; this program reads version %d"
                 % (told.get("version"), STORE_VERSION),
@@ -126,14 +146,23 @@ class Store:
 
     @staticmethod
     def _read(path: str) -> Manifest:
+        hint = "remove it, and ingest the run again"
         try:
-            with open(path, encoding="utf-8") as file:
-                manifest = json.load(file)
-            if isinstance(manifest, dict) and isinstance(manifest.get("files"), dict):
-                return manifest
-        except ValueError:
-            pass
-        raise InputError("is damaged", file=path, hint="remove it, and ingest the run again")
+            manifest = read_json(path)
+        except InputError as error:
+            error.hint = hint
+            raise
+        if not isinstance(manifest, dict):
+            raise InputError("does not describe a run", file=path, hint=hint)
+        for name, kinds in _MANIFEST.items():
+            if not isinstance(manifest.get(name), kinds):
+                raise InputError("its '%s' is missing or damaged" % name, file=path, hint=hint)
+        files = manifest["files"]
+        if not all(isinstance(files.get(table), list) for table in TABLES) or not all(
+            isinstance(name, str) for names in files.values() for name in names
+        ):
+            raise InputError("its 'files' are damaged", file=path, hint=hint)
+        return manifest
 
     def commit(self, run: Manifest) -> None:
         """Let a run count as it is described here, with its files."""

@@ -6,6 +6,7 @@ import builtins
 import csv
 import io
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any, Dict, List
@@ -264,6 +265,27 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is no store"):
         Store(str(tmp_path), create=True)  # a folder with other things stays as it is
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[]", "{", "[" * 100_000, '{"format": "gspn history", "version": 1e999}', "\x00", '{"a": {}}'],
+)
+@pytest.mark.parametrize("name", ["history.json", "runs/monday.json"])
+def test_a_damaged_file_of_a_store_is_named_in_one_line(
+    store: Store, name: str, text: str, capsys: Any
+) -> None:
+    Path(store.folder, name).write_text(text)
+    for words in (["report"], ["ingest", store.folder]):
+        assert main(["history", *words, "--store", store.folder]) == 2
+        told = capsys.readouterr().err.strip()
+        assert name in told and "Traceback" not in told and "internal" not in told
+
+
+def test_a_fifo_in_a_store_is_not_waited_for(store: Store, capsys: Any) -> None:
+    os.mkfifo(os.path.join(store.folder, "runs", "monday.json"))
+    assert main(["history", "report", "--store", store.folder]) == 2
+    assert "monday.json" in capsys.readouterr().err
 
 
 # -- the command line ------------------------------------------------------------------------------
