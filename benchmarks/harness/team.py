@@ -448,11 +448,13 @@ class NodeTeam(Team):
             where = at or self.robots[0]
             code, said = self.programs.ask([*GSPN, command], where, self.environment(where))
             return "" if code == 0 else said or "it failed"
-        from gspn_framework_package.ros.operator_client import OperatorClient
+        from gspn_framework_package.ros.service_line import ServiceLine, client_on_ros
 
         try:
-            with contextlib.closing(OperatorClient()) as client:
-                client.nodes = [n for n in client.nodes if at in ("", n.namespace.strip("/"))]
+            with contextlib.closing(client_on_ros()) as client:
+                line = client.line
+                assert isinstance(line, ServiceLine)
+                line.nodes = [name for name in line.nodes if at in ("", name.strip("/"))]
                 done, said = client.order(command, robot, argument, RUN)
                 return "" if done else said or "it failed"
         except ExecutionError as error:
@@ -460,9 +462,9 @@ class NodeTeam(Team):
 
     def statuses(self) -> Dict[str, Dict[str, Any]]:
         """The status of each robot that answers."""
-        from gspn_framework_package.ros.operator_client import OperatorClient
+        from gspn_framework_package.ros.service_line import client_on_ros
 
-        with contextlib.closing(OperatorClient()) as client:
+        with contextlib.closing(client_on_ros()) as client:
             return {s["robot"]: s for s in client.statuses().values() if s and s["run"] == RUN}
 
 

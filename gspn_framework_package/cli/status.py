@@ -8,7 +8,7 @@ import time
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.cli.table import aligned
-from gspn_framework_package.cli.team_client import add_team_options, label_of, team_client
+from gspn_framework_package.cli.team_client import add_team_options, team_client
 from gspn_framework_package.execution.displayed_data import (
     SHOWN_TASKS,
     cause_text,
@@ -35,9 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Query every node and print the answers."""
+    client = team_client(args)
     statuses = {
-        label_of(at): status
-        for at, status in team_client(args).statuses(args.data).items()
+        client.line.label(at): status
+        for at, status in client.statuses(args.data).items()
         if status is None or args.run_name in ("", status["run"])
     }
     if args.json:

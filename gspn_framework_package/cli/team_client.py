@@ -4,30 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-from typing import TYPE_CHECKING, Any, Dict, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING
 
 from gspn_framework_package.model.errors import UsageError
 
 if TYPE_CHECKING:
+    from gspn_framework_package.team.operator_client import OperatorClient
     from gspn_framework_package.team.zenoh_session import TeamAccess
-
-
-class TeamClient(Protocol):
-    """What the verbs ask of a team."""
-
-    def statuses(self, data: bool = False) -> Mapping[Any, Optional[Dict[str, Any]]]:
-        """The status of every robot, with or without ``data``; None for one without a valid
-        answer."""
-
-    def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
-        """Give an order; returns whether it was carried out, and the answer.
-
-        :raises ExecutionError: nobody answers, or robots of several runs do.
-        """
-
-    def breakpoints(self, argument: str, run: str = "") -> Sequence[Tuple[str, Any]]:
-        """Show or set the breakpoints of every robot of a run; returns pairs of where a robot is
-        and its answer, None if it gives none."""
 
 
 def add_team_options(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +43,7 @@ def add_way(parser: argparse.ArgumentParser, connect: str) -> None:
     )
 
 
-def team_client(args: argparse.Namespace) -> TeamClient:
+def team_client(args: argparse.Namespace) -> OperatorClient:
     """The client that the options of a verb ask for.
 
     :raises GspnError: the team cannot be reached that way.
@@ -70,15 +53,15 @@ def team_client(args: argparse.Namespace) -> TeamClient:
     if args.team_key_file and args.connect:
         raise UsageError("--team-key-file says nothing with --connect", hint="--keys DIR")
     if args.connect:
-        from gspn_framework_package.team.zenoh_operator import ZenohOperator
+        from gspn_framework_package.team.zenoh_operator import client_on_zenoh
 
-        return ZenohOperator(access_of(args))
+        return client_on_zenoh(access_of(args))
     require_ros()
-    from gspn_framework_package.ros.operator_client import OperatorClient
+    from gspn_framework_package.ros.service_line import client_on_ros
     from gspn_framework_package.team.seal import read_team_key
 
     key = read_team_key(args.team_key_file) if args.team_key_file else None
-    return OperatorClient(key)
+    return client_on_ros(key)
 
 
 def access_of(args: argparse.Namespace, robot: str = "") -> TeamAccess:
@@ -94,11 +77,6 @@ def access_of(args: argparse.Namespace, robot: str = "") -> TeamAccess:
     if args.keys:
         keys = keys_of_robot(args.keys, robot) if robot else read_keys(args.keys)
     return TeamAccess(tuple(args.connect), tuple(getattr(args, "listen", ())), keys)
-
-
-def label_of(address: Any) -> str:
-    """A short name for where a robot is reached: its namespace on ROS, else its own name."""
-    return str(getattr(address, "namespace", None) or address.robot)
 
 
 def require_ros() -> None:

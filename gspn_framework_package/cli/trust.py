@@ -9,7 +9,7 @@ from typing import Any, Dict, List, Mapping
 
 from gspn_framework_package.cli.orders import order_verbs
 from gspn_framework_package.cli.status import print_table
-from gspn_framework_package.cli.team_client import label_of, team_client
+from gspn_framework_package.cli.team_client import team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team.addressing import robots_of_run
 
@@ -26,9 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show what each robot has and what is given up, ask, and give the order."""
-    there = robots_of_run(team_client(args).statuses(), args.run_name)
+    client = team_client(args)
+    there = robots_of_run(client.statuses(), args.run_name)
     if not args.json:
-        print_table({label_of(at): status for at, status in there.items()})
+        print_table({client.line.label(at): status for at, status in there.items()})
         print("\n".join(given_up(there)))
     if not args.yes:
         if args.json or not sys.stdin.isatty():

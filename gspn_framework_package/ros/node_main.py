@@ -111,7 +111,7 @@ def refuse_taken(namespaces: List[str]) -> None:
     :param namespaces: the absolute namespaces of the robots to start.
     :raises ExecutionError: a namespace is taken.
     """
-    from gspn_framework_package.ros.operator_client import status_in
+    from gspn_framework_package.ros.service_line import status_in
 
     for namespace in namespaces:
         status = status_in(namespace)
@@ -217,7 +217,7 @@ def _fork(options: NodeOptions) -> int:
     if options.check:
         check_plan(plan, lambda text: print("warning: " + text, file=sys.stderr))
     # import and compute what all members need once, before they are forked
-    from gspn_framework_package.ros import execution_node, operator_client  # noqa: F401
+    from gspn_framework_package.ros import execution_node, service_line  # noqa: F401
     from gspn_framework_package.ros.transport import master_watch  # noqa: F401
 
     plan.hash()

@@ -31,8 +31,8 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Marking, RobotActivity
-from gspn_framework_package.ros.operator_client import ask_node, status_in
 from gspn_framework_package.ros.options import launched_file
+from gspn_framework_package.ros.service_line import ask_node, status_in
 from gspn_framework_package.ros.team_markers import (
     Spot,
     TeamMarkers,
@@ -42,8 +42,9 @@ from gspn_framework_package.ros.team_markers import (
 from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.node_process import run_node
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, published_topics
-from gspn_framework_package.srv import CommandRequest
+from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
+from gspn_framework_package.team.operator_client import UnreachableError
 
 VIEW_PERIOD = 1.0
 """Seconds of wall time between two messages on a topic."""
@@ -177,9 +178,9 @@ class TeamView:
                     status = status_in(namespace)
                     if status is None or status.get("began_with") != self._hash:
                         continue
-                question = CommandRequest(command="plan", run=robot.run)
+                question = OperatorRequest("plan", run=robot.run)
                 answer = ask_node(namespace, question)
-            except MASTER_ERRORS:
+            except UnreachableError:
                 return
             found = read_deployed(robot.run, answer.message) if answer and answer.success else None
             if found is not None and found.number > self._stage:

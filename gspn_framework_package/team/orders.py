@@ -161,7 +161,6 @@ class OrderKind(NamedTuple):
     :ivar note: more about the verb.
     :ivar noun: what its argument is, for messages; ``like`` is an example of it.
     :ivar seconds: how long a robot may take to carry it out.
-    :ivar to_all: whether each robot has to be given it, for itself.
     :ivar against_robot: whether the robot that it concerns is the last to ask.
     """
 
@@ -175,7 +174,6 @@ class OrderKind(NamedTuple):
     noun: str = ""
     like: str = ""
     seconds: float = ORDER_TIME
-    to_all: bool = False
     against_robot: bool = False
     form: Optional[Form] = None
 
@@ -456,7 +454,6 @@ ORDERS: Dict[str, OrderKind] = {
         answer=lambda worker, names: worker.breakpoints(names),
         asks=Asks.WITHOUT_ARGUMENT,
         example="Door",
-        to_all=True,
         form=Form("node"),
     ),
     "plan": OrderKind("the plan that the team adopted", answer=_adopted, asks=Asks.ALWAYS),

@@ -1,22 +1,22 @@
-"""Client for an operator's program over Zenoh: queries the robots and gives orders."""
+"""Carries the requests of an operator's program to the robots over Zenoh."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import time
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Tuple
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.team.addressing import (
-    SILENCE_PATIENCE,
-    read_status,
-    robots_of_run,
-    whom_to_order,
-)
+from gspn_framework_package.team.addressing import SILENCE_PATIENCE, read_status
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.message_filter import json_object
-from gspn_framework_package.team.orders import ORDERS, is_open
+from gspn_framework_package.team.operator_client import (
+    CLIENT_TIME,
+    OperatorClient,
+    UnreachableError,
+)
+from gspn_framework_package.team.orders import is_open
 from gspn_framework_package.team.zenoh_session import (
     TeamAccess,
     key_of,
@@ -35,15 +35,8 @@ UNNAMED = "operator"
 """Name of the operator in a team without keys."""
 
 
-class RobotAddress(NamedTuple):
-    """A robot in a run."""
-
-    run: str
-    robot: str
-
-
 class ZenohOperator:
-    """Connects to all robots that can be reached; every call has a deadline.
+    """A session with all robots that can be reached.
 
     :param access: how to reach the team; to give orders, with an operator's keys.
     :raises GspnError: no session with the team can be opened.
@@ -65,102 +58,57 @@ class ZenohOperator:
         """Whether the holder of these keys may give orders; without keys everybody may."""
         return self._role == "operator"
 
-    @property
-    def connected(self) -> bool:
-        """Whether a router or a listening robot is connected now."""
-        return bool(self.session.info.routers_zid() or self.session.info.peers_zid())
-
-    def statuses(self, data: bool = False) -> Dict[RobotAddress, Optional[Dict[str, Any]]]:
-        """The status of every robot that answers within :data:`SILENCE_PATIENCE`, with or without
-        ``data``; None for one whose answer is not a status."""
-        found: Dict[RobotAddress, Optional[Dict[str, Any]]] = {}
-        deadline = time.monotonic() + SILENCE_PATIENCE
-        # a new session does not know the robots yet
-        while not found and time.monotonic() < deadline:
-            answers = self._ask(
-                key_of("*", "*", "status"), {"argument": "data" * data}, SILENCE_PATIENCE
-            )
-            for at, answer in answers.items():
-                status = read_status(answer.message)
-                # a robot may answer only for itself
-                mine = status is not None and (status["run"], status["robot"]) == at
-                found[at] = status if mine else None
-            if not found:
-                time.sleep(_ATTEMPT)
-        return found
-
-    def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
-        """Give an order to a robot that answers, preferably the one that it concerns.
-
-        :param command: the name of the order or question.
-        :param robot: the robot that the order concerns.
-        :param argument: the argument of the command.
-        :param run: the name of the run; required if there are several.
-        :returns: whether the order was carried out, and the robot's message.
-        :raises ExecutionError: no robot answers, robots of several runs do, or the keys are not an
-            operator's.
-        """
-        at = whom_to_order(robots_of_run(self.statuses(), run), command, robot)
-        answer = self._command(at, command, robot, argument)
-        if answer is None:
-            raise ExecutionError(
-                "%s does not answer an order of '%s'" % (at.robot, self.name),
-                hint="the routers may not know these keys yet; check that their team.json is up to "
-                "date",
-            )
-        return answer.success, answer.message
-
-    def breakpoints(
-        self, argument: str, run: str = ""
-    ) -> List[Tuple[str, Optional[OperatorAnswer]]]:
-        """Show or set the breakpoints of every robot of a run.
-
-        :param argument: a JSON list of names to set, "" for none.
-        :param run: the name of the run; required if there are several.
-        :returns: pairs of a robot's name and its answer; None if it does not answer.
-        :raises ExecutionError: as :meth:`order`.
-        """
-        there = sorted(robots_of_run(self.statuses(), run))
-        return [(at.robot, self._command(at, "breakpoints", "", argument)) for at in there]
-
-    def _command(
-        self, at: RobotAddress, command: str, robot: str, argument: str
-    ) -> Optional[OperatorAnswer]:
+    def require_orders(self) -> None:
+        """:raises ExecutionError: these keys cannot give orders."""
         if not self.gives_orders:
             raise ExecutionError(
                 "the keys of %s '%s' cannot give orders" % (self._role, self.name),
                 hint="use an operator's keys",
             )
-        request = {"command": command, "robot": robot, "argument": argument}
-        return self._ask(
-            self._key(at, command), request, ORDERS[command].seconds + SILENCE_PATIENCE
-        ).get(at)
 
-    def _key(self, at: RobotAddress, command: str) -> str:
-        """The key under which a robot answers a question or an order."""
-        if is_open(command):
-            return key_of(at.run, at.robot, "status")
-        return key_of(at.run, at.robot, "orders", self.name)
+    @property
+    def connected(self) -> bool:
+        """Whether a router or a listening robot is connected now."""
+        return bool(self.session.info.routers_zid() or self.session.info.peers_zid())
 
-    def ask(
-        self,
-        at: RobotAddress,
-        request: OperatorRequest,
-        seconds: float,
-        answered: Callable[[Optional[OperatorAnswer]], None],
+
+class ZenohLine:
+    """A :class:`~gspn_framework_package.team.operator_client.RobotLine` over Zenoh; a robot's
+    address is the beginning of its keys.
+
+    :param operator: the session with the team.
+    :param seconds: time limit of an answer.
+    :param closed: called by :meth:`close`.
+    """
+
+    def __init__(
+        self, operator: ZenohOperator, seconds: float, closed: Callable[[], None] = lambda: None
     ) -> None:
-        """Ask a robot, or give it an order, without waiting.
+        self._operator, self._seconds, self._closed = operator, seconds, closed
+        self._zenoh = zenoh_library()
 
-        :param seconds: maximum time for the answer.
-        :param answered: called once, on a thread of Zenoh, with the answer; with None when the time
-            is over or no answer can come.
-        """
+    def call(
+        self,
+        address: str,
+        robot: str,
+        request: OperatorRequest,
+        answered: Callable[[Optional[OperatorAnswer]], None],
+    ) -> bool:
+        """See :class:`RobotLine`. :raises ExecutionError: the keys cannot give orders."""
+        operator, at = self._operator, names_in_key(address + "/status")[:2]
+        if is_open(request.command):
+            key = key_of(*at, "status")
+        else:
+            operator.require_orders()
+            key = key_of(*at, "orders", operator.name)
+        if not operator.connected:
+            raise UnreachableError("no connection with the team")
         got: List[OperatorAnswer] = []
         body = {n: getattr(request, n) for n in ("command", "robot", "argument")}
 
         def replied(reply: zenoh.Reply) -> None:
             found = _answer_in(reply)
-            if found is not None and found[0] == at and not got:
+            if found is not None and found[0] == address and not got:
                 got.append(found[1])
                 answered(found[1])
 
@@ -168,32 +116,73 @@ class ZenohOperator:
             if not got:
                 answered(None)
 
-        self.session.get(
-            self._key(at, request.command),
+        operator.session.get(
+            key,
             self._zenoh.handlers.Callback(replied, over),
             payload=json.dumps(body).encode(),
-            timeout=seconds,
+            timeout=self._seconds,
+        )
+        return True
+
+    def statuses(self, argument: str) -> Dict[str, Optional[Dict[str, Any]]]:
+        """See :class:`RobotLine`; of the robots that answer within :data:`SILENCE_PATIENCE`."""
+        found: Dict[str, Optional[Dict[str, Any]]] = {}
+        deadline = time.monotonic() + SILENCE_PATIENCE
+        # a new session does not know the robots yet
+        while not found and time.monotonic() < deadline:
+            replies = self._operator.session.get(
+                key_of("*", "*", "status"),
+                payload=json.dumps({"argument": argument}).encode(),
+                target=self._zenoh.QueryTarget.ALL,
+                consolidation=self._zenoh.ConsolidationMode.NONE,
+                timeout=SILENCE_PATIENCE,
+            )
+            for at, answer in filter(None, map(_answer_in, replies)):
+                status = read_status(answer.message)
+                # a robot may answer only for itself
+                mine = status is not None and key_of(status["run"], status["robot"]) == at
+                found[at] = status if mine else None
+            if not found:
+                time.sleep(_ATTEMPT)
+        return found
+
+    def label(self, address: str) -> str:
+        """See :class:`RobotLine`."""
+        return robot_at(address)
+
+    def silence(self, address: str) -> ExecutionError:
+        """See :class:`RobotLine`."""
+        return ExecutionError(
+            "%s does not answer an order of '%s'" % (robot_at(address), self._operator.name),
+            hint="the routers may not know these keys yet; check that their team.json is up to "
+            "date",
         )
 
-    def _ask(
-        self, key: str, request: Dict[str, str], seconds: float
-    ) -> Dict[RobotAddress, OperatorAnswer]:
-        """The answers that arrive within some seconds. Returns when all have answered."""
-        replies = self.session.get(
-            key,
-            payload=json.dumps(request).encode(),
-            target=self._zenoh.QueryTarget.ALL,
-            consolidation=self._zenoh.ConsolidationMode.NONE,
-            timeout=seconds,
-        )
-        return dict(filter(None, map(_answer_in, replies)))
+    def close(self) -> None:
+        """See :class:`RobotLine`."""
+        self._closed()
 
 
-def _answer_in(reply: zenoh.Reply) -> Optional[Tuple[RobotAddress, OperatorAnswer]]:
+def client_on_zenoh(access: TeamAccess) -> OperatorClient:
+    """A client of all robots that can be reached.
+
+    :param access: how to reach the team; to give orders, with an operator's keys.
+    :raises GspnError: no session with the team can be opened.
+    """
+    operator = ZenohOperator(access)
+    return OperatorClient(ZenohLine(operator, CLIENT_TIME, operator.close))
+
+
+def robot_at(address: str) -> str:
+    """The robot at an address."""
+    return names_in_key(address + "/status")[1]
+
+
+def _answer_in(reply: zenoh.Reply) -> Optional[Tuple[str, OperatorAnswer]]:
     """The robot that answers, and its answer; None if the reply is not an answer."""
     sample = reply.ok
     answer = json_object(bytes(sample.payload)) if sample is not None else None
     if sample is None or answer is None or not {"success", "message"} <= set(answer):
         return None
-    at = RobotAddress(*names_in_key(str(sample.key_expr))[:2])
+    at = key_of(*names_in_key(str(sample.key_expr))[:2])
     return at, OperatorAnswer(answer["success"] is True, str(answer["message"]))

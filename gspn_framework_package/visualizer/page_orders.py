@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import queue
-from typing import TYPE_CHECKING, Any, Callable, Dict, FrozenSet, List, Mapping, Protocol, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Protocol, Tuple
 
 from gspn_framework_package.execution.breakpoints import Breakpoints
 from gspn_framework_package.execution.plan_change import stage_of
@@ -13,20 +11,15 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
+from gspn_framework_package.team.operator_client import RobotLine, ask_robots
 from gspn_framework_package.team.orders import ORDERS, PAGE, OrderKind
 from gspn_framework_package.team.verdict import obey
 from gspn_framework_package.visualizer.activity import Handler, RequestFields
 from gspn_framework_package.visualizer.team_connection import (
     LONGEST_ORDER_TIME,
     STATUS_TIME,
-    RobotLine,
     TeamConnection,
-    UnreachableError,
-    ask_robot,
 )
-
-if TYPE_CHECKING:
-    from gspn_framework_package.visualizer.team_connection import Replies
 
 PageOrder = Tuple[str, str, str]
 """An order to the team: the command, the robot and the argument of the Command service."""
@@ -106,8 +99,6 @@ class PageOrders:
 
         try:
             return DeployTeam(order, statuses, tell).deploy(stage_of(plan, mapping))
-        except UnreachableError as error:
-            raise RefusedError(str(error)) from None
         finally:
             line.close()
 
@@ -131,16 +122,8 @@ class PageOrders:
         command, robot, argument = order
         request = OperatorRequest(command, robot, argument, self._team.run)
         for address in self._first_to_order(command, robot):
-            robot_there = self._team.names.get(address, "")
-            answers: Replies = queue.SimpleQueue()
-            try:
-                if not ask_robot(self._line, address, robot_there, request, answers):
-                    continue
-                _, answer = answers.get(timeout=LONGEST_ORDER_TIME + 0.2)
-            except queue.Empty:
-                continue
-            except UnreachableError as error:
-                raise RefusedError(str(error)) from None
+            there = {address: self._team.names.get(address, "")}
+            answer = ask_robots(self._line, there, request, LONGEST_ORDER_TIME + 0.2)[address]
             if answer is None:
                 continue
             if not answer.success:
@@ -161,26 +144,14 @@ class PageOrders:
         found = Breakpoints.of_names(names, self._team.plan)
         argument = ORDERS["breakpoints"].argument({"names": [*found.places, *found.transitions]})
         request = OperatorRequest("breakpoints", "", argument, self._team.run)
-        answers: Replies = queue.SimpleQueue()
-        try:
-            known = sorted(n for n, name in self._team.names.items() if name not in self._team.gone)
-            asked = [
-                n for n in known if ask_robot(self._line, n, self._team.names[n], request, answers)
-            ]
-        except UnreachableError as error:
-            raise RefusedError(str(error)) from None
-        silent, refusals = set(asked), []
-        with contextlib.suppress(queue.Empty):
-            for _ in asked:
-                address, answer = answers.get(timeout=LONGEST_ORDER_TIME + 0.2)
-                if answer is None:
-                    continue
-                silent.discard(address)
-                if not answer.success:
-                    refusals.append("%s: %s" % (self._connection.label(address), answer.message))
+        there = {n: name for n, name in self._team.names.items() if name not in self._team.gone}
+        answers = ask_robots(self._line, there, request, LONGEST_ORDER_TIME + 0.2)
+        label = self._connection.label
+        told = [(label(n), answer) for n, answer in sorted(answers.items())]
+        refusals = ["%s: %s" % (n, a.message) for n, a in told if a is not None and not a.success]
+        refusals += ["%s does not answer" % n for n, answer in told if answer is None]
         self._team.ask_soon()
-        refusals += ["%s does not answer" % self._connection.label(n) for n in sorted(silent)]
-        if refusals or not asked:
+        if refusals or not there:
             raise RefusedError("; ".join(refusals) or "no robot of the run has been heard from yet")
         return {"message": "robots stop at: %s" % found.in_words}
 

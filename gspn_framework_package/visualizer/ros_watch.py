@@ -12,20 +12,16 @@ from std_msgs.msg import String
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC
-from gspn_framework_package.ros.team_orders import TeamOrders
+from gspn_framework_package.ros.service_line import SealedOrders, ServiceLine
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
-    master_proxy,
     published_topics,
 )
-from gspn_framework_package.ros.transport.service_calls import ServiceCalls
-from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
-from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.orders import is_open
+from gspn_framework_package.team.operator_client import UnreachableError
 from gspn_framework_package.team.seal import TeamKey
 from gspn_framework_package.visualizer.live_comparison import Departures
 from gspn_framework_package.visualizer.ros_prediction import RosPrediction
-from gspn_framework_package.visualizer.team_connection import STATUS_TIME, UnreachableError
+from gspn_framework_package.visualizer.team_connection import STATUS_TIME
 
 _ACTIVITY = "/activity"
 
@@ -46,7 +42,7 @@ class RosConnection:
     orders = True
 
     def __init__(self, key: Optional[TeamKey] = None) -> None:
-        self._orders = TeamOrders(key, "the page")
+        self._orders = SealedOrders(key, "the page")
         self._found: Set[str] = set()
         self._subscribers: List[rospy.Subscriber] = []
 
@@ -70,7 +66,7 @@ class RosConnection:
         try:
             published = published_topics(STATUS_TIME)
         except MASTER_ERRORS as error:
-            raise _no_master(error) from None
+            raise UnreachableError("the ROS master does not answer (%s)" % error) from None
         for topic, kind in published.items():
             namespace = topic[: -len(_ACTIVITY)]
             if topic.endswith(_ACTIVITY) and kind == String._type and namespace not in self._found:
@@ -78,9 +74,9 @@ class RosConnection:
                 self._subscribe(topic, String, self._with_json("activity", namespace))
         return set(self._found)
 
-    def line(self, seconds: float) -> RosLine:
+    def line(self, seconds: float) -> ServiceLine:
         """See :class:`TeamConnection`."""
-        return RosLine(seconds, self._orders)
+        return ServiceLine(seconds, self._orders)
 
     def label(self, address: str) -> str:
         """See :class:`TeamConnection`."""
@@ -120,46 +116,3 @@ class RosConnection:
         self._subscribers.append(
             rospy.Subscriber(topic, kind, callback, queue_size=10_000, tcp_nodelay=True)
         )
-
-
-class RosLine:
-    """A :class:`~gspn_framework_package.visualizer.team_connection.RobotLine` of services.
-
-    :param seconds: time limit of an answer.
-    :param orders: writes the orders.
-    """
-
-    def __init__(self, seconds: float, orders: TeamOrders) -> None:
-        self._calls, self._orders = ServiceCalls(seconds), orders
-
-    def call(
-        self,
-        address: str,
-        robot: str,
-        request: OperatorRequest,
-        answered: Callable[[Optional[OperatorAnswer]], None],
-    ) -> bool:
-        """See :class:`RobotLine`."""
-        name = rospy.names.ns_join(address, "command")
-
-        def reply(response: CommandResponse) -> None:
-            answered(OperatorAnswer(response.success, response.message))
-
-        if is_open(request.command):
-            written = CommandRequest(*request)
-        else:
-            written = self._orders.request(robot, *request)
-        try:
-            master: Any = master_proxy(STATUS_TIME)
-            code, _, uri = master.lookupService(rospy.get_name(), name)
-        except MASTER_ERRORS as error:
-            raise _no_master(error) from None
-        return code == 1 and self._calls.call(address, uri, name, Command, written, reply)
-
-    def close(self) -> None:
-        """See :class:`RobotLine`."""
-        self._calls.close()
-
-
-def _no_master(error: Exception) -> UnreachableError:
-    return UnreachableError("the ROS master does not answer (%s)" % error)

@@ -4,52 +4,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import queue
-import time
-from typing import TYPE_CHECKING, Any, Callable, Iterator, List, Optional, Protocol, Set, Tuple
+from typing import Any, Callable, Protocol, Set
 
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.operator_client import RobotLine
 from gspn_framework_package.team.orders import ADOPT_TIME
 from gspn_framework_package.visualizer.live_comparison import Departures
-
-if TYPE_CHECKING:
-    Replies = queue.SimpleQueue[Tuple[str, Optional[OperatorAnswer]]]
-    """Answers, each with the address of the robot."""
 
 STATUS_TIME = 1.5
 """Seconds within which a robot must report the team's state."""
 
 LONGEST_ORDER_TIME = ADOPT_TIME + 1.0
 """Time limit of an order in seconds; allows for the order that takes a robot longest."""
-
-
-class UnreachableError(Exception):
-    """The team cannot be reached at present; the text says why."""
-
-
-class RobotLine(Protocol):
-    """Asks robots; an answer has a time limit, and one robot does not delay another."""
-
-    def call(
-        self,
-        address: str,
-        robot: str,
-        request: OperatorRequest,
-        answered: Callable[[Optional[OperatorAnswer]], None],
-    ) -> bool:
-        """Send a request to the robot at an address; return whether an answer may come.
-
-        :param robot: its name; a question (see
-            :func:`~gspn_framework_package.team.orders.is_open`) may go without.
-        :param answered: is called with the answer on any thread, once or not at all; None: there
-            will be none.
-        :raises UnreachableError: nobody can be asked.
-        """
-
-    def close(self) -> None:
-        """Stop waiting for answers."""
 
 
 class TeamConnection(Protocol):
@@ -96,30 +62,3 @@ class TeamConnection(Protocol):
 
     def close(self) -> None:
         """Stop watching."""
-
-
-def ask_robot(
-    line: RobotLine, address: str, robot: str, request: OperatorRequest, answers: Replies
-) -> bool:
-    """Ask a robot and put its answer into a queue; return whether one may come.
-
-    :raises UnreachableError: see :class:`RobotLine`.
-    """
-    return line.call(address, robot, request, lambda answer: answers.put((address, answer)))
-
-
-def answers_of(
-    line: RobotLine, addresses: List[str], request: OperatorRequest, seconds: float
-) -> Iterator[Tuple[str, OperatorAnswer]]:
-    """Put a question to robots; yield the answers that come within a time, each with its address.
-
-    :raises UnreachableError: see :class:`RobotLine`.
-    """
-    answers: Replies = queue.SimpleQueue()
-    give_up = time.monotonic() + seconds
-    asked = [ask_robot(line, address, "", request, answers) for address in addresses]
-    with contextlib.suppress(queue.Empty):
-        for _ in range(sum(asked)):
-            address, answer = answers.get(timeout=max(0.0, give_up - time.monotonic()))
-            if answer is not None:
-                yield address, answer

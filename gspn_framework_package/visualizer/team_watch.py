@@ -7,13 +7,11 @@ answers into the queue. The :class:`TeamConnection` reaches the team, over ROS o
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import threading
 import time
 from collections import deque
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     Deque,
@@ -40,6 +38,7 @@ from gspn_framework_package.team.addressing import read_status
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
+from gspn_framework_package.team.operator_client import RobotLine, UnreachableError, ask_robots
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Event, data_event, plan_event, renumbered
 from gspn_framework_package.visualizer.feedback import FeedbackStream
@@ -54,15 +53,8 @@ from gspn_framework_package.visualizer.live_comparison import Departures, LiveCo
 from gspn_framework_package.visualizer.page_orders import PageOrder, PageOrders, StatusAnswer
 from gspn_framework_package.visualizer.team_connection import (
     STATUS_TIME,
-    RobotLine,
     TeamConnection,
-    UnreachableError,
-    answers_of,
-    ask_robot,
 )
-
-if TYPE_CHECKING:
-    from gspn_framework_package.visualizer.team_connection import Replies
 
 SEARCH_EVERY = 2.0
 """Seconds between two searches for robots, and between two requests for the team's state."""
@@ -367,15 +359,11 @@ class TeamWatch(Activity):
             )
         ]
         for address, status in sorted(others, key=lambda a: -int(a[1]["log_length"])):
-            answers: Replies = queue.SimpleQueue()
             request = OperatorRequest("plan", run=status["run"])
-            if not ask_robot(self._asking, address, "", request, answers):
-                continue
-            with contextlib.suppress(queue.Empty):
-                _, answer = answers.get(timeout=STATUS_TIME + 0.2)
-                found = read_deployed(status["run"], answer.message) if answer else None
-                if found is not None and found.plan.hash() == status["plan"]:
-                    return found if found.number > self._stage else None
+            answer = ask_robots(self._asking, {address: ""}, request, STATUS_TIME + 0.2)[address]
+            found = read_deployed(status["run"], answer.message) if answer else None
+            if found is not None and found.plan.hash() == status["plan"]:
+                return found if found.number > self._stage else None
         return None
 
     def _follow(self, deployed: DeployedPlan, heard: List[StatusAnswer]) -> None:
@@ -516,9 +504,10 @@ class TeamWatch(Activity):
     def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
         """The robots' answers about the team, without late ones."""
         request = OperatorRequest("status", argument="brief", run=self._run)
+        answers = ask_robots(line, dict.fromkeys(addresses, ""), request, STATUS_TIME + 0.2)
         found = []
-        for address, answer in answers_of(line, addresses, request, STATUS_TIME + 0.2):
-            if answer.success:  # otherwise, it is in another run
+        for address, answer in answers.items():
+            if answer is not None and answer.success:  # otherwise it is in another run
                 found += self._read_answer(address, answer.message)
         return found
 

@@ -8,12 +8,11 @@ import time
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set
 
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
-from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
-from gspn_framework_package.team.zenoh_session import TeamAccess, key_of, names_in_key
+from gspn_framework_package.team.operator_client import UnreachableError
+from gspn_framework_package.team.zenoh_operator import ZenohLine, robot_at
+from gspn_framework_package.team.zenoh_session import TeamAccess, key_of
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 from gspn_framework_package.visualizer.live_comparison import Departures
-from gspn_framework_package.visualizer.team_connection import UnreachableError
 
 QUIET = 30.0
 """Seconds for which the same line is not printed again."""
@@ -126,7 +125,7 @@ class ZenohConnection:
 
     def label(self, address: str) -> str:
         """See :class:`TeamConnection`."""
-        return _robot_at(address).robot
+        return robot_at(address)
 
     def why_unheard(self) -> str:
         """See :class:`TeamConnection`."""
@@ -162,34 +161,3 @@ class ZenohConnection:
             if len(self._found) < _MOST_ROBOTS:
                 self._found.add(address)
         self._seen("activity", address, fields)
-
-
-class ZenohLine:
-    """A :class:`~gspn_framework_package.visualizer.team_connection.RobotLine` over Zenoh.
-
-    :param operator: asks the robots.
-    :param seconds: time limit of an answer.
-    """
-
-    def __init__(self, operator: ZenohOperator, seconds: float) -> None:
-        self._operator, self._seconds = operator, seconds
-
-    def call(
-        self,
-        address: str,
-        robot: str,
-        request: OperatorRequest,
-        answered: Callable[[Optional[OperatorAnswer]], None],
-    ) -> bool:
-        """See :class:`RobotLine`."""
-        if not self._operator.connected:
-            raise UnreachableError("no connection with the team")
-        self._operator.ask(_robot_at(address), request, self._seconds, answered)
-        return True
-
-    def close(self) -> None:
-        """See :class:`RobotLine`."""
-
-
-def _robot_at(address: str) -> RobotAddress:
-    return RobotAddress(*names_in_key(address + "/status")[:2])

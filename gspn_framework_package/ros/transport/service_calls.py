@@ -45,6 +45,7 @@ class ServiceCalls:
         service_class: type,
         request: genpy.Message,
         answered: Callable[[Any], None],
+        failed: Callable[[], None] = lambda: None,
     ) -> bool:
         """Call a service.
 
@@ -52,6 +53,7 @@ class ServiceCalls:
         :param uri: the address of its services, ``rosrpc://host:port``.
         :param service: absolute name of the service.
         :param answered: receives the response, on another thread; not called if the call fails.
+        :param failed: called instead, on another thread, if the call fails.
         :returns: whether the call is made; False if all threads of the peer are busy.
         """
         lines = self._lines.setdefault(peer, [])
@@ -64,7 +66,7 @@ class ServiceCalls:
             line = _Line(self, peer)
             lines.append(line)
         line.busy = True
-        line.tasks.put((uri, service, service_class, request, answered))
+        line.tasks.put((uri, service, service_class, request, answered, failed))
         return True
 
     def forget(self, peer: str) -> None:
@@ -95,7 +97,7 @@ class _Line:
             task = self.tasks.get()
             if task is None:
                 break
-            uri, service, service_class, request, answered = task
+            uri, service, service_class, request, answered, failed = task
             try:
                 response = self._call(uri, service, service_class, request)
             except Exception as error:  # rospy and sockets raise many kinds
@@ -105,6 +107,8 @@ class _Line:
             self.busy = False
             if response is not None:
                 answered(response)
+            else:
+                failed()
         for transport in self._connections.values():
             transport.close()
 

@@ -148,7 +148,7 @@ class DeployTest(RobotTestCase):
         stage = self.plan("ABCDE", "full", actions=WAITS % go + ACTIONS)
         code, text = gspn("deploy", stage, "--wait", "0.2")
         self.assertEqual(code, 1)
-        self.assertIn("no word", text)
+        self.assertIn("no vote", text)
         team["robot_2"].kill()
         team["robot_2"].start()
         wait_for(lambda: team["robot_2"].status()["active"], 20, "its return")

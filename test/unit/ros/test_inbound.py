@@ -150,7 +150,7 @@ def test_an_order_without_the_right_is_refused_and_counted(one, given, why):
 def test_an_order_is_not_taken_twice(one):
     order = sealed_order(PAUSE)
     one.order(order, NODE)
-    with pytest.raises(RefusedError, match="received before"):
+    with pytest.raises(RefusedError, match="a repeated order"):
         one.order(order, NODE)
 
 

@@ -10,10 +10,10 @@ pytest.importorskip("rospy")
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
-from gspn_framework_package.ros.operator_client import OperatorClient
+from gspn_framework_package.ros.service_line import client_on_ros
 from gspn_framework_package.ros.transport import registration
+from gspn_framework_package.team.operator_client import UnreachableError
 from gspn_framework_package.visualizer.ros_watch import RosConnection
-from gspn_framework_package.visualizer.team_connection import UnreachableError
 from gspn_framework_package.visualizer.team_watch import TeamWatch
 
 
@@ -47,7 +47,7 @@ def master(request, monkeypatch):
 @pytest.mark.timeout(60)
 def test_an_operators_program_says_that_no_master_answers(master):
     with pytest.raises(ExecutionError, match="no ROS master answers"):
-        OperatorClient()
+        client_on_ros()
     with pytest.raises(ExecutionError, match="no ROS master answers"):
         registration.require_master(1.0)
     assert registration.found_parameter("actionlib_status_frequency", 7.0, 1.0) == 7.0

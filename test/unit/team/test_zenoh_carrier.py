@@ -18,7 +18,7 @@ from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnsw
 from gspn_framework_package.team.lanes import LANES, PASSED_BY_ROUTER, PAUSE
 from gspn_framework_package.team.message_filter import LARGEST_MESSAGE
 from gspn_framework_package.team.zenoh_carrier import LARGEST_PACK, MOST_WAITING, ZenohCarrier
-from gspn_framework_package.team.zenoh_operator import RobotAddress, ZenohOperator
+from gspn_framework_package.team.zenoh_operator import client_on_zenoh
 from gspn_framework_package.team.zenoh_session import key_of, names_in_key, zenoh_library
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 
@@ -288,9 +288,9 @@ def test_nonsense_is_refused_and_its_sender_is_named(secure):
 def test_operators_ask_order_and_are_named(secure):
     one = Robot(secure, "robot_1")
     Robot(secure, "robot_2")
-    ann = secure.keep(ZenohOperator(secure.access("ann")))
+    ann = secure.keep(client_on_zenoh(secure.access("ann")))
     wait_for(lambda: len(ann.statuses()) == 2)
-    assert ann.statuses()[RobotAddress("run", "robot_1")]["robot"] == "robot_1"
+    assert ann.statuses()[key_of("run", "robot_1")]["robot"] == "robot_1"
     assert ann.order("retry", "robot_1", "") == (True, "done")
     request, operator = one.asked[-1]
     assert (request.command, request.robot, request.run) == ("retry", "robot_1", "run")
@@ -305,7 +305,7 @@ def test_operators_ask_order_and_are_named(secure):
 
 def test_a_watcher_sees_and_orders_nothing(secure):
     one = Robot(secure, "robot_1")
-    screen = secure.keep(ZenohOperator(secure.access("screen")))
+    screen = secure.keep(client_on_zenoh(secure.access("screen")))
     wait_for(lambda: screen.statuses())
     with pytest.raises(ExecutionError, match="the keys of watcher 'screen' cannot give orders"):
         screen.order("stop", "", "")
@@ -321,7 +321,7 @@ def test_no_name_is_proved_without_keys():
     hub = Hub()
     try:
         one = Robot(hub, "robot_1")
-        somebody = hub.keep(ZenohOperator(hub.access("ann")))
+        somebody = hub.keep(client_on_zenoh(hub.access("ann")))
         wait_for(lambda: somebody.statuses())
         assert somebody.order("pause", "", "")[0]
         assert one.asked[-1][1] == Operator("operator", "")  # says it, and nothing shows it

@@ -14,9 +14,9 @@ from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import GspnError, RefusedError
 from gspn_framework_package.team.carrier import OperatorAnswer
 from gspn_framework_package.team.deployed_plan import read_deployed
+from gspn_framework_package.team.operator_client import UnreachableError
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures
-from gspn_framework_package.visualizer.team_connection import UnreachableError
 from gspn_framework_package.visualizer.team_watch import UNHEARD, TeamWatch
 
 REFUSED = [{"robot": "robot_4", "why": "too large", "times": 3}]

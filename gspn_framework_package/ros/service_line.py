@@ -1,0 +1,165 @@
+"""Carries the requests of an operator's program to the service ``command`` of the robots."""
+
+from __future__ import annotations
+
+import getpass
+import json
+from typing import Any, Callable, Dict, List, Optional
+
+import rosgraph
+import rospy
+
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.transport.service_calls import ServiceCalls
+from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
+from gspn_framework_package.team.addressing import SILENCE_PATIENCE, read_status
+from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.operator_client import (
+    CLIENT_TIME,
+    OperatorClient,
+    UnreachableError,
+    ask_robots,
+)
+from gspn_framework_package.team.orders import is_question
+from gspn_framework_package.team.seal import ORDER, SEALED, Seal, TeamKey
+
+
+class SealedOrders:
+    """Writes orders in the name of whoever runs this program, sealed if the team has a key.
+
+    :param key: the key of the team; None if it has none.
+    :param program: what gives the orders, said beside the name; "": the person alone.
+    """
+
+    def __init__(self, key: Optional[TeamKey] = None, program: str = "") -> None:
+        self._key = key
+        self._name = _user() + (" (%s)" % program if program else "")
+        self._seals: Dict[str, Seal] = {}
+
+    def write(self, to: str, request: OperatorRequest) -> CommandRequest:
+        """The request of the service.
+
+        :param to: the robot that is asked; the others may not carry the order out.
+        """
+        run = request.run
+        if self._key is None or is_question(request):
+            return CommandRequest(*request)
+        if run not in self._seals:
+            self._seals[run] = Seal(self._key, run, self._name)
+        body = json.dumps(request._asdict())
+        return CommandRequest(SEALED, "", self._seals[run].close(to, body, ORDER), run)
+
+
+class ServiceLine:
+    """A :class:`~gspn_framework_package.team.operator_client.RobotLine` of services; a robot's
+    address is its namespace.
+
+    :param seconds: time limit of an answer.
+    :param orders: writes the orders.
+    :ivar nodes: the namespaces of the nodes that :meth:`statuses` asks.
+    """
+
+    def __init__(self, seconds: float, orders: Optional[SealedOrders] = None) -> None:
+        self._calls, self._orders = ServiceCalls(seconds), orders or SealedOrders()
+        self.nodes: List[str] = []
+
+    def call(
+        self,
+        address: str,
+        robot: str,
+        request: OperatorRequest,
+        answered: Callable[[Optional[OperatorAnswer]], None],
+    ) -> bool:
+        """See :class:`RobotLine`."""
+        name = rospy.names.ns_join(address, "command")
+
+        def reply(response: CommandResponse) -> None:
+            answered(OperatorAnswer(response.success, response.message))
+
+        try:
+            master: Any = master_proxy()
+            code, _, uri = master.lookupService(rospy.get_name(), name)
+        except MASTER_ERRORS as error:
+            raise UnreachableError("the ROS master does not answer (%s)" % error) from None
+        written = self._orders.write(robot, request)
+        return code == 1 and self._calls.call(
+            address, uri, name, Command, written, reply, failed=lambda: answered(None)
+        )
+
+    def statuses(self, argument: str) -> Dict[str, Optional[Dict[str, Any]]]:
+        """See :class:`RobotLine`."""
+        request = OperatorRequest("status", argument=argument)
+        answers = ask_robots(self, dict.fromkeys(self.nodes, ""), request, SILENCE_PATIENCE)
+        return {at: read_status(a.message) if a is not None else None for at, a in answers.items()}
+
+    def label(self, address: str) -> str:
+        """See :class:`RobotLine`."""
+        return address
+
+    def silence(self, address: str) -> ExecutionError:
+        """See :class:`RobotLine`."""
+        return ExecutionError("%s does not answer" % address)
+
+    def close(self) -> None:
+        """See :class:`RobotLine`."""
+        self._calls.close()
+
+
+def client_on_ros(key: Optional[TeamKey] = None) -> OperatorClient:
+    """A client of all execution nodes that the ROS master knows.
+
+    :param key: the key of the team, to give orders; None if it has none.
+    :raises ExecutionError: no master answers, or it knows no execution node.
+    """
+    nodes = _find_nodes()  # before rospy calls the master, which has no time limit
+    if not rospy.core.is_initialized():
+        rospy.init_node("gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True)
+    line = ServiceLine(CLIENT_TIME, SealedOrders(key))
+    line.nodes = nodes
+    return OperatorClient(line)
+
+
+def ask_node(namespace: str, request: OperatorRequest) -> Optional[OperatorAnswer]:
+    """The answer of the execution node in a namespace to a question; None if there is no node, or
+    it does not answer. May be called before this process is a node itself.
+
+    :raises UnreachableError: no master answers.
+    """
+    line = ServiceLine(SILENCE_PATIENCE)
+    try:
+        return ask_robots(line, {namespace: ""}, request, SILENCE_PATIENCE)[namespace]
+    finally:
+        line.close()
+
+
+def status_in(namespace: str) -> Optional[Dict[str, Any]]:
+    """The status of the execution node in a namespace; as :func:`ask_node`."""
+    answer = ask_node(namespace, OperatorRequest("status"))
+    return read_status(answer.message) if answer else None
+
+
+def _find_nodes() -> List[str]:
+    """The namespaces of the execution nodes that the master knows."""
+    try:
+        master: Any = master_proxy()
+        _, _, (_, _, services) = master.getSystemState("/gspn_operator")
+    except MASTER_ERRORS as error:
+        raise ExecutionError(
+            "no ROS master answers at %s (%s)" % (rosgraph.get_master_uri(), error)
+        ) from None
+    names = {name for name, _ in services}
+    spaces = [name.rpartition("/")[0] for name in names if name.endswith("/command")]
+    nodes = [space or "/" for space in spaces if space + "/get_place" in names]
+    if not nodes:
+        raise ExecutionError(
+            "no execution node is known to the ROS master at %s" % rosgraph.get_master_uri()
+        )
+    return sorted(nodes)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError, ImportError):  # a container may have no such user
+        return "operator"
