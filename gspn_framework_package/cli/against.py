@@ -1,4 +1,4 @@
-"""``gspn simulate PLAN --against OTHER_PLAN``: what the other plan is worth beside the plan."""
+"""``gspn simulate PLAN --against OTHER_PLAN``: compares the plan with another one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gspn_framework_package.model.plan import Plan
 _AIMS = ("reward", "mean_time_to", "cost_to", "reach", "discount", "minimise")
 
 _OTHER = ("csv", "log", "batches", "measure", "only_net")
-"""Options of the verb that have nothing to say here."""
+"""Options of the verb that do not apply here."""
 
 
 def add_against_arguments(group: Any) -> None:
@@ -32,8 +32,8 @@ def add_against_arguments(group: Any) -> None:
     group.add_argument(
         "--against",
         metavar="OTHER_PLAN",
-        help="simulate both plans as they run, and say whether OTHER_PLAN (the new one) is better "
-        "for an aim, with a confidence interval",
+        help="simulate both plans as they run, and report whether OTHER_PLAN (the new one) is "
+        "better for an aim, with a confidence interval",
     )
     group.add_argument(
         "--seconds",
@@ -46,7 +46,7 @@ def add_against_arguments(group: Any) -> None:
 
 
 def refuse_aims(args: argparse.Namespace) -> None:
-    """Refuse the options of a comparison. :raises UsageError: one is given."""
+    """Refuse the options of a comparison. :raises UsageError: such an option is given."""
     for option in (*_AIMS, "seconds"):
         if getattr(args, option):
             raise UsageError(
@@ -58,7 +58,7 @@ def refuse_aims(args: argparse.Namespace) -> None:
 def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Namespace) -> int:
     """Compare the plan with the other one, and print the result.
 
-    :raises GspnError: a plan cannot be read, or the arguments make no sense.
+    :raises GspnError: a plan cannot be read, or the arguments are inconsistent.
     """
     for option in _OTHER:
         if getattr(args, option):
@@ -69,7 +69,9 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
         raise UsageError("--against compares plans as they run, without --timing %s" % args.timing)
     if args.until is not None:
         if any(getattr(args, option) for option in _AIMS):
-            raise UsageError("--until is the aim, as --mean-time-to: there is another one")
+            raise UsageError(
+                "--until is the aim (as with --mean-time-to), but another aim is given"
+            )
         args.mean_time_to = args.until
     other = read_plan(args.against)
     notes = [*notes, *other.notes]

@@ -1,4 +1,4 @@
-"""``gspn agent``: one robot of a real team, without ROS."""
+"""``gspn agent``: runs a robot of a real team without ROS."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 LEAVING_TIME = 5.0
-"""Seconds that an agent has to end when it is asked to."""
+"""Seconds that an agent has to end when asked to."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
     parser.add_argument(
-        "--robot", required=True, metavar="NAME", help="which robot this is, as in the plan"
+        "--robot", required=True, metavar="NAME", help="name of this robot in the plan"
     )
     add_way(parser, "a router of the team: tls/HOST:7447 with keys, tcp/HOST:7447 without")
     parser.add_argument(
@@ -34,15 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="ENDPOINT",
-        help="where other robots reach this one without a router",
+        help="address at which other robots reach this one without a router",
     )
     parser.add_argument(
         "--run",
         dest="run_name",
         default="run",
         metavar="NAME",
-        help="name of the run (default: run); an agent that is started again under the same name "
-        "goes on where it was",
+        help="name of the run (default: run); an agent restarted under the same name continues "
+        "where it was",
     )
     parser.add_argument(
         "--log", metavar="FILE", help="the robot's log (default: ~/.ros/gspn/RUN/ROBOT.jsonl)"
@@ -51,10 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--place",
         default="",
         metavar="PLACE",
-        help="where a robot that is not in the plan joins the running team",
+        help="the place where a robot that is not in the plan joins the running team",
     )
     parser.add_argument(
-        "--stay", action="store_true", help="keep running, and answer, when the run is over"
+        "--stay", action="store_true", help="keep running and answering after the end of the run"
     )
     parser.add_argument(
         "--allow-commands",
@@ -72,19 +72,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json",
         action="store_true",
-        help="print an object on each line: what the robot says, how it is, and how it ended",
+        help="print a JSON object per line: messages, diagnoses, and how the robot ended",
     )
     parser.epilog = (
-        "Start one for each robot; 'gspn router' connects them, and each waits until it is there. "
-        "'gspn status --connect ENDPOINT' and the orders reach them. Exit codes: 0 the run came "
-        "to its end, 1 the plan was refused, the run was stopped or failed, or the router does "
-        "not let the robot in, 2 wrong input or usage, 130 interrupted: the robot is still in the "
-        "team."
+        "Start one agent for each robot; they communicate through 'gspn router' and wait until it "
+        "is running. Reach them with 'gspn status --connect ENDPOINT' and the orders. Exit "
+        "codes: 0 the run completed, 1 the plan was refused, the run was stopped or failed, or "
+        "the router refused the robot, 2 wrong input or usage, 130 interrupted: the robot is "
+        "still in the team."
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the plan, and be the robot until the run is over."""
+    """Check the plan, and run the robot until the run is over."""
     from gspn_framework_package.team.agent import JsonReporter, PrintedReporter, make_agent
     from gspn_framework_package.team.host import HostOptions
     from gspn_framework_package.team.plan_examination import check_plan
@@ -101,8 +101,8 @@ def run(args: argparse.Namespace) -> int:
     options = HostOptions(args.run_name, _log_of(args), args.place, args.stay)
     signal.signal(signal.SIGTERM, _interrupt)
     zenoh_library()
-    session_config(access)  # endpoints that are wrong are not waited for
-    if not access.listen:  # else the session itself connects whenever it can
+    session_config(access)  # do not wait for wrong endpoints
+    if not access.listen:  # otherwise the session itself connects when it can
         await_router(access.connect, reporter.warn, time.sleep)
     host = make_agent(
         plan,
@@ -139,11 +139,12 @@ def _plan_of(args: argparse.Namespace) -> Plan:
         raise UsageError(
             "the plan has no robot '%s'" % args.robot,
             element="--robot",
-            hint="it has: %s; a robot that joins the running team needs --place" % ", ".join(names),
+            hint="robots of the plan: %s; a robot that joins the running team needs --place"
+            % ", ".join(names),
         )
     if not args.connect and not args.listen:
         raise UsageError(
-            "how are the other robots reached?", element="--connect", hint="tcp/HOST:7447"
+            "how can the other robots be reached?", element="--connect", hint="tcp/HOST:7447"
         )
     return plan
 

@@ -1,4 +1,4 @@
-"""The aim of a policy on the command line: rewards, or a condition to come to."""
+"""The aim of a policy on the command line: rewards, or a condition to reach."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ def add_aim_arguments(group: Any) -> None:
         default=[],
         metavar="NAME=R",
         help="R per token in a place and second, or per firing of a transition; a negative R is a "
-        "cost. NAME may be a pattern, as for files ('Seen_*=1'). The average per second in the "
-        "long run is made as high as possible. May be repeated",
+        "cost. NAME may be a pattern, as for files ('Seen_*=1'). Maximises the long-run average "
+        "per second. May be repeated",
     )
     group.add_argument(
-        "--mean-time-to", metavar="CONDITION", help="make the mean time until then the shortest"
+        "--mean-time-to", metavar="CONDITION", help="minimise the mean time until this holds"
     )
     group.add_argument(
         "--cost-to",
         metavar="CONDITION",
-        help="make the mean cost until then the least: --reward gives the costs, as positive "
-        "numbers",
+        help="minimise the mean cost until this holds: --reward gives the costs, as "
+        "positive numbers",
     )
     group.add_argument(
-        "--reach", metavar="CONDITION", help="make it as probable as possible that this ever holds"
+        "--reach", metavar="CONDITION", help="maximise the probability that this ever holds"
     )
     group.add_argument(
         "--discount",
         type=numbers.duration,
         metavar="B",
-        help="instead of the long run: rewards after a time t count exp(-B t) times (B in 1/s)",
+        help="instead of the long-run average, weight rewards at time t by exp(-B t) (B in 1/s)",
     )
     group.add_argument(
         "--minimise",
         action="store_true",
-        help="make the rewards, or the probability, as low as possible",
+        help="minimise the rewards or the probability instead",
     )
 
 
 def objective_of(args: argparse.Namespace) -> Objective:
-    """The aim in the arguments. :raises UsageError: there is none, there are two, or it makes no
-    sense."""
+    """The aim in the arguments. :raises UsageError: there is none, there are several, or it is
+    inconsistent."""
     rewards = pairs(args.reward, "--reward", float, "NAME=NUMBER")
     conditions = [
         (option, goal)
@@ -91,7 +91,8 @@ def objective_of(args: argparse.Namespace) -> Objective:
 def pairs(
     texts: Sequence[str], option: str, read: Callable[[str], _Value], form: str
 ) -> Dict[str, _Value]:
-    """Read ``NAME=VALUE`` texts. :raises UsageError: one is something else, or a name is twice."""
+    """Read ``NAME=VALUE`` texts. :raises UsageError: a text has another form, or a name occurs
+    twice."""
     found: Dict[str, _Value] = {}
     for text in texts:
         name, sign, value = text.rpartition("=")

@@ -1,4 +1,5 @@
-"""``gspn analyse``: computes what a net, or a plan under its policy, can do, and how fast."""
+"""``gspn analyse``: computes the structure, states and performance of a net, or of a plan under its
+policy."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
 _PARTS = 1_000
-"""Number of parts of the JSON text (a bracket, a name, a list) that are written together."""
+"""Number of parts of the JSON text (a bracket, a name, a list) to write at once."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -118,10 +119,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effort.add_argument(
         "--lump",
         action="store_true",
-        help="exchange equal parts of a net: visit one marking for all that differ only by that",
+        help="exploit symmetry: visit only one of the markings that differ by an exchange of "
+        "equal parts of the net",
     )
     parser.epilog = (
-        "Exit codes: 0 answered, 1 something was not decided (it is listed), 2 wrong input or "
+        "Exit codes: 0 answered, 1 some answers could not be decided (they are listed), 2 wrong "
+        "input or "
         "wrong usage."
     )
 
@@ -132,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
         with rare_collections():
             return _run(args)
     except KeyboardInterrupt:
-        leave()  # before Python destroys millions of objects, which takes seconds
+        leave()  # flushed before Python destroys millions of objects, which takes seconds
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -148,18 +151,20 @@ def _run(args: argparse.Namespace) -> int:
         timing=not args.no_time,
     )
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
-        raise UsageError("--at: a time is a number of seconds, at least 0")
+        raise UsageError("--at: a time must be a number of seconds, at least 0")
     questions.check(subject.net if isinstance(subject, Plan) else subject)
     limits, memory = limits_of(args), memory_of(args)
     if memory is not None and isinstance(subject, Plan):
-        raise UsageError("--memory takes a net", hint="--only-net analyses the net of a plan")
+        raise UsageError(
+            "--memory requires a net", hint="use --only-net to analyse the net of a plan"
+        )
     if memory is not None and args.lump:
         raise UsageError("--memory and --lump exclude each other")
 
     lump = None
     if args.lump:
         if args.engine != "auto":
-            raise UsageError("--lump explores with an engine of its own", hint="leave out --engine")
+            raise UsageError("--lump uses its own engine", hint="leave out --engine")
         lump = asked_conditions(questions)
 
     def analyse(progress: Progress, cancel: Cancel) -> Tuple[Dict[str, Any], List[str]]:
@@ -220,11 +225,11 @@ def _print(data: Dict[str, Any], left_out: List[str], as_json: bool) -> None:
         print_notes(data["notes"])
         print("\n".join(analysis_text(data)))
         return
-    # the output has every key, even if a part is left out
+    # the output has every key, even for parts that are left out
     data.update(dict.fromkeys(left_out))
     data["undecided"].update(dict.fromkeys(left_out, "left out, as asked"))
     parts = _json(data, "\n")
-    # writing each part separately takes longer
+    # writing each part separately would take longer
     for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):
         sys.stdout.write(block)
     print()
@@ -235,7 +240,9 @@ def _marking(text: str) -> Dict[str, int]:
     for part in text.split(","):
         name, value = _pair(part, "--cover")
         if value != int(value) or value < 0:
-            raise UsageError("--cover %s: a number of tokens is whole and not negative" % text)
+            raise UsageError(
+                "--cover %s: the number of tokens must be a non-negative integer" % text
+            )
         marking[name] = int(value)
     return marking
 
@@ -248,7 +255,7 @@ def _pair(text: str, option: str) -> Tuple[str, float]:
         equals = ""
         number = math.nan
     if not equals or not name.strip() or not math.isfinite(number):
-        raise UsageError("%s %s: NAME=NUMBER was expected" % (option, text))
+        raise UsageError("%s %s: expected NAME=NUMBER" % (option, text))
     return name.strip(), number
 
 
@@ -258,8 +265,9 @@ def _pair(text: str, option: str) -> Tuple[str, float]:
 def _json(value: Any, line_break: str) -> Iterator[str]:
     """Yield the text of ``json.dumps(value, indent=2)`` in parts.
 
-    Python itself indents one element at a time. So an object or list without others inside, as most
-    elements are in one, is encoded without ``indent``, with line breaks as separators.
+    Python's encoder indents element by element, which is slow. Objects and lists without nested
+    ones, which hold most of the elements, are therefore encoded without ``indent``, with line
+    breaks as separators.
 
     :param line_break: the line break, with indentation, before the closing bracket.
     """

@@ -1,4 +1,4 @@
-"""What ``gspn analyse`` prints for people."""
+"""Formats the output of ``gspn analyse`` for people."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _titled_text(data: Mapping[str, Any], part: Part) -> Iterator[str]:
 
 
 def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield every reason once, with all the measures that it applies to."""
+    """Yield every reason once, with all measures that it applies to."""
     concerned: Dict[str, List[str]] = {}
     for key, reason in data["undecided"].items():
         concerned.setdefault(re.sub("^not decided[:,]? ", "", reason), []).append(key)
@@ -84,8 +84,8 @@ def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield "not decided: %s: %s" % (", ".join(keys), reason)
     if data["states"] is None and any(key.split(".")[0] in TIMED for key in data["undecided"]):
         yield (
-            "gspn simulate estimates tokens, throughput and times without all states, "
-            "from random runs"
+            "gspn simulate can estimate tokens, throughput and times from random runs, without "
+            "visiting all states"
         )
 
 
@@ -144,7 +144,7 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield from _timing_text(data["timing"])
     yield from scratch_text(data)
     if data["left_out"]:
-        yield "left out, because only written: %s" % ", ".join(data["left_out"])
+        yield "left out, because never read: %s" % ", ".join(data["left_out"])
     yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
     dead = data["deadlocks"]
     if dead and dead["witness"] is not None:
@@ -175,7 +175,7 @@ def _lumped_text(lumped: Mapping[str, Any], states: Optional[Mapping[str, int]])
     if not lumped["parts"]:
         yield "exchanged: nothing, since no parts are equal"
     elif states:
-        yield "exchanged: visited %s of %s markings: %s times fewer" % (
+        yield "symmetry: visited %s of %s markings, %s times fewer" % (
             visited,
             format(states["total"], ","),
             format(Decimal(lumped["factor"]), ".3g"),

@@ -1,4 +1,5 @@
-"""``gspn breakpoints``: the places and transitions at which a robot stops until it is resumed."""
+"""``gspn breakpoints``: shows or sets the places and transitions at which a robot stops until it is
+resumed."""
 
 from __future__ import annotations
 
@@ -18,25 +19,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "names",
         metavar="NAME",
         nargs="*",
-        help="places and transitions, in place of those set before; without any: show them",
+        help="places and transitions, replacing those set before; if none are given, the present "
+        "ones are shown",
     )
     parser.add_argument("--clear", action="store_true", help="remove all breakpoints")
     parser.add_argument(
         "--plan",
         metavar="PLAN",
-        help="of runs of this plan on this machine; default: of the team that runs on ROS",
+        help="for runs of this plan on this machine; default: for the team running on ROS",
     )
     add_team_options(parser)
     parser.epilog = (
         "A robot stops before its action in a place starts, or before it asks for a transition; "
-        "'gspn resume ROBOT' (on the page: Resume) releases it. They are kept in breakpoints.json "
-        "beside the plan, which runs read again when it changes. Exit codes: 0 done, 1 a node did "
-        "not take them, 2 a name is not one of the plan."
+        "'gspn resume ROBOT' (on the page: Resume) releases it. They are stored in "
+        "breakpoints.json next to the plan; runs reread it when it changes. Exit codes: 0 done, "
+        "1 a node did not accept them, 2 a name does not occur in the plan."
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show or set the breakpoints; return 0 if that was done everywhere."""
+    """Show or set the breakpoints; return 0 if every node did so."""
     if args.names and args.clear:
         raise UsageError("give names or --clear, not both")
     if args.plan:

@@ -1,4 +1,4 @@
-"""``gspn build``: makes a plan from a map."""
+"""``gspn build``: builds a plan from a map."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MAP",
         help="a map of topological_navigation (.tmap2, .tmap), or a graph in YAML or JSON",
     )
-    parser.add_argument("--tasks", metavar="FILE", help="what the robots do at the nodes (YAML)")
+    parser.add_argument(
+        "--tasks", metavar="FILE", help="the tasks of the robots at the nodes (YAML)"
+    )
     parser.add_argument(
         "--robots", type=numbers.robots, default=1, metavar="N", help="(default %(default)s)"
     )
     parser.add_argument(
         "--all-edges", action="store_true", help="keep the edges that the policy does not use"
     )
-    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="the folder to make")
+    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="the folder to create")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the plan."""
+    """Build the plan."""
     made = build_site_plan(args.map, args.tasks, args.robots, args.all_edges)
     files = made.write(args.output)
     if args.json:

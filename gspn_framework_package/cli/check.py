@@ -1,4 +1,4 @@
-"""``gspn check``: runs only the check that precedes every run."""
+"""``gspn check``: runs the check that precedes every run."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="maximum number of markings to visit if structure cannot decide (default %(default)s)",
     )
     parser.add_argument(
-        "--robots", type=numbers.robots, metavar="N", help="check it for a team of N robots"
+        "--robots", type=numbers.robots, metavar="N", help="check the plan for a team of N robots"
     )
     parser.add_argument(
         "--standalone",
         action="store_true",
-        help="check it for agents, which transitions may create and destroy",
+        help="check the plan for agents, which transitions may create and destroy",
     )
     add_modules(parser)
     parser.epilog = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."

@@ -1,4 +1,4 @@
-"""``gspn compare``: whether a run went as its plan predicts, from its logs."""
+"""``gspn compare``: checks from a run's logs whether it went as its plan predicts."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_time,
         default=ALARM_EVERY,
         metavar="TIME",
-        help="mean time between two false alarms, of all streams together: a number with s, min, "
-        "h or d (default 30d)",
+        help="mean time between false alarms of all streams together: a number with s, min, h or "
+        "d (default 30d)",
     )
     parser.add_argument(
         "--replications",
@@ -75,12 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.epilog = (
-        "Exit codes: 0 the run matches the prediction, 1 it departs from the plan, 2 wrong input."
+        "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input."
     )
 
 
 def _time(text: str) -> float:
-    """Read a time such as 12h."""
+    """Parse a time such as 12h."""
     found = re.match(r"([0-9.eE+-]+)\s*(s|min|h|d)?$", text.strip())
     try:
         value = float(found.group(1)) * UNITS[found.group(2) or "s"] if found else math.nan
@@ -88,13 +88,13 @@ def _time(text: str) -> float:
         value = math.nan
     if not 1.0 <= value <= numbers.MOST_SECONDS:
         raise argparse.ArgumentTypeError(
-            "'%.40s' is not a time of at least 1 s, such as 90s, 20min, 12h or 30d" % text
+            "'%.40s' is not a time of at least 1 s (examples: 90s, 20min, 12h, 30d)" % text
         )
     return value
 
 
 class _Run(NamedTuple):
-    """A run as its logs show it."""
+    """A run as shown by its logs."""
 
     name: str
     observer: RunObserver
@@ -113,7 +113,7 @@ class _Result(NamedTuple):
 
     @property
     def departs(self) -> bool:
-        """Whether a stream raised an alarm, or the measures are not as predicted."""
+        """Whether a stream raised an alarm, or the measures deviate from the prediction."""
         return self.comparison.departs or any(m.alarms for m in self.monitors)
 
     def to_json(self) -> Dict[str, Any]:
@@ -146,7 +146,7 @@ class _Result(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare, and print the result."""
+    """Compare runs with the prediction, and print the result."""
     plan = read_plan(args.plan)
     with open_executor(args.on) as executor, ProgressLine() as progress:
         runs, notes = _read_runs(plan, log_files(args.logs), progress)
@@ -182,14 +182,14 @@ def _read_runs(
         name, observer = _observe(plan, path, progress)
         attempts = [a for a in gathered.attempts if a.log in numbers_of_logs]
         if observer.seconds <= 0:
-            raise LogError("shows no run: no time passes in it", file=path)
+            raise LogError("contains no run: no time passes in it", file=path)
         notes += ["run %s: %s" % (name, note) for note in observer.all_notes()]
         runs.append(_Run(name, observer, attempts))
     return runs, notes
 
 
 def _observe(plan: Plan, path: str, progress: ProgressLine) -> Tuple[str, RunObserver]:
-    """Follow a log from its beginning to its end."""
+    """Follow a log from beginning to end."""
     file = LogFile(path)
     follower = AttemptFollower(
         file.plan, str(file.header["robot"]), agents=bool(file.header.get("agents"))
@@ -268,7 +268,8 @@ def _watch(
     return monitor
 
 
-# -- for people ------------------------------------------------------------------------------------
+# -- output for people
+# ------------------------------------------------------------------------------------
 
 
 def _text(result: _Result) -> Iterator[str]:
@@ -312,8 +313,8 @@ def _text(result: _Result) -> Iterator[str]:
     yield "all thresholds together: one false alarm in %s" % _long(result.alarm_every)
     outside = sum(not m.inside for m in result.comparison.measures)
     yield (
-        "%d of %d measures inside their intervals; a run that follows the plan lies as far out as "
-        "this one in %.3g %% of the cases%s"
+        "%d of %d measures inside their intervals; a run that follows the plan is at least this "
+        "far out in %.3g %% of cases%s"
         % (
             len(result.comparison.measures) - outside,
             len(result.comparison.measures),
@@ -321,7 +322,7 @@ def _text(result: _Result) -> Iterator[str]:
             " (%s)" % result.comparison.farthest if result.comparison.farthest else "",
         )
     )
-    yield "the run departs from the plan" if result.departs else "the run matches the prediction"
+    yield "the run deviates from the plan" if result.departs else "the run matches the prediction"
 
 
 def _measure_line(measure: PredictedMeasure) -> str:

@@ -1,4 +1,5 @@
-"""``gspn simulate RUN.jsonl@SLOT``: goes on from the middle of a recorded run, in virtual time."""
+"""``gspn simulate RUN.jsonl@SLOT``: continues from the middle of a recorded run, in virtual
+time."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ CONTINUED_REPLICATIONS = 100
 
 
 class Beginning(NamedTuple):
-    """Where a simulation goes on: the ``plan`` of a recorded run, and its state after a slot as a
-    ``snapshot`` record; ``agents``: whether it was a standalone run."""
+    """The start of a continued simulation: the ``plan`` of a recorded run, and its state after a
+    slot as a ``snapshot`` record; ``agents``: whether it was a standalone run."""
 
     plan: Plan
     snapshot: Record
@@ -39,8 +40,8 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
     """Return the state that ``RUN.jsonl@SLOT`` names; None if the argument names none.
 
     :raises InputError: the run has no such slot.
-    :raises LogError: the file is no event log.
-    :raises UsageError: the argument does not go with another.
+    :raises LogError: the file is not an event log.
+    :raises UsageError: the argument excludes another one.
     """
     named = re.fullmatch(r"(.+\.jsonl)@(\d{1,15})", args.net_file)
     if named is None:
@@ -49,9 +50,11 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
     for option in ("robots", "only_net", "source_format", "net", "const", "against", "precision"):
         if getattr(args, option):
             name = "from" if option == "source_format" else option.replace("_", "-")
-            raise UsageError("a recorded run has no --%s" % name)
+            raise UsageError("--%s does not apply to a recorded run" % name)
     if args.batches or args.measure or args.timing != "run" or args.rates != "fitted":
-        raise UsageError("a recorded run goes on as it ran: without --batches, --timing, --rates")
+        raise UsageError(
+            "a recorded run continues as it ran; --batches, --timing and --rates do not apply"
+        )
     log = read_log(path)
     last = None
     for step in replay(log):
@@ -61,9 +64,10 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
             ledger.state, ledger.hash = step.state, step.record["hash"]
             if step.state.adopted is not None:
                 raise InputError(
-                    "in slot %d the team follows another plan than it began with" % wanted,
+                    "in slot %d the team no longer follows its first plan" % wanted,
                     file=path,
-                    hint="a run can be continued from where it follows the plan in its header",
+                    hint="a run can be continued only from a slot in which it follows the plan in "
+                    "its header",
                 )
             if step.state.ended is not None:
                 raise InputError("the run ended in slot %d" % wanted, file=path)
@@ -71,12 +75,12 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
     raise InputError(
         "the run has no slot %d" % wanted,
         file=path,
-        hint="it has none" if last is None else "the last one is %d" % last,
+        hint="the run has no slots" if last is None else "the last one is %d" % last,
     )
 
 
 def simulate_from(beginning: Beginning, args: argparse.Namespace) -> Simulation:
-    """Simulate what may follow, many times.
+    """Simulate many continuations of the run.
 
     :raises UsageError: a run would have no end.
     """
@@ -84,7 +88,7 @@ def simulate_from(beginning: Beginning, args: argparse.Namespace) -> Simulation:
     if args.until is not None:
         plan = replace(plan, until=either(plan.until, args.until)).validate()
     if math.isinf(args.time) and plan.until is None:
-        raise UsageError("how long is a run?", hint="give --time, or --until")
+        raise UsageError("the length of a run is not given", hint="give --time, or --until")
     count = args.replications or CONTINUED_REPLICATIONS
     net, clock, seconds, firings, tokens, over = plan.net, [], [], [], [], []
     with ProgressLine() as progress:
@@ -126,15 +130,15 @@ def simulate_from(beginning: Beginning, args: argparse.Namespace) -> Simulation:
 
 
 def begun(beginning: Beginning, plan: Plan, losses: float) -> VirtualRun:
-    """A run that goes on from there."""
+    """Start a run that continues from there."""
     run = VirtualRun(plan, agents=beginning.agents, loss_rate=losses)
     run.continue_from(beginning.snapshot)
     return run
 
 
 def notes(beginning: Beginning) -> Tuple[str, ...]:
-    """What the reader of the numbers should know."""
+    """Notes for the reader of the numbers."""
     return (
-        "goes on after slot %d of the recorded run; time counts from there, and actions that ran "
-        "begin anew" % beginning.snapshot["slot"],
+        "continues after slot %d of the recorded run; time counts from there, and running "
+        "actions start again" % beginning.snapshot["slot"],
     )

@@ -44,7 +44,7 @@ CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 DRN."""
 
 PLAN_FORMAT = "plan"
-"""The format of plans: ``plan.json`` with net and policy inside."""
+"""The format of plans: ``plan.json`` including net and policy."""
 
 BOUNDS_EFFORT = 200_000
 """Maximum number of candidate invariants to examine in order to find bounds."""
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "output",
         metavar="OUT",
-        help="the file to write, - for standard output; for a plan (or an input file of the "
+        help="the file to write, or - for standard output; for a plan (or an input file of the "
         "thesis): a new .json file, or a folder for plan.json and the functions",
     )
     parser.add_argument(
@@ -92,13 +92,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="for a chain: maximum number of markings to visit (default %(default)s)",
     )
-    parser.add_argument("--json", action="store_true", help="print what was done as a JSON object")
+    parser.add_argument("--json", action="store_true", help="print a summary as a JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Convert the net."""
     if args.output == "-" and args.to is None:
-        raise UsageError("--to is needed to write to standard output")
+        raise UsageError("--to is required when writing to standard output")
     if args.output == "-" and args.json:
         raise UsageError("--json and the net cannot both go to standard output")
     suffix = Path(args.output).suffix.lower()
@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _bounds(net: Net, target: Format) -> Dict[str, int]:
     """Return upper bounds on the tokens of places, for formats that need them, as far as invariants
-    give any."""
+    provide them."""
     if not target.takes_bounds:
         return {}
     found = invariant_bounds(net, BOUNDS_EFFORT)
@@ -163,7 +163,9 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
             Analysis(subject, limit=args.limit, progress=progress), _labels(args.label)
         )
     empty = [label for label, states in chain.labels.items() if not states]
-    unknown = "; the file cannot say so, and Storm will not know the label" if kind == "drn" else ""
+    unknown = (
+        "; the file cannot express that, and Storm will not know the label" if kind == "drn" else ""
+    )
     notes += ["no state has the label '%s'%s" % (label, unknown) for label in empty]
     files = {"drn": drn(chain)} if kind == "drn" else prism_files(chain)
     written = [str(Path(args.output).with_suffix("." + ending)) for ending in files]
@@ -185,7 +187,7 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
 
 
 def _write_plan(args: argparse.Namespace) -> int:
-    """Write a plan as one file, or as a folder with the functions beside it."""
+    """Write a plan as one file, or as a folder with the functions."""
     if args.output == "-":
         raise UsageError("a plan is not written to standard output")
     if (
@@ -220,6 +222,6 @@ def _labels(words: List[str]) -> Dict[str, str]:
     for word in words:
         name, equals, condition = word.partition("=")
         if not equals or not name.strip() or not condition.strip():
-            raise UsageError("--label %s: NAME=CONDITION was expected" % word)
+            raise UsageError("--label %s: expected NAME=CONDITION" % word)
         labels[name.strip()] = condition.strip()
     return labels

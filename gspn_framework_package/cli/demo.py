@@ -26,7 +26,8 @@ LAST_LINES = 8
 """Number of firings that the live view shows."""
 
 WORLD_SPEED = 3.0
-"""Maximum speed of the simulated room relative to real time: a TurtleBot3 is slow to watch."""
+"""Maximum speed of the simulated room relative to real time: a TurtleBot3 drives too slowly to
+watch."""
 
 START_TIME = 120.0
 """Seconds within which the first transition must fire."""
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.seconds,
         default=0,
         metavar="S",
-        help="end S seconds after the first firing; 0: at Ctrl-C",
+        help="end S seconds after the first firing; 0 to run until Ctrl-C",
     )
     parser.add_argument(
         "--headless", action="store_true", help="open no window (the page is still served)"
@@ -56,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.port,
         default=8090,
         metavar="P",
-        help="port of the page, or else the next free one (8090)",
+        help="port of the page; if it is taken, the next free one is used (8090)",
     )
     parser.epilog = (
         "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         demo.start()
         demo.show()
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a second one ends it at once
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a second signal ends it at once
         demo.end()
     return demo.summary()
 
@@ -212,7 +213,7 @@ class _Demo:
         if self._ending.is_set():
             return
         name = name.rsplit("-", 1)[0]
-        # for roslaunch, all robots are one process, which exits when their run is over; no other
+        # roslaunch sees all robots as one process, which exits when their run is over; no other
         # process exits by itself
         over = name.startswith("gspn_team") and (
             not code or self._monitor.ended and not self._monitor.fault
@@ -247,8 +248,8 @@ class _Demo:
             self._forget_parameters()
 
     def _forget_parameters(self) -> None:
-        """Remove the demo's parameters from a master that outlives it; a simulated clock that has
-        stopped would block every other node."""
+        """Remove the demo's parameters from a master that keeps running; a stopped simulated clock
+        would block every other node."""
         import rospy
 
         for name in ("/use_sim_time", "/room") if self._room is not None else ():
@@ -278,7 +279,8 @@ class _Demo:
             )
         return 1 if self._died or not monitor.firings else 0
 
-    # -- for the views -----------------------------------------------------------------------------
+    # -- data for the views
+    # -----------------------------------------------------------------------------
 
     def robot_lines(self) -> List[str]:
         """Return one line per robot."""

@@ -1,4 +1,4 @@
-"""``gspn deploy``: put another plan into a running team, without stopping it."""
+"""``gspn deploy``: deploys another plan to a running team without stopping it."""
 
 from __future__ import annotations
 
@@ -15,51 +15,52 @@ from gspn_framework_package.model.plan import Plan
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the verb."""
-    parser.add_argument("plan", metavar="NEW_PLAN", help="the plan that the team is to follow")
+    parser.add_argument("plan", metavar="NEW_PLAN", help="the plan that the team should follow")
     parser.add_argument(
         "--map",
         action="append",
         default=[],
         metavar="OLD=NEW",
-        help="a place or transition of the present net, and its name in the new one; OLD= drops "
+        help="a place or transition of the present net and its name in the new one; OLD= drops "
         "the tokens of a resource place",
     )
     parser.add_argument(
         "--folder",
         metavar="FOLDER",
-        help="where every robot finds the functions of the new plan (default: the folder of "
-        "NEW_PLAN); '' for the folder that the robots began with",
+        help="folder where every robot finds the functions of the new plan (default: the folder "
+        "of NEW_PLAN); '' for the robots' original folder",
     )
     parser.add_argument(
         "--wait",
         type=float,
         default=30.0,
         metavar="S",
-        help="seconds that the robots have to look at the plan (default %(default)g)",
+        help="seconds that the robots have to check the plan (default %(default)g)",
     )
     parser.add_argument(
         "--stage-only",
         action="store_true",
-        help="have the robots look at the plan, and leave it staged",
+        help="have the robots check the plan, and leave it staged",
     )
     parser.add_argument(
         "--standalone",
         nargs="?",
         const="",
         metavar="PLAN",
-        help="into a 'gspn run' of yours on this machine: the plan that it began with or follows, "
-        "if there are several; --run then takes the number of its process",
+        help="deploy to one of your 'gspn run' processes on this machine; if there are several, "
+        "name its first or present plan, or its process id with --run",
     )
     add_team_options(parser)
     add_modules(parser)
     parser.epilog = (
-        "Exit codes: 0 the team follows the plan, 1 it goes on as it did, and the output says why, "
-        "2 not a plan."
+        "Exit codes: 0 the team follows the plan, 1 it continues as before, for the reason in the "
+        "output, 2 not a plan."
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the plan, have it staged and adopted; return 0 if the team follows it, else 1."""
+    """Check the plan, and have it staged and adopted; return 0 if the team follows it, otherwise
+    1."""
     from gspn_framework_package.execution.plan_change import stage_of
     from gspn_framework_package.formats.plan_file import read_plan
     from gspn_framework_package.ros.check_all import check_all
@@ -70,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.standalone is not None and args.stage_only:
         raise UsageError("--stage-only needs a team: a run without ROS adopts a plan or refuses it")
     if args.standalone is not None:
-        return _into_run(args, plan, mapping)  # which has its own verdict
+        return _into_run(args, plan, mapping)  # because its own verdict decides
     obey(check_all(plan), plan)
     from gspn_framework_package.team.deploy_team import DeployTeam
 
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> int:
-    """Have a run without ROS go on under the plan."""
+    """Have a run without ROS switch to the plan."""
     from gspn_framework_package.execution import control_socket
     from gspn_framework_package.formats.plan_file import PLAN_FILE
 
@@ -107,7 +108,7 @@ def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> 
 
 
 def _told(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
-    """Print how it went; returns the exit code."""
+    """Print the outcome; returns the exit code."""
     if args.json:
         print(json.dumps({"order": "deploy", "done": done, "message": message, **more}))
     else:
@@ -116,8 +117,8 @@ def _told(args: argparse.Namespace, done: bool, message: str, **more: Any) -> in
 
 
 def read_mapping(pairs: List[str]) -> Dict[str, str]:
-    """The mapping of ``--map OLD=NEW``. :raises UsageError: one is not of this form, or contradicts
-    another."""
+    """Parse ``--map OLD=NEW`` options. :raises UsageError: an option has another form, or
+    contradicts another one."""
     mapping: Dict[str, str] = {}
     for pair in pairs:
         old, sign, new = pair.partition("=")

@@ -1,4 +1,4 @@
-"""``gspn diff``: the difference of two plans or nets."""
+"""``gspn diff``: shows the difference between two plans or nets."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gspn_framework_package.formats.edited_document import document_of
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("old", metavar="OLD", help="a plan file, the folder of a plan, or a net")
-    parser.add_argument("new", metavar="NEW", help="another one")
+    parser.add_argument("new", metavar="NEW", help="another plan or net")
     parser.add_argument("--json", action="store_true", help="print the changes as JSON")
     parser.add_argument(
-        "--positions", action="store_true", help="also list nodes that are only drawn elsewhere"
+        "--positions", action="store_true", help="also list nodes that only moved in the drawing"
     )
-    parser.epilog = "Exit codes: 0 no difference, 1 there is one, 2 a file cannot be read."
+    parser.epilog = "Exit codes: 0 no difference, 1 differences, 2 a file cannot be read."
 
 
 def run(args: argparse.Namespace) -> int:

@@ -42,21 +42,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--what",
         choices=("net", "coverability", "chain"),
         default="net",
-        help="what to draw (default: net); the chain of a plan is the one under its policy",
+        help="what to draw (default: net); for a plan, the chain under its policy",
     )
     parser.add_argument(
         "--limit",
         type=numbers.markings,
         default=DEFAULT_LIMIT,
         metavar="N",
-        help="most markings to draw (default: %(default)s)",
+        help="maximum number of markings to draw (default: %(default)s)",
     )
     parser.add_argument(
         "--timeout",
         type=numbers.duration,
         default=60.0,
         metavar="S",
-        help="longest time for Graphviz, in seconds (default: %(default)g)",
+        help="time limit for Graphviz, in seconds (default: %(default)g)",
     )
 
 
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
     image = Path(args.output).suffix.lower().lstrip(".")
     if image not in (*IMAGE_FORMATS, "dot", "gv"):
         raise UsageError(
-            "the name '%s' does not show the kind of picture" % args.output,
-            hint="end it in .%s or .dot" % ", .".join(IMAGE_FORMATS),
+            "the name '%s' does not indicate a picture format" % args.output,
+            hint="use the ending .%s or .dot" % ", .".join(IMAGE_FORMATS),
         )
     subject, notes = read_net_or_plan_argument(args)
     is_text = image in ("dot", "gv")

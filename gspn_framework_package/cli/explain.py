@@ -1,5 +1,5 @@
-"""``gspn explain``: plays a firing sequence step by step, such as the one behind a finding of
-``gspn check``."""
+"""``gspn explain``: plays a firing sequence step by step, such as the one that a finding of ``gspn
+check`` refers to."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "transitions",
         nargs="*",
         metavar="TRANSITION",
-        help="the transitions to fire, in order; by default, the firing sequences that "
-        "'gspn check' found",
+        help="the transitions to fire, in order; by default the firing sequences found by "
+        "'gspn check'",
     )
     parser.add_argument("--robots", type=numbers.robots, metavar="N", help="for a team of N robots")
     parser.add_argument(
@@ -40,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the steps as one JSON object")
     add_modules(parser)
     parser.epilog = (
-        "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. With the "
-        "sequences of the check it is 0."
+        "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. Sequences "
+        "found by the check always give 0."
     )
 
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
     told = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
-    net = with_losses(plan.net, plan, set())  # the check loses robots too
+    net = with_losses(plan.net, plan, set())  # as in the check, robots may be lost
     for each in told:
         played = play_sequence(net, each.pop("sequence"))
         each.update(played.to_json(), enabled_at_the_end=_enabled(plan, played.markings[-1]))
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     elif told:
         print("\n\n".join(_text(each) for each in told))
     else:
-        print("the check found nothing that has a firing sequence")
+        print("no finding of the check has a firing sequence")
     return int(any(each["stopped_by"] for each in told))
 
 
@@ -81,7 +81,8 @@ def _found(plan: Plan, args: argparse.Namespace) -> List[Dict[str, Any]]:
 
 
 def _enabled(plan: Plan, marking: Sequence[int]) -> List[str]:
-    """The transitions of the plan that are enabled: a robot can be lost in any case."""
+    """The enabled transitions of the plan, without the loss of a robot, which is always
+    possible."""
     return [plan.net.transitions[t].name for t in plan.net.enabled(marking)]
 
 

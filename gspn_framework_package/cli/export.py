@@ -18,7 +18,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.ros.recorded_messages import RecordedMessage, recorded_messages
 
 BETWEEN = 1_000
-"""Messages between two reports of progress."""
+"""Number of messages between two reports of progress."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,12 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="event logs, or folders of them; several logs of a run each speak for their own robot",
+        help="event logs, or folders of them; if there are several logs of a run, each supplies "
+        "the messages of its own robot",
     )
     parser.add_argument("--bag", metavar="FILE", help="write a rosbag, for rosbag and PlotJuggler")
     parser.add_argument("--mcap", metavar="FILE", help="write an MCAP file, for Foxglove")
     parser.add_argument(
-        "--csv", metavar="FILE", help="write a table: what each robot did, and from when on"
+        "--csv", metavar="FILE", help="write a table of what each robot did, and when it began"
     )
     parser.add_argument(
         "--foxglove-layout",
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
             layout = json.dumps(shown.layout(), indent=2).encode() + b"\n"
             write_bytes(args.foxglove_layout, layout)
             written = outputs
-    finally:  # the others are written, even if it cannot be
+    finally:  # the other files are written even if this one fails
         _print(written, counts, cut, args.json)
     return 0
 
@@ -105,14 +106,14 @@ def _print(
         print(json.dumps({"files": written, "messages": counts, "cut": cut}, indent=2))
         return
     for path in cut:
-        print("note: the last line of %s was cut off, and is left out" % path)
+        print("note: omitting the last line of %s, which was cut off" % path)
     for kind, count in sorted(counts.items()):
         print("%8d %s" % (count, kind))
     print("written: %s" % ", ".join(written))
 
 
 class _Shown:
-    """What a layout shows: the robots, and the places of the first net."""
+    """The content of a layout: the robots, and the places of the first net."""
 
     def __init__(self) -> None:
         self._robots: Set[str] = set()
@@ -120,7 +121,7 @@ class _Shown:
         self._namespace = ""
 
     def note(self, message: RecordedMessage) -> None:
-        """Take the next message into account."""
+        """Process the next message."""
         if message.kind == "RobotActivity":
             self._robots.add(message.fields["robot"])
         elif message.kind == "Marking" and not self._places:

@@ -17,10 +17,10 @@ from gspn_framework_package.model.errors import InputError, UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument(
-        "film", metavar="FILM", help="what to write: .mp4 (needs ffmpeg), .gif, .webp, or a folder"
+        "film", metavar="FILM", help="output: .mp4 (needs ffmpeg), .gif, .webp, or a folder"
     )
     parser.add_argument(
-        "--recording", metavar="FILE", help="film this run (patrol.launch record:=FILE)"
+        "--recording", metavar="FILE", help="film this recording (of patrol.launch record:=FILE)"
     )
     parser.add_argument(
         "--room", metavar="FILE", help="without a recording: the room file of the patrol"
@@ -40,24 +40,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.duration,
         default=120,
         metavar="S",
-        help="seconds of the run (120)",
+        help="length of the run to film, in seconds (120)",
     )
     parser.add_argument(
-        "--from", type=numbers.seconds, default=0, metavar="S", dest="start", help="start here (0)"
+        "--from",
+        type=numbers.seconds,
+        default=0,
+        metavar="S",
+        dest="start",
+        help="start time in the run, in seconds (0)",
     )
     parser.add_argument(
         "--speed",
         type=numbers.number(0.0, 1e4, above=0.0),
         default=8,
         metavar="X",
-        help="speed-up over the run (8)",
+        help="speed relative to the run (8)",
     )
     parser.add_argument(
         "--rate",
         type=numbers.number(0.0, 1e3, above=0.0),
         default=20,
         metavar="N",
-        help="pictures a second (20)",
+        help="frames per second (20)",
     )
     parser.add_argument(
         "--view", default="corner", choices=("corner", "top"), help="point of view (corner)"
@@ -102,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 Moments = Iterator[Tuple[float, Dict[str, Any]]]
-"""Times and the poses to show then; no poses if the bodies are already in place."""
+"""Times with the poses to show; no poses if the bodies are already in place."""
 
 
 def _size(text: str) -> Tuple[int, int]:

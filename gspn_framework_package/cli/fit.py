@@ -1,4 +1,4 @@
-"""``gspn fit``: learns from the logs of runs how long actions take and how they end."""
+"""``gspn fit``: learns the durations and outcomes of actions from the logs of runs."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from gspn_framework_package.model.plan import Plan
 
 
 class Learned(NamedTuple):
-    """What logs teach about a plan: the ``report``, the names of the ``logs``, and the number of
-    ``runs`` and ``attempts``."""
+    """The result of learning from logs: the ``report``, the names of the ``logs``, and the numbers
+    of ``runs`` and ``attempts``."""
 
     report: FitReport
     logs: Tuple[str, ...]
@@ -42,15 +42,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="event logs of runs of the plan, or folders of them; of a team, give the logs of all "
-        "its robots; also rosbags of fired_transitions, which hold less",
+        help="event logs of runs of the plan, or folders of them; for a team, give the logs of "
+        "all its robots; also rosbags of fired_transitions, which contain less information",
     )
     parser.add_argument(
         "-o",
         "--output",
         required=True,
         metavar="NEW_PLAN",
-        help="the plan with what was learned: a new .json file, or a folder for plan.json and the "
+        help="the plan with the learned parameters: a new .json file, or a folder for plan.json "
+        "and the "
         "functions",
     )
     add_choice(parser)
@@ -66,8 +67,8 @@ def add_choice(parser: Any) -> None:
         "--durations",
         choices=[choice.value for choice in FamilyChoice],
         default=FamilyChoice.AUTO.value,
-        help="the distributions of durations: whichever explains the times best, or always the "
-        "same (default %(default)s)",
+        help="the distribution of durations: the one that fits the times best, or a fixed one "
+        "(default %(default)s)",
     )
     parser.add_argument(
         "--seed",
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     notes: List[str] = []
     try:
         notes = write_plan(new, data, args.output)
-    finally:  # what was learned is told, even if it cannot be written
+    finally:  # the result is printed even if it cannot be written
         _print(learned, notes, args.json)
     return 0
 
@@ -113,8 +114,8 @@ def learn(
 ) -> Learned:
     """Read logs and fit the plan, with a progress line; an interrupt ends it.
 
-    :param on: who fits, as ``--on`` says.
-    :raises LogError: a log cannot be read, or is of another net.
+    :param on: the executor, as given by ``--on``.
+    :raises LogError: a log cannot be read, or belongs to another net.
     """
     files = log_files(paths)
     bags = [path for path in files if path.endswith(".bag")]
@@ -123,7 +124,7 @@ def learn(
     def work(progress: Progress, cancel: Cancel) -> Learned:
         def tell(what: str, count: int, seconds: float) -> None:
             if cancel():
-                raise CancelledError("it was interrupted")
+                raise CancelledError("the fit was interrupted")
             progress(what, count, seconds)
 
         attempts: List[Attempt] = []
@@ -149,9 +150,9 @@ def learn(
 
 
 def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[str], int]:
-    """The attempts that follow from the firings in a rosbag, notes, and the number of runs.
+    """The attempts inferred from the firings in a rosbag, notes, and the number of runs.
 
-    :raises LogError: it is not a rosbag, holds no firings, or firings of another net.
+    :raises LogError: it is not a rosbag, contains no firings, or contains firings of another net.
     """
     from gspn_framework_package.visualizer.bag_replay import read_bag
 

@@ -13,31 +13,31 @@ from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.table import aligned
 
 _SHOWN = 1000
-"""Rows of an answer that are shown as a table."""
+"""Maximum number of rows shown as a table."""
 
-_MORE = "only the first %d rows are shown; --csv and --json print all" % _SHOWN
+_MORE = "showing only the first %d rows; --csv and --json print all" % _SHOWN
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what this verb does, each with its arguments."""
+    """Declare the subcommands of this verb with their arguments."""
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-    told = "read event logs into a store; logs that have grown are read on"
+    told = "read event logs into a store; of logs that have grown, only the new part is read"
     made = commands.add_parser("ingest", help=told, description=told)
     made.add_argument("logs", nargs="+", metavar="LOG", help="event logs, or folders of them")
-    _add_store(made, "a new, empty or existing one")
-    made.add_argument("--json", action="store_true", help="print what became of each log as JSON")
-    made.epilog = "Exit codes: 0 all is in the store, 1 some logs are not, 2 wrong input or usage."
+    _add_store(made, "a new, empty or existing store")
+    made.add_argument("--json", action="store_true", help="print the result for each log as JSON")
+    made.epilog = "Exit codes: 0 all logs are in the store, 1 some are not, 2 wrong input or usage."
     made.set_defaults(command=_ingest)
 
     told = "show use, waiting, visits, failures, alarms and orders of the operator"
     made = commands.add_parser("report", help=told, description=told)
-    _add_store(made, "which store")
+    _add_store(made, "the store")
     made.add_argument(
         "--by",
         default="robot",
         metavar="GROUP[,GROUP]",
-        help="day, robot, place, run: a row for each (default: robot)",
+        help="one row for each day, robot, place or run (default: robot)",
     )
     made.add_argument("--since", default="", metavar="DAY", help="the first day, as 2026-05-04")
     made.add_argument("--until", default="", metavar="DAY", help="the last day")
@@ -48,23 +48,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             dest="run_key" if name == "run" else name,
             default=[],
             metavar="NAME" if name != "run" else "KEY",
-            help="only this %s (more than once: these)" % name,
+            help="only this %s (may be repeated)" % name,
         )
     _add_forms(made)
-    made.epilog = "Days are those of UTC. Exit codes: 0 shown, 2 wrong input or usage."
+    made.epilog = "Days are in UTC. Exit codes: 0 shown, 2 wrong input or usage."
     made.set_defaults(command=_report)
 
-    told = "ask a question in SQL, of the tables stays, moments and totals"
+    told = "query the tables stays, moments and totals in SQL"
     made = commands.add_parser("sql", help=told, description=told)
-    made.add_argument("question", metavar="SQL", help="one SELECT")
-    _add_store(made, "which store")
+    made.add_argument("question", metavar="SQL", help="a single SELECT")
+    _add_store(made, "the store")
     _add_forms(made)
-    made.epilog = "Nothing can be changed, and no other file be read. Exit codes: 0, 2."
+    made.epilog = (
+        "Read-only: nothing can be changed, and no other file can be read. Exit codes: "
+        "0 shown, 2 wrong input or usage."
+    )
     made.set_defaults(command=_sql)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Carry out the command."""
+    """Run the subcommand."""
     return int(args.command(args))
 
 
@@ -83,7 +86,7 @@ def _ingest(args: argparse.Namespace) -> int:
     from gspn_framework_package.fleet.ingest import Ingest, IngestedLog
     from gspn_framework_package.fleet.store import Store
 
-    duckdb()  # say at once that it is missing
+    duckdb()  # report a missing store at once
     store = Store(args.store, create=True)
     found: List[IngestedLog] = []
     with store.locked(), ProgressLine() as progress:
@@ -126,7 +129,7 @@ def _report(args: argparse.Namespace) -> int:
         _print_csv(columns, ([row[name] for name in columns] for row in rows))
         return 0
     if not rows:
-        print("nothing is in the store for this")
+        print("no matching data in the store")
         return 0
     _print_table([_HEADS.get(name, name) for name in columns], map(_shown, rows[:_SHOWN]))
     if len(rows) > _SHOWN:

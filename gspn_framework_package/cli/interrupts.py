@@ -1,4 +1,4 @@
-"""Handling of interrupts (SIGINT), which end the program at once, whatever it is doing."""
+"""Handles interrupts (SIGINT), which end the program at once, whatever it is doing."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Interrupts:
     begins, an interrupt ends the program at once; afterwards it raises KeyboardInterrupt.
 
     If a compiled module is interrupted while it imports another, it prints the KeyboardInterrupt
-    and raises an ImportError instead ("numpy.core.multiarray failed to import"). So there is no
-    exception while the modules of the verb are imported, when there is nothing to clean up yet.
-    Later, ``seen`` shows whether an interrupt may have caused an ImportError.
+    and raises an ImportError instead ("numpy.core.multiarray failed to import"). So no exception is
+    raised while the modules of the verb are imported, when there is nothing to clean up yet. Later,
+    ``seen`` shows whether an interrupt may have caused an ImportError.
 
     :param then: the handler of interrupts afterwards.
     :ivar verb_has_begun: the caller sets it when the verb begins.
@@ -64,11 +64,11 @@ class Interrupts:
 
 
 def wait_for(event: threading.Event, seconds: Optional[float] = None) -> bool:
-    """Wait on the main thread for an event, at most so many seconds; return whether it is set.
+    """Wait on the main thread for an event with a timeout in seconds; return whether it is set.
 
-    The system may give an interrupt to another thread. That does not wake this one, so it wakes by
-    itself once a second. Do not join a thread instead: if that is interrupted, Python considers the
-    thread finished (bpo-45274).
+    The system may deliver an interrupt to another thread, which does not wake this one; it
+    therefore wakes up once a second. Do not join a thread instead: if that is interrupted, Python
+    considers the thread finished (bpo-45274).
     """
     end = math.inf if seconds is None else time.monotonic() + seconds
     while not event.wait(min(1.0, max(0.0, end - time.monotonic()))):
@@ -88,7 +88,7 @@ def interruptible(
     :param interrupted: called on an interrupt, before the exception is raised, with an event that
       is set when the work ends.
     :raises KeyboardInterrupt: there was an interrupt; the work may continue until the process ends,
-      and nobody waits for it.
+      but is not waited for.
     """
     result: List[_Result] = []
     errors: List[BaseException] = []

@@ -1,4 +1,4 @@
-"""``gspn keys``: the certificates of a team, so that nobody else takes part."""
+"""``gspn keys``: manages the certificates of a team, which keep others out."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team import keys
 
 DAYS = 365
-"""How long certificates are valid if nobody says otherwise."""
+"""Default validity of certificates, in days."""
 
 _ROLE_OPTIONS = {
     "robot": "robots, named as in the plan",
     "operator": "people or programs that give orders",
     "watcher": "people or programs that only watch",
-    "router": "routers, each with the addresses at which it is reached: hub=10.0.0.1,hub.lan",
+    "router": "routers, each with its addresses: hub=10.0.0.1,hub.lan",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what this verb does, each with its arguments."""
+    """Declare the subcommands of this verb with their arguments."""
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, told in (
-        ("team", "make an authority, and keys for each member, in a new folder"),
-        ("add", "make keys for further members, or new ones for those that were revoked"),
+        ("team", "create an authority, and keys for each member, in a new folder"),
+        ("add", "create keys for further members, or new keys for revoked ones"),
     ):
         made = commands.add_parser(name, help=told, description=told)
         made.add_argument("folder", metavar="DIR", help="the folder of the team's keys")
@@ -38,32 +38,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             type=int,
             default=DAYS,
             metavar="N",
-            help="how long the certificates are valid (default: %d)" % DAYS,
+            help="validity of the certificates in days (default: %d)" % DAYS,
         )
         made.set_defaults(command=_make if name == "team" else _add)
         _add_json(made)
-    told = "take a member off the allow-list; copy the new team.json to each router"
+    told = "remove a member from the allow-list; then copy the new team.json to each router"
     revoked = commands.add_parser("revoke", help=told, description=told)
     revoked.add_argument("folder", metavar="DIR", help="the folder of the team's keys")
-    revoked.add_argument("name", metavar="NAME", help="the member")
+    revoked.add_argument("name", metavar="NAME", help="name of the member")
     revoked.set_defaults(command=_revoke)
     _add_json(revoked)
-    told = "make a key that all robots and operators of a team on ROS share"
+    told = "create a key shared by all robots and operators of a team on ROS"
     shared = commands.add_parser("shared", help=told, description=told)
     shared.add_argument("file", metavar="FILE", help="a new file; copy it to each robot")
     shared.set_defaults(command=_share)
-    shown = commands.add_parser("show", help="show who is in the team, and until when")
+    shown = commands.add_parser(
+        "show", help="show the members of the team, and how long their certificates are valid"
+    )
     shown.add_argument("folder", metavar="DIR", help="the folder of the team or of one member")
     shown.set_defaults(command=_show)
     _add_json(shown)
     parser.epilog = (
-        "Each member gets the folder DIR/NAME, and nothing else of DIR; the folder "
-        "DIR/%s stays with you. Exit codes: 0 done, 2 not done." % keys.AUTHORITY
+        "Copy the folder DIR/NAME to each member, and nothing else of DIR; keep the folder "
+        "DIR/%s yourself. Exit codes: 0 done, 2 not done." % keys.AUTHORITY
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Carry out the command; return 0."""
+    """Run the subcommand; return 0."""
     return int(args.command(args))
 
 
@@ -96,7 +98,7 @@ def _show(args: argparse.Namespace) -> int:
 
 
 def _named(args: argparse.Namespace) -> List[keys.NewMember]:
-    """The members that the options name."""
+    """The members named by the options."""
     members = []
     for role in keys.ROLES:
         for text in getattr(args, role + "s"):

@@ -1,4 +1,4 @@
-"""Limits of the analysis verbs, and how to interrupt them."""
+"""Limits of the analysis verbs, and support for interrupting them."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def add_limit_arguments(parser: Any) -> None:
         "--limit-structure",
         type=int,
         metavar="N",
-        help="steps of each search for invariants, siphons and traps at most (default %s: a second "
-        "or two; down to half in nets of over %s nodes)"
+        help="maximum number of steps of each search for invariants, siphons and traps (default "
+        "%s, which takes a second or two; down to half in nets of over %s nodes)"
         % (format(STRUCTURE_LIMIT, ","), format(LARGE_NET, ",")),
     )
     parser.add_argument(
         "--limit-time",
         type=float,
         metavar="S",
-        help="longest time of each part, in seconds (default %g)" % DEFAULT_SECONDS,
+        help="time limit for each part, in seconds (default %g)" % DEFAULT_SECONDS,
     )
     parser.add_argument(
         "--limit-memory",
@@ -73,12 +73,12 @@ def add_limit_arguments(parser: Any) -> None:
 
 
 def limits_of(args: argparse.Namespace) -> Limits:
-    """Return the limits in the arguments. :raises UsageError: a limit makes no sense."""
+    """Return the limits in the arguments. :raises UsageError: a limit is invalid."""
     for option in ("limit", "limit_tree", "limit_structure", "limit_time", "limit_memory"):
         value = getattr(args, option)
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise UsageError(
-                "--%s %g: a limit is a number above 0" % (option.replace("_", "-"), value)
+                "--%s %g: a limit must be greater than 0" % (option.replace("_", "-"), value)
             )
     return Limits(
         args.limit,
@@ -94,8 +94,8 @@ def rare_collections() -> Iterator[None]:
     """Make Python look for reference cycles rarely.
 
     A net of 100,000 nodes consists of a few million objects, none of them in a cycle. Scanning them
-    again and again while their number grows took a fifth of the time to read and analyse the net.
-    A separate limit bounds the memory.
+    repeatedly while their number grows took a fifth of the time to read and analyse the net. A
+    separate limit bounds the memory.
     """
     before = gc.get_threshold()
     gc.set_threshold(_OBJECTS, *before[1:])
@@ -113,9 +113,9 @@ def working(
     The work runs on another thread, so that an interrupt is handled even while a library's compiled
     code computes.
 
-    :param work: takes a progress callback and a cancel callback, which it polls now and then.
+    :param work: takes a progress callback and a cancel callback, which it polls regularly.
     :param memory: additional memory that this process may use, in bytes.
-    :param option: the option that raises it; empty: there is none.
+    :param option: the option that raises the limit; "" for none.
     :raises LimitError: the work needed more memory.
     """
     cancelled = threading.Event()
@@ -131,7 +131,7 @@ def working(
             return interruptible(lambda: work(progress, cancelled.is_set), cancel)
     except MemoryError:
         raise LimitError(
-            "it takes more than %.3g GB of memory" % (memory / 1e9),
+            "the work takes more than %.3g GB of memory" % (memory / 1e9),
             hint="raise %s" % option if option else "",
         ) from None
     except CancelledError:

@@ -2,7 +2,7 @@
 
 A verb is a module with ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
 :data:`VERB_GROUPS`, or an order to a team. Only the module of the requested verb is imported, so
-that ``gspn --help`` and the light verbs start at once.
+    that ``gspn --help`` and simple verbs start quickly.
 
 Exit codes: 0 the answer is yes, 1 the answer is no or a plan was refused, 2 the input or the usage
 is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has exited.
@@ -47,7 +47,7 @@ EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
 EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What a disk that is full or broken says."""
+"""The errors of a full or broken disk."""
 
 
 class Verb(NamedTuple):
@@ -73,12 +73,12 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
     "make a plan": {
         "new": Verb(
             ".new",
-            "write a plan to begin with: patrol, inspect, deliver, charge, rendezvous",
+            "write a starter plan: patrol, inspect, deliver, charge, rendezvous",
             "new patrol my_patrol --places door window gate --robots 3",
         ),
         "build": Verb(
             ".build",
-            "make a plan from a topological map and the tasks there",
+            "build a plan from a topological map and its tasks",
             "build site.tmap2 --tasks tasks.yaml -o site",
         ),
         "check": Verb(
@@ -86,7 +86,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "explain": Verb(
             ".explain",
-            "play a firing sequence step by step, such as the one behind a finding of check",
+            "play a firing sequence step by step, such as that of a finding of check",
             "explain my_patrol arrive leave",
         ),
         "draw": Verb(
@@ -138,7 +138,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "compare": Verb(
             ".compare",
-            "compare runs with what their plan predicts: intervals, and an alarm per place",
+            "compare runs with the prediction of their plan: intervals, and an alarm per place",
             "compare learned.json run.jsonl",
         ),
     },
@@ -160,16 +160,16 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "agent": Verb(
             ".agent",
-            "be one robot of a team, without ROS",
+            "run one robot of a team, without ROS",
             "agent my_patrol --robot robot_1 --connect tcp/HOST:7447",
         ),
         "router": Verb(
             ".router",
-            "pass messages on between robots that have no ROS master in common",
+            "forward messages between robots without a common ROS master",
             "router --listen tcp/0.0.0.0:7447",
         ),
         "keys": Verb(
-            ".keys", "make, show and revoke the certificates of a team", "keys show team_keys"
+            ".keys", "create, show and revoke the certificates of a team", "keys show team_keys"
         ),
     },
     "look back": {
@@ -208,7 +208,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
     OPERATE: {
         "deploy": Verb(
             ".deploy",
-            "put another plan into a running team, without stopping it",
+            "deploy another plan to a running team without stopping it",
             "deploy better.json",
         ),
     },
@@ -238,17 +238,18 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         # a file name may have bytes that are not text
         sys.stdout.reconfigure(errors="backslashreplace")
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
-    # an interrupt of what libraries do when Python exits would print a traceback
+    # an interrupt of the libraries' cleanup at exit would print a traceback
     interrupts = Interrupts(signal.SIG_DFL if arguments is None else signal.default_int_handler)
     try:
         with interrupts:
             code = _run(words, interrupts)
-        sys.stdout.flush()  # here, to notice if the reader has exited
+        sys.stdout.flush()  # flushed here to notice if the reader has exited
         return code
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # The reader (head, less) has exited. Python flushes again at exit, and would complain.
+        # The reader (head, less) has exited. Python flushes again at exit, which would print an
+        # error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
     except Exception as error:
@@ -258,7 +259,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             traceback.print_exc()
         try:
             sys.stdout.flush()
-        except OSError:  # Python flushes again at exit, and would complain
+        except OSError:  # Python flushes again at exit, which would print an error
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         message, code = _explain(error)
         print(
@@ -301,20 +302,23 @@ def _explain(error: Exception) -> Tuple[str, int]:
         return f"error: cannot write: {error.strerror}", EXIT_USAGE
     return (
         f"internal error: {type(error).__name__}: {error}\n"
-        "This is a fault of gspn, not of its input; with --debug it prints a traceback to report.",
+        "This is a bug in gspn, not an error in its input; run it with --debug to print a "
+        "traceback for a bug report.",
         EXIT_INTERNAL,
     )
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors look like all other errors of this program."""
+    """A parser whose error messages look like all others of this program."""
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and ``message``, and exit with 2."""
         unknown = re.match(r"argument VERB: invalid choice: '(.*)' \(choose", message)
         if unknown:
             close = difflib.get_close_matches(unknown.group(1), list(all_verbs()), 2)
-            hint = "did you mean %s?" % " or ".join(close) if close else "gspn --help lists them"
+            hint = (
+                "did you mean %s?" % " or ".join(close) if close else "gspn --help lists the verbs"
+            )
             self.exit(EXIT_USAGE, f"gspn: error: there is no verb '{unknown.group(1)}' ({hint})\n")
         self.print_usage(sys.stderr)
         self.exit(EXIT_USAGE, f"gspn: error: {message}\n")
@@ -336,7 +340,7 @@ def _parser(words: Sequence[str]) -> _Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Executes, simulates and analyses Generalized Stochastic Petri Net plans.\n\n"
         + _verbs_text(known),
-        epilog="Exit codes: 0 yes, 1 the plan or the answer is no, 2 wrong input or usage. "
+        epilog="Exit codes: 0 success or yes, 1 plan refused or answer no, 2 wrong input or usage. "
         "'gspn VERB --help' explains a verb.",
         parents=[common],
         allow_abbrev=False,
@@ -359,7 +363,7 @@ def _parser(words: Sequence[str]) -> _Parser:
 
 
 def _verbs_text(known: Mapping[str, Union[Verb, OrderVerb]]) -> str:
-    """The verbs by what they are for, a line or two each."""
+    """The verbs by purpose, a line or two each."""
     lines = []
     grouped = {name for verbs in VERB_GROUPS.values() for name in verbs}
     orders = {name: verb for name, verb in known.items() if name not in VERBS}

@@ -1,5 +1,5 @@
-"""``gspn mcp``: a server of the Model Context Protocol, for programs that work with language
-models. It reads requests on standard input and writes answers on standard output."""
+"""``gspn mcp``: a server for the Model Context Protocol, for programs that work with language
+models. It reads requests from standard input and writes answers to standard output."""
 
 from __future__ import annotations
 
@@ -20,29 +20,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=".",
         metavar="FOLDER",
-        help="the plans, nets and logs that may be read; nothing outside it is (default: .)",
+        help="folder of the plans, nets and logs that may be read; nothing outside it is "
+        "accessible (default: .)",
     )
     parser.add_argument(
         "--allow-write",
         action="store_true",
-        help="let draft_plan and optimise write new plans into the folder; they never overwrite",
+        help="let draft_plan and optimise write new plans into the folder; they never "
+        "overwrite files",
     )
     parser.add_argument(
         "--limit-time",
         type=numbers.duration,
         default=120.0,
         metavar="S",
-        help="longest time of one call, in seconds (default: %(default)g)",
+        help="time limit of a call, in seconds (default: %(default)g)",
     )
     parser.add_argument(
         "--limit-output",
         type=numbers.whole(1000, 10**9),
         default=200_000,
         metavar="N",
-        help="most characters of one answer (default: %(default)s)",
+        help="maximum number of characters of an answer (default: %(default)s)",
     )
     add_modules(parser)
-    parser.epilog = "No tool commands robots, runs a plan or imports the functions of one."
+    parser.epilog = "No tool commands robots, runs a plan or imports a plan's functions."
 
 
 def run(args: argparse.Namespace) -> int:

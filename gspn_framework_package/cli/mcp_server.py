@@ -1,6 +1,6 @@
 """The Model Context Protocol on two streams: JSON-RPC 2.0, one message on each line.
 
-The official library needs Python 3.10 and some forty packages. This package serves 3.8 too, and
+The official library needs Python 3.10 and some forty packages. This package also supports 3.8, and
 needs only the few methods of a server that offers tools.
 """
 
@@ -16,24 +16,24 @@ from gspn_framework_package.cli.mcp_tools import Json
 from gspn_framework_package.model.errors import CancelledError, GspnError
 
 VERSIONS = ("2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05")
-"""The versions of the protocol, the newest first; they do not differ in what is used here."""
+"""The versions of the protocol, the newest first; they do not differ in the methods used here."""
 
 LINE_BYTES = 4_000_000
-"""Longest message in bytes."""
+"""Maximum size of a message in bytes."""
 
 AT_ONCE = 2
-"""How many calls are worked on at the same time; further ones wait."""
+"""Maximum number of calls processed at the same time; further calls wait."""
 
 PARSE_ERROR, INVALID_REQUEST, NO_SUCH_METHOD, INVALID_PARAMS = -32700, -32600, -32601, -32602
 
 
 class Tools(Protocol):
-    """What a server offers."""
+    """The tools that a server offers."""
 
     instructions: str
 
     def listed(self) -> List[Json]:
-        """The tools, as ``tools/list`` answers."""
+        """The tools, in the form of a ``tools/list`` answer."""
 
     def call(self, name: str, arguments: Mapping[str, Any], tick: Callable[[float], bool]) -> str:
         """Answer one call.
@@ -46,7 +46,7 @@ class Tools(Protocol):
 
 
 class _Call:
-    """A call that is being answered."""
+    """A call in progress."""
 
     def __init__(self) -> None:
         self.cancelled = threading.Event()
@@ -55,7 +55,7 @@ class _Call:
 class ModelContextServer:
     """Answers the requests of one client.
 
-    :param tools: what it offers.
+    :param tools: the tools that it offers.
     :param requests: the messages of the client.
     :param answers: the messages to the client.
     """
@@ -67,13 +67,13 @@ class ModelContextServer:
         self._calls: Dict[Union[str, int], _Call] = {}
 
     def run(self) -> None:
-        """Serve until the client closes its stream; then cancel what is being answered."""
+        """Serve until the client closes its stream; then cancel calls in progress."""
         with ThreadPoolExecutor(AT_ONCE) as pool:
             try:
                 for line in iter(lambda: self._requests.readline(LINE_BYTES + 1), b""):
                     if len(line) > LINE_BYTES:
                         self._error(None, INVALID_REQUEST, "the message is too long")
-                        return  # where the next message begins is not known
+                        return  # the start of the next message is unknown
                     if line.strip():
                         self._read(line, pool)
             finally:
@@ -149,7 +149,7 @@ class ModelContextServer:
             failed = False
         except GspnError as error:
             text = "error: %s" % error
-        except Exception as error:  # a fault of this program: the client is answered all the same
+        except Exception as error:  # a bug in this program: the client gets an answer all the same
             text = "internal error: %s: %s" % (type(error).__name__, error)
         with self._lock:
             self._calls.pop(key, None)
@@ -176,11 +176,11 @@ class ModelContextServer:
                 self._answers.write(line)
                 self._answers.flush()
             except (OSError, ValueError):
-                pass  # the client has gone: its stream of requests ends too
+                pass  # the client is gone, and its stream of requests ends too
 
 
 def _structured(text: str) -> Json:
-    """The answer as data, beside its text; nothing if the text was cut."""
+    """The answer as structured data, in addition to its text; empty if the text was truncated."""
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):

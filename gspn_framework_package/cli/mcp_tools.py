@@ -1,4 +1,4 @@
-"""The tools of ``gspn mcp``. Each is a command line of ``gspn`` in a process of its own, which is
+"""The tools of ``gspn mcp``. Each runs a ``gspn`` command line in a separate process, which is
 ended when it takes too long or is cancelled."""
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ Json = Dict[str, Any]
 ProgressTick = Callable[[float], bool]
 
 TICK = 0.5
-"""Seconds between two looks at whether a call was cancelled."""
+"""Seconds between two checks whether a call was cancelled."""
 
 PARTS = 3
-"""What a call may take, as a multiple of what each part of an analysis may take."""
+"""Time limit of a call, as a multiple of the limit of each part of an analysis."""
 
 PROGRAM = (
     "import json, signal, sys; sys.path[:0] = json.loads(sys.argv.pop(1)); "
@@ -42,12 +42,12 @@ PROGRAM = (
     "end_with_parent(int(sys.argv.pop(1)), signal.SIGKILL) or sys.exit(1); "
     "from gspn_framework_package.cli.main import main; sys.exit(main())"
 )
-"""``gspn``, started with ``-I`` so that no module in the folder of the plans is taken for one of
-Python's. It ends with the server, even if that is killed."""
+"""``gspn``, started with ``-I`` so that modules in the plans' folder cannot replace Python's. It
+ends with the server, even if the server is killed."""
 
 
 class CallLimits(NamedTuple):
-    """What one call may take: ``seconds``, and ``characters`` of its answer."""
+    """Limits of a call: ``seconds``, and ``characters`` of its answer."""
 
     seconds: float
     characters: int
@@ -75,17 +75,19 @@ def _flag(about: str) -> Json:
 
 _PLAN = _text("path of a plan's folder or file, or of a net, as list_plans gives it")
 _ROBOTS = _whole("size of the team; by default that of the plan", 1, 10_000)
-MAY_WAIT = _number("most seconds until the answer; a part that takes longer is left out", 0.1)
+MAY_WAIT = _number(
+    "maximum time until the answer in seconds; parts that take longer are left out", 0.1
+)
 OUTPUT = _text("path of a new file or folder to write; needs a server with --allow-write")
 _CONDITION = "a condition on markings, such as \"p3 >= 1 and 'Check L1' == 0\", or deadlock"
 
 AIMS = {
     "reward": _texts("NAME=R: R per token in a place and second, or per firing of a transition"),
-    "mean_time_to": _text("make the mean time until this holds the shortest: " + _CONDITION),
-    "cost_to": _text("make the mean cost until this holds the least; reward gives the costs"),
-    "reach": _text("make it as probable as possible that this ever holds: " + _CONDITION),
-    "discount": _number("rewards after a time t count exp(-discount t) times (1/s)"),
-    "minimise": _flag("make the rewards, or the probability, as low as possible"),
+    "mean_time_to": _text("minimise the mean time until this holds:  " + _CONDITION),
+    "cost_to": _text("minimise the mean cost until this holds; reward gives the costs"),
+    "reach": _text("maximise the probability that this ever holds:  " + _CONDITION),
+    "discount": _number("weight rewards at time t by exp(-discount t) (discount in 1/s)"),
+    "minimise": _flag("minimise the rewards or the probability instead"),
     "never": _texts("conditions that may never hold"),
     "at_least": _texts("NAME>=X: in the long run a transition fires at least X times a second"),
 }
@@ -107,7 +109,9 @@ TOOLS = {
         {
             "plan": _PLAN,
             "robots": _ROBOTS,
-            "standalone": _flag("check it for agents that transitions may create and destroy"),
+            "standalone": _flag(
+                "check the plan for agents, which transitions may create and destroy"
+            ),
         },
         verb="check",
     ),
@@ -150,13 +154,17 @@ TOOLS = {
     "explain_witness": _Tool(
         "Play a firing sequence step by step, with the marking after each firing and why one "
         "cannot fire; by default the sequences behind the findings of check.",
-        {"plan": _PLAN, "robots": _ROBOTS, "transitions": _texts("what to fire, in order")},
+        {
+            "plan": _PLAN,
+            "robots": _ROBOTS,
+            "transitions": _texts("the transitions to fire, in order"),
+        },
         verb="explain",
     ),
     "draft_plan": _Tool(
-        "Draft a plan and check it: from a template (%s), or as a whole document with its net in "
-        "it (keys net, actions, policy, robots; docs/plan_file.md). Answers with the files and "
-        "the check." % ", ".join(templates.templates_by_name()),
+        "Draft a plan and check it: from a template (%s), or as a complete document including its "
+        "net (keys net, actions, policy, robots; docs/plan_file.md). Returns the files and the "
+        "result of the check." % ", ".join(templates.templates_by_name()),
         {
             "template": {"enum": list(templates.templates_by_name())},
             "robots": _ROBOTS,
@@ -174,10 +182,10 @@ TOOLS = {
 class PlanTools:
     """The tools for one folder.
 
-    :param folder: whose plans are worked on.
+    :param folder: the folder of the plans.
     :param allow_write: whether new plans may be written into it.
-    :param limits: what a call may take.
-    :raises InputError: there is no such folder.
+    :param limits: limits of a call.
+    :raises InputError: the folder does not exist.
     """
 
     instructions = (
@@ -205,7 +213,7 @@ class PlanTools:
         ]
 
     def call(self, name: str, arguments: Mapping[str, Any], tick: ProgressTick) -> str:
-        """Answer one call with a text, which is JSON unless it was cut.
+        """Answer one call with a text, which is JSON unless it was truncated.
 
         :param tick: see :class:`~gspn_framework_package.cli.mcp_server.Tools`.
         :raises GspnError: there is no answer; the message says why.
@@ -229,7 +237,10 @@ class PlanTools:
         words = [tool.verb, "--json"]
         if name == "check":
             words += _modules()
-        if name in ("analyse", "optimise"):  # they give what they have when a part takes too long
+        if name in (
+            "analyse",
+            "optimise",
+        ):  # these return partial results when a part takes too long
             words.append("--limit-time=%g" % (seconds / PARTS))
         if output:
             words.append("--output=" + output)
@@ -246,7 +257,7 @@ class PlanTools:
         if path is None:
             return ""
         if not self._writes:
-            raise RefusedError("nothing is written here", hint="gspn mcp --allow-write")
+            raise RefusedError("writing is not allowed", hint="gspn mcp --allow-write")
         head, tail = os.path.split(os.path.normpath(path))
         if tail in ("", ".", "..") or tail.startswith("."):
             raise UsageError("'%s' is not the name of a new file or folder" % path)
@@ -267,7 +278,7 @@ class PlanTools:
                 places = fields.pop("places", [])
                 chosen = ["--places", *places] if places else []
                 if any(each.startswith("-") for each in places):
-                    raise UsageError("the name of a place does not begin with '-'")
+                    raise UsageError("the name of a place must not begin with '-'")
                 run.run(["new", template, made, *_options(fields), *chosen, "--json"])
             else:
                 _check_document(document)
@@ -310,7 +321,7 @@ class _Runs:
         """Return what a command line prints.
 
         :raises CancelledError: the client cancelled the call.
-        :raises GspnError: it found wrong input, or took too long.
+        :raises GspnError: the input was wrong, or the command took too long.
         """
         package = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
         paths = [package, *(path for path in sys.path if path and os.path.isdir(path))]
@@ -359,12 +370,12 @@ def _schema(tool: _Tool) -> Json:
 
 
 def _modules() -> List[str]:
-    """The modules that this server was started with."""
+    """The modules allowed at the start of this server."""
     return ["--modules=" + ",".join(allowed_modules())] if allowed_modules() else []
 
 
 def _options(fields: Mapping[str, Any]) -> List[str]:
-    """The options of a command line: their values cannot be taken for options."""
+    """Format the options of a command line so that their values cannot be mistaken for options."""
     words: List[str] = []
     for name, value in fields.items():
         option = "--" + name.replace("_", "-")
@@ -378,7 +389,7 @@ def _options(fields: Mapping[str, Any]) -> List[str]:
 
 
 def _named_files(plan: Any) -> List[str]:
-    """The files that the object of a plan names."""
+    """The files named by a plan object."""
     if not isinstance(plan, dict):
         return []
     net, actions = plan.get("net"), plan.get("actions")
@@ -392,7 +403,7 @@ def _named_files(plan: Any) -> List[str]:
 def _refuse_outside(folder: Folder, whole: str, depth: int = 8) -> None:
     """Check that a plan names no file outside the folder.
 
-    :raises RefusedError: it does, or one of its subnets.
+    :raises RefusedError: the plan or one of its subnets does.
     """
     if os.path.isdir(whole):
         whole = os.path.join(whole, PLAN_FILE)
@@ -405,17 +416,17 @@ def _refuse_outside(folder: Folder, whole: str, depth: int = 8) -> None:
     for name in _named_files(plan):
         named = os.path.join(os.path.dirname(whole), name)
         if "\0" in name or folder.inside(named) is None:
-            raise RefusedError("it names '%.200s', which is outside the folder" % name)
+            raise RefusedError("the plan names '%.200s', which is outside the folder" % name)
         if os.path.exists(named) and depth:
             _refuse_outside(folder, os.path.realpath(named), depth - 1)
 
 
 def _check_document(document: Json) -> None:
-    """Check that a drafted plan is whole. :raises UsageError: it names other files."""
+    """Check that a drafted plan is self-contained. :raises UsageError: it names other files."""
     named = _named_files(document)
     if named:
         raise UsageError(
-            "a drafted plan names no file, and '%.200s' is one" % named[0],
+            "a drafted plan must not name files such as '%.200s'" % named[0],
             hint="put the net and the policy into the document",
         )
 

@@ -1,4 +1,4 @@
-"""The options of an analysis that goes on disk beyond a given memory."""
+"""The options of an analysis that uses the disk beyond a given memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gspn_framework_package.analysis.on_disk.search import LEAST_MEMORY
 from gspn_framework_package.model.errors import UsageError
 
 LIBRARIES = 256 << 20
-"""Bytes that libraries may take on top of the given memory, as they are loaded."""
+"""Additional memory in bytes for libraries as they are loaded."""
 
 _UNITS: Dict[str, float] = {"": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
 
@@ -20,7 +20,7 @@ _SIZE = re.compile(r"\s*([0-9.]+(?:e[0-9]+)?)\s*([KMGT]?B?)\s*", re.IGNORECASE)
 
 
 class MemoryAndDisk(NamedTuple):
-    """What to use: ``size`` bytes of memory, and the folder for ``scratch`` files."""
+    """Resources to use: ``size`` bytes of memory, and the folder for ``scratch`` files."""
 
     size: float
     scratch: Scratch
@@ -31,8 +31,8 @@ def add_memory_arguments(parser: Any) -> None:
     parser.add_argument(
         "--memory",
         metavar="SIZE",
-        help="for a net: use so much memory (1GB); markings beyond that go on disk, without "
-        "a limit on their number and on time unless one is given",
+        help="for a net: use this much memory (e.g. 1GB) and store further markings on disk; by "
+        "default their number and the time are then unlimited",
     )
     parser.add_argument(
         "--scratch",
@@ -42,11 +42,11 @@ def add_memory_arguments(parser: Any) -> None:
 
 
 def memory_of(args: argparse.Namespace) -> Optional[MemoryAndDisk]:
-    """What ``--memory`` and ``--scratch`` say; None: nothing. :raises UsageError: they make no
-    sense."""
+    """Read ``--memory`` and ``--scratch``; None if they are not given. :raises UsageError: they are
+    invalid."""
     if args.memory is None:
         if args.scratch is not None:
-            raise UsageError("--scratch goes with --memory", hint="give --memory 1GB")
+            raise UsageError("--scratch requires --memory", hint="give --memory 1GB")
         return None
     if args.limit_memory is not None:
         raise UsageError("--memory and --limit-memory exclude each other")
@@ -54,7 +54,7 @@ def memory_of(args: argparse.Namespace) -> Optional[MemoryAndDisk]:
 
 
 def _bytes(text: str) -> float:
-    """The number of bytes that a size such as ``1.5GB`` means."""
+    """Parse a size such as ``1.5GB`` to a number of bytes."""
     match = _SIZE.fullmatch(text)
     try:
         size = float(match.group(1)) * _UNITS[_unit(match.group(2))] if match else math.nan
@@ -62,8 +62,7 @@ def _bytes(text: str) -> float:
         size = math.nan
     if not LEAST_MEMORY <= size < math.inf:
         raise UsageError(
-            "--memory %s: a size was expected, of at least %d KB"
-            % (text, -(-LEAST_MEMORY // 1000)),
+            "--memory %s: expected a size of at least %d KB" % (text, -(-LEAST_MEMORY // 1000)),
             hint="for example 1GB or 500MB",
         )
     return size
@@ -75,7 +74,7 @@ def _unit(text: str) -> str:
 
 
 def scratch_text(data: Mapping[str, Any]) -> Iterator[str]:
-    """A line on the disk space that a report took, if it took some."""
+    """A line on the disk space used for a report, if any."""
     if "scratch_bytes" in data:
         yield "on disk: at most %.1f MB in %s, removed again" % (
             data["scratch_bytes"] / 1e6,

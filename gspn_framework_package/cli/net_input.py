@@ -44,7 +44,7 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
     reading.add_argument(
         "--servers",
         choices=("single", "infinite"),
-        help="servers of exponential transitions whose file does not say "
+        help="server semantics of exponential transitions if the file does not specify it "
         "(default: infinite for PNPRO, single for others)",
     )
     reading.add_argument(
@@ -57,7 +57,7 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
 def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
     """Return the net that the arguments name (for a plan, its net), and the reader's notes.
 
-    :raises GspnError: the net cannot be read, or the arguments make no sense.
+    :raises GspnError: the net cannot be read, or the arguments are inconsistent.
     """
     subject, notes = read_net_or_plan_argument(args)
     return (subject.net if isinstance(subject, Plan) else subject), notes
@@ -66,7 +66,7 @@ def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
 def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
     """Return the net or plan that the arguments name, and the reader's notes.
 
-    :raises GspnError: it cannot be read, or the arguments make no sense.
+    :raises GspnError: it cannot be read, or the arguments are inconsistent.
     """
     options = ReadOptions(
         format=args.source_format,
@@ -136,5 +136,5 @@ def _constants(words: List[str]) -> Dict[str, float]:
         except ValueError:
             equals = ""
         if not equals or not name.strip() or not math.isfinite(constants[name.strip()]):
-            raise UsageError("--const %s: NAME=NUMBER was expected" % word)
+            raise UsageError("--const %s: expected NAME=NUMBER" % word)
     return constants

@@ -1,4 +1,4 @@
-"""``gspn new``: writes a plan to begin with, from a template or as a copy of an example."""
+"""``gspn new``: writes a starter plan, from a template or as a copy of an example."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TEMPLATE",
         help="one of: %s" % ", ".join(templates.templates_by_name()),
     )
-    parser.add_argument("folder", nargs="?", metavar="DIR", help="the folder to make")
+    parser.add_argument("folder", nargs="?", metavar="DIR", help="the folder to create")
     parser.add_argument("--robots", type=numbers.robots, metavar="N", help="number of robots")
     parser.add_argument(
         "--places",
@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--example",
         metavar="NAME",
-        help="copy an example plan of the package into DIR instead; %s: all of them" % ALL_EXAMPLES,
+        help="copy an example plan of the package into DIR instead; %s for all of them"
+        % ALL_EXAMPLES,
     )
     parser.add_argument("--list", action="store_true", help="list the templates and the examples")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         return _copy_example(args)
     if args.template is None or args.folder is None:
         raise UsageError(
-            "a template and a folder are needed",
+            "a template and a folder are required",
             hint="as in 'gspn new patrol my_patrol'; --list lists the templates",
         )
     files = templates.write(args.template, args.folder, args.robots, args.places)
@@ -65,10 +66,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _copy_example(args: argparse.Namespace) -> int:
-    folder = args.template  # the only word
+    folder = args.template  # the only argument
     if folder is None or args.folder is not None or args.robots is not None or args.places:
         raise UsageError(
-            "--example takes a folder and nothing else",
+            "--example takes only a folder",
             hint="as in 'gspn new --example patrol my_patrol'",
         )
     _print_written(folder, copy_example(args.example, folder), args.json)

@@ -1,4 +1,4 @@
-"""Numbers on the command line, with bounds; a number out of bounds is a one-line usage error."""
+"""Bounded numbers on the command line; a number out of bounds is a one-line usage error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MOST_MARKINGS = 10**12
 """Largest limit on markings: no machine can store more."""
 
 MOST_SECONDS = 10.0**12
-"""Longest time in seconds: about 30,000 years."""
+"""Maximum time in seconds: about 30,000 years."""
 
 MOST_REPLICATIONS = 10**6
 """Maximum number of runs of a simulation: the confidence interval is then a thousandth as wide as

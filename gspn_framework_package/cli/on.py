@@ -1,4 +1,4 @@
-"""``--on``: who computes long work."""
+"""``--on``: the executor of long computations."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ _Result = TypeVar("_Result")
 
 
 def add_on_argument(parser: Any) -> None:
-    """Declare who computes, on a parser or on a group of its arguments."""
+    """Declare the option, on a parser or on a group of its arguments."""
     parser.add_argument(
         "--on",
         default="local",
         metavar="EXECUTOR",
-        help="who computes: %s (default %%(default)s); the results are the same" % EXECUTOR_FORMS,
+        help="where to compute: %s (default %%(default)s); the results are the same"
+        % EXECUTOR_FORMS,
     )
 
 
@@ -27,7 +28,7 @@ def working_on(
     memory: float,
     option: str = "--limit-memory",
 ) -> _Result:
-    """Do long work as :func:`working` does, with the executor that ``on`` names."""
+    """Do long work like :func:`working`, with the executor named by ``on``."""
 
     def with_executor(progress: Progress, cancel: Cancel) -> _Result:
         with open_executor(on) as executor:

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         metavar="NEW_PLAN",
         help="the plan with the computed policy: a new .json file, or a folder for plan.json and "
-        "the functions; without it, nothing is written",
+        "the functions; by default nothing is written",
     )
     parser.add_argument("--force", action="store_true", help="overwrite NEW_PLAN if it exists")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
@@ -36,12 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     add_aim_arguments(parser.add_argument_group("the aim"))
     _add_constraints(parser.add_argument_group("constraints"))
-    _add_reading(parser.add_argument_group("how the plan is read"))
+    _add_reading(parser.add_argument_group("how to interpret the plan"))
     add_limit_arguments(parser.add_argument_group("limits"))
     parser.epilog = (
-        "Exit codes: 0 there is an answer, 1 there is none (the constraints cannot be kept, or a "
-        "limit was reached), or what follows the answer failed, such as the simulation, 2 not a "
-        "plan, or wrong usage."
+        "Exit codes: 0 there is an answer, 1 there is none (the constraints cannot be met, or a "
+        "limit was reached), or a later step failed, such as the simulation, 2 not a plan, or "
+        "wrong usage."
     )
 
 
@@ -51,23 +51,23 @@ def _add_constraints(group: argparse._ArgumentGroup) -> None:
         action="append",
         default=[],
         metavar="CONDITION",
-        help="this may never hold, whatever robots are lost; may be repeated",
+        help="this must never hold, whichever robots are lost; may be repeated",
     )
     group.add_argument(
         "--at-least",
         action="append",
         default=[],
         metavar="'NAME>=X'",
-        help="in the long run a transition fires at least X times a second, or a place holds at "
-        "least X tokens on average; may be repeated",
+        help="in the long run a transition must fire at least X times a second, or a place must "
+        "hold at least X tokens on average; may be repeated",
     )
     group.add_argument(
         "--may-wait",
         action="append",
         default=[],
         metavar="PLACE",
-        help="robots here may wait although they could go on; a name, or a pattern as for files "
-        "('At_*'); may be repeated",
+        help="robots in this place may wait although they could leave; a name, or a pattern as "
+        "for files ('At_*'); may be repeated",
     )
 
 
@@ -76,7 +76,7 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         "--timing",
         choices=READINGS,
         default=RUN,
-        help="read the plan as it runs (default), or as the race of its net's rates",
+        help="interpret the plan as it runs (default), or as a race of its net's rates",
     )
     add_rates_argument(group)
     group.add_argument(
@@ -84,8 +84,8 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         action="append",
         default=[],
         metavar="TRANSITION=LOW..HIGH",
-        help="the rate is only known to be in this interval: find the policy that is best in the "
-        "worst case; may be repeated",
+        help="the rate is only known to be in this interval: find the best policy for the worst "
+        "case; may be repeated",
     )
     group.add_argument(
         "--team-sizes",
@@ -105,8 +105,8 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         type=numbers.seconds,
         default=SIMULATED,
         metavar="S",
-        help="seconds of computing in which the old and the new plan are simulated as they run; 0: "
-        "not at all (default %(default)g)",
+        help="computing time in seconds for simulating the old and the new plan as they run; 0 "
+        "for no simulation (default %(default)g)",
     )
     group.add_argument(
         "--seed",
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
     request = request_in_arguments(args, len(plan.robots))
-    request.resolved(plan.net)  # what is wrong is said before anything is read or computed
+    request.resolved(plan.net)  # report errors before reading or computing anything
     path = None
     if args.output is not None:
         path = plan_path(args.output)
@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
         if path is not None:
             data = plan_document(args.plan, report.plan, os.path.dirname(os.path.abspath(path)))
             notes = write_plan(report.plan, data, args.output)
-    finally:  # the answer is there, even if it cannot be written
+    finally:  # the answer is printed even if it cannot be written
         if args.json:
             print(json.dumps({**report.to_json(), "notes": notes}, indent=2, ensure_ascii=False))
         else:
@@ -159,7 +159,7 @@ def run(args: argparse.Namespace) -> int:
 def request_in_arguments(args: argparse.Namespace, robots: int) -> Request:
     """The request in the arguments, for a plan of ``robots`` robots.
 
-    :raises UsageError: they make no sense.
+    :raises UsageError: they are inconsistent.
     """
     return Request(
         objective_of(args),
@@ -183,7 +183,7 @@ def _interval(text: str) -> Tuple[float, float]:
 
 
 def _team_sizes(text: Optional[str], robots: int) -> Optional[Tuple[int, ...]]:
-    """The sizes of teams, the largest first; None: as the plan says."""
+    """The sizes of teams, the largest first; None for the plan's choice."""
     if text is None:
         return None
     if text == "own":

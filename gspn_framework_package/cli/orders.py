@@ -60,7 +60,7 @@ class OrderVerb(NamedTuple):
         parser.epilog = self.order.note or None
 
     def run(self, args: argparse.Namespace) -> int:
-        """Give the order; return 0 if the team carried it out, else 1."""
+        """Give the order; return 0 if the team carried it out, otherwise 1."""
         from gspn_framework_package.cli.team_client import team_client
 
         given = {field.name: _given(field, args) for field in self.order.fields}

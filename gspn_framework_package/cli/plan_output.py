@@ -1,4 +1,4 @@
-"""Writes a plan as one file, or as a folder with the files that it names beside it."""
+"""Writes a plan as one file, or as a folder that includes the files that it names."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from gspn_framework_package.model.plan import Plan
 
 
 def plan_path(output: str) -> str:
-    """The file that is meant: ``output``, or the ``plan.json`` in it if it is a folder."""
+    """The file to write: ``output``, or ``plan.json`` in it if it is a folder."""
     return os.path.join(output, PLAN_FILE) if _is_folder(output) else output
 
 
 def _is_folder(output: str) -> bool:
-    """Whether a name stands for a folder: one that exists, or a new one, whose name does not end
-    with ``.json``. (No command would take a file without that ending for a plan.)"""
+    """Whether a name refers to a folder: an existing one, or a new one, whose name does not end
+    with ``.json``. (No command accepts a file without that ending as a plan.)"""
     return os.path.isdir(output) or not (output.lower().endswith(".json") or os.path.exists(output))
 
 
 def refuse_existing(path: str, hint: str = "give the name of a new file") -> None:
-    """Refuse to overwrite a file. :raises UsageError: it exists."""
+    """Refuse to overwrite a file. :raises UsageError: the file exists."""
     if os.path.exists(path):
-        raise UsageError("it exists already", file=path, hint=hint)
+        raise UsageError("the file exists already", file=path, hint=hint)
 
 
 def write_plan(plan: Plan, data: Mapping[str, Any], output: str) -> List[str]:
-    """Write the JSON object of a plan, and return notes on what the user has to do. In a folder the
-    files that it needs are put beside it; otherwise the notes name them.
+    """Write the JSON object of a plan, and return notes on what the user still has to do. In a
+    folder, the files that it needs are copied next to it; otherwise the notes name them.
 
     :param plan: the plan, whose functions and programs are needed.
     :param data: its JSON object.
-    :param output: a file, or a folder, which is made if necessary.
+    :param output: a file, or a folder, which is created if necessary.
     :raises InputError: the file cannot be written.
     """
     path = plan_path(output)
@@ -56,12 +56,12 @@ def _make_folder(path: str) -> None:
     try:
         os.makedirs(path, exist_ok=True)
     except OSError as error:
-        raise InputError("the folder cannot be made (%s)" % error.strerror, file=path) from None
+        raise InputError("cannot create the folder (%s)" % error.strerror, file=path) from None
 
 
 def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
     """Make sure that ``folder`` has the files that the plan names, and those that they import, and
-    return notes on what the user has to do. Files are copied only if ``copy``."""
+    return notes on what the user still has to do. Files are copied only if ``copy``."""
     origin = os.path.realpath(plan.folder or "")
     if origin == os.path.realpath(folder):
         return []
@@ -70,7 +70,7 @@ def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
         source, target = os.path.join(origin, name), os.path.join(folder, name)
         if os.path.exists(target):
             if not (os.path.isfile(target) and filecmp.cmp(source, target, shallow=False)):
-                notes.append("%s is another file than in %s" % (target, origin))
+                notes.append("%s differs from the file in %s" % (target, origin))
         elif copy and not name.startswith(os.pardir):
             os.makedirs(os.path.dirname(target), exist_ok=True)
             shutil.copyfile(source, target)
@@ -83,8 +83,8 @@ def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
 
 
 def _files_of(plan: Plan, folder: str) -> Set[str]:
-    """The files in the plan's folder that carry out its actions and find its events, relative to
-    the folder: modules with what they import from there, and programs with their arguments."""
+    """The files in the plan's folder that its actions and events need, relative to the folder:
+    modules with their imports from there, and programs with their arguments."""
     found: Set[str] = set()
     functions = [event.function for event in plan.events.values() if event.function]
     for _, action in plan.bindings():
@@ -101,8 +101,8 @@ def _files_of(plan: Plan, folder: str) -> Set[str]:
 
 
 def _add_module(found: Set[str], folder: str, within: str, module: str) -> None:
-    """Add the files of a module in the folder ``within`` that of the plan, and of those that it
-    imports from there."""
+    """Add the files of a module in the subfolder ``within`` the plan's folder, and of the modules
+    that it imports from there."""
     parts = module.split(".")
     path = os.path.join(within, *parts)
     for count in range(1, len(parts)):
@@ -123,7 +123,7 @@ def _imports(file: str, package: Sequence[str]) -> Iterator[str]:
         with open(file, "rb") as source:
             nodes = list(ast.walk(ast.parse(source.read())))
     except (OSError, SyntaxError, ValueError):
-        return  # gspn check says what is wrong with it
+        return  # gspn check reports what is wrong with it
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

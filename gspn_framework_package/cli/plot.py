@@ -54,14 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=PLOTS,
         default="tokens",
         help="mean tokens or throughput over time, the distribution of tokens in the steady "
-        "state, or the probability "
-        "to come to a condition over time (default: tokens)",
+        "state, or the probability of reaching a condition over time (default: tokens)",
     )
     parser.add_argument(
         "--time",
         type=numbers.duration,
         metavar="T",
-        help="end of the time axis (s); default: when the net has settled",
+        help="end of the time axis (s); by default the time until the net has settled",
     )
     parser.add_argument(
         "--points",
@@ -112,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
 def begin_picture(path: str) -> None:
     """Get ready to save a picture at ``path``.
 
-    :raises UsageError: the name is not that of a picture, or matplotlib is not installed.
+    :raises UsageError: the name does not end like a picture's, or matplotlib is not installed.
     """
     if Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError("a picture must end in .png, .svg or .pdf, unlike '%s'" % path)
@@ -134,13 +133,15 @@ def save_picture(figure: Any, path: str) -> None:
 
 
 def _plot_fit(subject: Union[Net, Plan], notes: List[str], args: argparse.Namespace) -> int:
-    """Plot the durations in logs beside those that were fitted to them."""
+    """Plot the durations in logs next to the fitted distributions."""
     if not isinstance(subject, Plan):
-        raise UsageError("this is a net, and a net has no actions", hint="give the plan that ran")
+        raise UsageError("this is a net, which has no actions", hint="give the plan that ran")
     learned = learn(subject, args.fit, FamilyChoice(args.durations), args.seed)
     fitted = {p: found for p, found in learned.report.places.items() if found.fit is not None}
     if not fitted:
-        raise UsageError("the logs hold too little to plot", hint="; ".join(learned.report.notes))
+        raise UsageError(
+            "the logs contain too little data to plot", hint="; ".join(learned.report.notes)
+        )
     names = _chosen(list(fitted), args.only)
     if len(names) > _PLACES:
         raise UsageError(
@@ -153,7 +154,7 @@ def _plot_fit(subject: Union[Net, Plan], notes: List[str], args: argparse.Namesp
 
 def fit_figure(places: Mapping[str, PlaceFit]) -> Any:
     """A row for each place: the histogram of its durations with the fitted density, and their
-    quantiles against the fitted ones. Censored times count by the estimate of Kaplan and Meier."""
+    quantiles against the fitted ones. Censored times are included by the Kaplan-Meier estimate."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 2.6 * len(places)), constrained_layout=True)
@@ -220,8 +221,8 @@ def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
     for number, names in enumerate(groups):
         color, line = number % _COLORS, _LINES[number // _COLORS % len(_LINES)]
         axes.plot(times, curves[names[0]], color="C%d" % color, linestyle=line, label=_title(names))
-    axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # to keep a curve of zeros visible
-    # The legend is beside the curves, never on them; it has a line per group and wraps long names.
+    axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # keeps a curve of zeros visible
+    # The legend is outside the plot; it has a line per group and wraps long names.
     axes.legend(
         fontsize="small",
         loc="upper left",
@@ -279,6 +280,6 @@ def _chosen(names: List[str], only: List[str]) -> List[str]:
     for name in only:
         if name not in names:
             raise UsageError(
-                "there is no '%s' to plot" % name, hint="there are: %s" % ", ".join(names[:12])
+                "there is no '%s' to plot" % name, hint="choose from: %s" % ", ".join(names[:12])
             )
     return only or names

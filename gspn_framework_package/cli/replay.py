@@ -12,7 +12,7 @@ from gspn_framework_package.model.errors import InputError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("log", metavar="LOG", help="an event log (.jsonl), or a rosbag (.bag)")
-    parser.add_argument("--plan", help="the plan that a rosbag is of (an event log holds its own)")
+    parser.add_argument("--plan", help="the plan of a rosbag (an event log contains its own)")
     add_address_arguments(parser)
 
 
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from gspn_framework_package.visualizer.session import Session
 
     if not os.path.isfile(args.log):
-        raise InputError("there is no such file", file=args.log)
+        raise InputError("the file does not exist", file=args.log)
     title = os.path.basename(args.log)
     project = Project()
     if args.log.endswith(".bag"):

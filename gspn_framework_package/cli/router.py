@@ -1,4 +1,4 @@
-"""``gspn router``: passes the messages of robots on that have no ROS, or masters of their own."""
+"""``gspn router``: forwards messages between robots without ROS or with separate masters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ENDPOINT",
         nargs="+",
         default=[],
-        help="where robots connect (default: tls/0.0.0.0:7447 with keys, else tcp/127.0.0.1:7447)",
+        help="where robots connect (default: tls/0.0.0.0:7447 with keys, otherwise "
+        "tcp/127.0.0.1:7447)",
     )
     parser.add_argument(
         "--connect", metavar="ENDPOINT", nargs="+", default=[], help="other routers of the team"
@@ -32,18 +33,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-limit",
         action="store_true",
-        help="drop no flood; needed without keys where other routers connect to this one",
+        help="do not drop floods; required without keys if other routers connect to this one",
     )
     parser.add_argument(
         "--print-config",
         action="store_true",
-        help="print the configuration of such a router for 'zenohd --config FILE', and end",
+        help="print the configuration of such a router for 'zenohd --config FILE', and exit",
     )
     parser.add_argument("--json", action="store_true", help="print JSON, a line for each event")
     parser.epilog = (
-        "Without keys, whoever reaches the router takes part in any run. A changed team.json in "
-        "the folder of the keys is applied within a second or two. Exit codes: 0 it was ended, "
-        "1 it cannot listen, 2 the keys or endpoints are wrong."
+        "Without keys, anybody who can reach the router can take part in any run. A changed "
+        "team.json in the folder of the keys is applied within a second or two. Exit codes: 0 "
+        "ended by the user, 1 cannot listen, 2 wrong keys or endpoints."
     )
 
 
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     router = Router(listen, args.connect, args.keys, limited=not args.no_limit)
     try:
-        _tell(args, "listens at %s; %s" % (", ".join(listen), _who(router)), listen=listen)
+        _tell(args, "listening at %s; %s" % (", ".join(listen), _who(router)), listen=listen)
         with contextlib.suppress(KeyboardInterrupt):
             while True:
                 time.sleep(_LOOK_PERIOD)
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _who(router: Router) -> str:
     if router.members is None:
-        return "no keys: whoever reaches it takes part"
+        return "no keys: anybody who can reach it can take part"
     return "%d members may take part" % router.members
 
 

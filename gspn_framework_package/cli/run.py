@@ -39,7 +39,9 @@ from gspn_framework_package.team.verdict import obey, verdict
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument("--agents", type=numbers.robots, metavar="N", help="run it with N agents")
+    parser.add_argument(
+        "--agents", type=numbers.robots, metavar="N", help="run the plan with N agents"
+    )
     parser.add_argument(
         "--seconds", type=numbers.duration, metavar="S", help="stop after S seconds"
     )
@@ -47,14 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--firings", type=numbers.whole(1, 2**53), metavar="N", help="stop after N firings"
     )
     parser.add_argument(
-        "--seed", type=numbers.seed, help="seed of the policy's draws, for the plan's own"
+        "--seed", type=numbers.seed, help="seed of the policy's draws, instead of the plan's"
     )
     parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
     parser.add_argument(
         "--json",
         action="store_true",
-        help="print one JSON object a line: firings, faults, the end; "
-        "what actions print goes to standard error",
+        help="print a JSON object per line: firings, faults, the end; output of actions goes to "
+        "standard error",
     )
     parser.add_argument(
         "--allow-commands",
@@ -64,8 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_modules(parser)
     parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
     parser.epilog = (
-        "Exit codes: 0 the run came to its end or to the limit that was set, 1 the plan was "
-        "refused or the run was stopped by a failure, 2 not a plan, 130 interrupted."
+        "Exit codes: 0 the run completed or reached a given limit, 1 the plan was refused or the "
+        "run was stopped by a failure, 2 not a plan, 130 interrupted."
     )
 
 
@@ -86,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         print(
             "note: breakpoints: %s" % executor.breakpoint_file.breakpoints.in_words, file=sys.stderr
         )
-    # a line that an action prints could split a JSON line
+    # output of an action could split a JSON line
     with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
         return _execute(args, executor, printer, event_log)
 
@@ -126,7 +128,7 @@ def _execute(
 
 
 def _control_socket(executor: StandaloneExecutor) -> Optional[ControlSocket]:
-    """The socket for ``gspn deploy --standalone``; None if it cannot be made."""
+    """The socket for ``gspn deploy --standalone``; None if it cannot be created."""
     began_with = executor.plan
 
     def about() -> Dict[str, Any]:
@@ -141,7 +143,7 @@ def _control_socket(executor: StandaloneExecutor) -> Optional[ControlSocket]:
         agents = not keeps_robots(executor.plan)
         obey(verdict(plan, standalone=agents, limit=CHECK_MARKINGS), plan)
         executor.deploy(plan, request.mapping, request.wait, lambda here: why_refused(here, agents))
-        return "the run goes on under the plan '%s'" % plan.name
+        return "the run continues under the plan '%s'" % plan.name
 
     try:
         return ControlSocket(about, deploy)
@@ -177,7 +179,9 @@ def _event_log(path: Optional[str], plan: Plan) -> Optional[EventLogWriter]:
     if path is None:
         return None
     if os.path.exists(path):
-        raise UsageError("it exists already", file=path, hint="give --log the name of a new file")
+        raise UsageError(
+            "the file exists already", file=path, hint="give --log the name of a new file"
+        )
     first = header(plan, plan.name, "", uuid.uuid4().hex, agents=True)
     return EventLogWriter(path, first, fsync=plan.fsync)
 
@@ -218,7 +222,7 @@ class _Printer(Listener):
         if self._json:
             self._print({"event": "plan", "plan": plan.name})
         elif not self._quiet:
-            print("        goes on under the plan %s" % plan.name, flush=True)
+            print("        continues under the plan %s" % plan.name, flush=True)
 
     def on_fault(self, agent: str, message: str) -> None:
         if self._json:
@@ -231,7 +235,7 @@ class _Printer(Listener):
         self.over.set()
 
     def on_broken(self, reason: str) -> None:
-        # the caller prints the end, in a thread that can report a failure to print
+        # the end is printed by the caller, on a thread that can report a failure to print
         self.over.set()
 
     def print_end(

@@ -22,40 +22,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=".",
         metavar="FOLDER|NET|PLAN",
-        help="what to serve; only plans of this folder can be executed (default: .)",
+        help="the folder to serve; only plans in this folder can be executed (default: .)",
     )
     parser.add_argument(
         "--record",
         metavar="FOLDER",
-        help="folder for the event logs of executions (default: runs, in the served folder)",
+        help="folder for the event logs of executions (default: runs in the served folder)",
     )
     parser.add_argument(
         "--edit",
         action="store_true",
-        help="let the operator change the plans of the folder in the page, and make new ones",
+        help="let the operator edit the plans of the folder in the page, and create new ones",
     )
     parser.add_argument(
         "--history",
         metavar="DIR",
-        help="a store of 'gspn history' that the page shows, with the replay of each moment",
+        help="a store of 'gspn history' to show in the page, with replays",
     )
     add_way(
         parser,
-        "watch the team that runs PLAN, at this router: tls/HOST:7447; with an operator's keys, or "
-        "if the team has none, the page gives orders too",
+        "watch the team that runs PLAN through this router: tls/HOST:7447; with an operator's "
+        "keys, or if the team has none, the page can also give orders",
     )
     parser.add_argument(
         "--run",
         dest="run_name",
         default="",
         metavar="NAME",
-        help="with --connect: the run to show (default: the first one of this plan that is heard)",
+        help="with --connect: the run to show (default: the first one of this plan to be received)",
     )
     parser.add_argument(
         "--robots",
         type=numbers.robots,
         metavar="N",
-        help="with --connect: robots to suppose until one answers (default: as in the plan)",
+        help="with --connect: number of robots to assume until one answers (default: as in "
+        "the plan)",
     )
     add_modules(parser)
     add_address_arguments(parser)
@@ -65,12 +66,17 @@ def add_address_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of every verb that serves the page."""
     from gspn_framework_package.visualizer.guard import LOOPBACK_NAMES
 
-    parser.add_argument("--port", type=int, default=8090, help="0: any free port (default: 8090)")
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=8090,
+        help="port of the page; 0 for any free port (default: 8090)",
+    )
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address to listen on; with any other than this machine's (%s) everybody needs a "
-        "token; both tokens are printed" % ", ".join(sorted(LOOPBACK_NAMES)),
+        help="address to listen on; for any other than the loopback addresses (%s), everybody "
+        "needs a token, and both tokens are printed" % ", ".join(sorted(LOOPBACK_NAMES)),
     )
     parser.add_argument(
         "--allow-name",
@@ -110,11 +116,11 @@ def run(args: argparse.Namespace) -> int:
     from gspn_framework_package.visualizer.standalone_run import RUNS, StandaloneRun
 
     if not os.path.exists(args.path):
-        raise InputError("there is no such file or folder", file=args.path)
+        raise InputError("the file or folder does not exist", file=args.path)
     if args.connect:
         return _serve_team(args)
     if args.keys or args.run_name or args.robots is not None:
-        raise UsageError("--keys, --run and --robots say nothing without --connect")
+        raise UsageError("--keys, --run and --robots require --connect")
     whole = os.path.realpath(args.path)
     first: Optional[str] = None
     if not os.path.isdir(whole):
@@ -142,7 +148,7 @@ def _serve_team(args: argparse.Namespace) -> int:
     from gspn_framework_package.visualizer.zenoh_connection import ZenohConnection
 
     if args.edit or args.record or args.history:
-        raise UsageError("--edit, --record and --history are for a folder, not for --connect")
+        raise UsageError("--edit, --record and --history apply to a folder, not to --connect")
     plan = read_plan(args.path)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
@@ -164,7 +170,7 @@ def serve(project: object, args: argparse.Namespace) -> int:
     if not 0 <= args.port <= 65535:
         raise UsageError("%d is not a port" % args.port)
     if not 1 <= args.viewers <= 200:
-        raise UsageError("%d viewers: from 1 to 200 can be served" % args.viewers)
+        raise UsageError("%d viewers: the number must be from 1 to 200" % args.viewers)
     token, viewer_token = args.token, args.viewer_token
     if args.token_file is not None:
         if token is not None or viewer_token is not None:

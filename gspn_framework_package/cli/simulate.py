@@ -27,7 +27,7 @@ from gspn_framework_package.cli.virtual_log import simulate_to_log
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
-    parser.epilog = "RUN.jsonl@SLOT in place of NET goes on from that slot of a recorded run."
+    parser.epilog = "RUN.jsonl@SLOT instead of NET continues from that slot of a recorded run."
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument(
         "--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width"
@@ -51,10 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--batches",
         type=numbers.whole(2, numbers.MOST_REPLICATIONS),
         metavar="N",
-        help="one long run of a plan in place of many, divided into N batches",
+        help="one long run of a plan, divided into N batches, instead of many runs",
     )
     add_on_argument(parser)
-    add_against_arguments(parser.add_argument_group("an old plan against a new one"))
+    add_against_arguments(parser.add_argument_group("compare an old plan with a new one"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -122,7 +122,7 @@ def _text(result: Simulation) -> Iterator[str]:
     )
     if result.precision is not None:
         wanted, reached = result.precision["wanted"], result.precision["reached"]
-        yield "relative precision: %s, of %g wanted" % (
+        yield "relative precision: %s (requested: %g)" % (
             "%.2g" % reached if reached is not None else "none",
             wanted,
         )
@@ -137,6 +137,6 @@ def _text(result: Simulation) -> Iterator[str]:
         for name, value in values.items():
             yield "%-32s %s" % (name, value)
     if result.reached is not None:
-        yield "share of the runs that came to the condition: %s" % (result.reached,)
+        yield "fraction of runs that reached the condition: %s" % (result.reached,)
     if result.time_to_condition is not None:
         yield "time until then, of those (s): %s" % (result.time_to_condition,)

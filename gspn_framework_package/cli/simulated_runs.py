@@ -1,4 +1,4 @@
-"""The options of the verbs that simulate runs: how long, how many, from which seed."""
+"""The options of the verbs that simulate runs: length, number, seed and others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gspn_framework_package.cli import numbers
 
 
 def add_run_arguments(parser: Any) -> None:
-    """Declare them, on a parser or on a group of its arguments."""
+    """Declare the options, on a parser or on a group of its arguments."""
     parser.add_argument(
         "--time",
         type=numbers.number(0.0, math.inf, above=0.0),
@@ -28,34 +28,34 @@ def add_run_arguments(parser: Any) -> None:
         type=numbers.seconds,
         default=0.0,
         metavar="T",
-        help="time (s) at the start of a run that the means leave out",
+        help="time (s) at the start of a run to exclude from the means",
     )
     parser.add_argument(
         "--replications",
         type=numbers.replications,
         metavar="N",
-        help="runs (default 1000); with --precision, the most (default a million)",
+        help="number of runs (default 1000); with --precision, the maximum (default a million)",
     )
     parser.add_argument(
         "--timing",
         choices=READINGS,
         default=RUN,
-        help="how to read a plan: as it runs (default), or as the race of its net's rates; a net "
-        "always has the latter",
+        help="how to interpret a plan: as it runs (default), or as a race of its net's rates; "
+        "for a net always the latter",
     )
     parser.add_argument(
         "--precision",
         type=numbers.number(0.0, 1.0, above=0.0),
         metavar="R",
-        help="stop when every interval is at most this part of its mean wide on either side, e.g. "
-        "0.01",
+        help="stop when the half width of every interval is at most this fraction of its mean, "
+        "e.g. 0.01",
     )
     parser.add_argument(
         "--losses",
         type=numbers.number(0.0, 1e6),
         default=0.0,
         metavar="RATE",
-        help="of a plan: how often each robot is lost (1/s)",
+        help="for a plan: rate at which each robot is lost (1/s)",
     )
     parser.add_argument(
         "--seed",
@@ -74,9 +74,9 @@ def add_run_arguments(parser: Any) -> None:
 
 
 def asked_in_arguments(args: argparse.Namespace, measures: Sequence[str]) -> Asked:
-    """What the arguments ask of a simulation.
+    """The simulation requested by the arguments.
 
-    :param measures: whose precision counts.
+    :param measures: the measures whose precision counts.
     """
     return Asked(
         time=args.time,

@@ -1,4 +1,4 @@
-"""``gspn status``: shows what every robot of a running team does, and what it waits for."""
+"""``gspn status``: shows what every robot of a running team does and waits for."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--data",
         action="store_true",
-        help="also print data, tasks and events that are held",
+        help="also print data, tasks and held events",
     )
     parser.epilog = (
         "Each node reports on its own robot; the others report on a robot whose node does not "
@@ -78,7 +78,8 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
 
 
 def data_lines(status: Dict[str, Any]) -> List[str]:
-    """Data, tasks and held events in a status, a line for each; none if it was asked without."""
+    """Data, tasks and held events in a status, a line for each; none if the status was requested
+    without."""
     lines = []
     for robot in status["robots"]:
         name, task = robot["robot"], robot.get("task")
@@ -98,12 +99,12 @@ def data_lines(status: Dict[str, Any]) -> List[str]:
         ids = ", ".join(task[0] or "a task without an id" for task in tasks[:SHOWN_TASKS])
         more = " and %d more" % (len(tasks) - SHOWN_TASKS) if len(tasks) > SHOWN_TASKS else ""
         lines.append("queue %s: %s%s" % (place, ids or "no task", more))
-    lines += ["%s: task %s waits outside" % tuple(waits) for waits in told.get("waiting", [])]
+    lines += ["%s: task %s is waiting outside" % tuple(waits) for waits in told.get("waiting", [])]
     return lines
 
 
 def order_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
-    """The last orders that the robots were given, and by whom, a line for each."""
+    """The last orders to the robots and their givers, a line for each."""
     given = [order for status in statuses for order in status.get("orders", ())]
     return [
         "%s  %s" % (time.strftime("%H:%M:%S", time.localtime(order["wall"])), order_text(order))
@@ -112,7 +113,7 @@ def order_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
 
 
 def refusal_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
-    """What the robots refused of whom, a line for each kind."""
+    """The messages that the robots refused and their senders, a line for each kind."""
     return [
         "%s refused %d of %s: %s"
         % (status["robot"], kind["times"], kind["robot"] or "somebody", kind["why"])
@@ -122,12 +123,12 @@ def refusal_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
 
 
 def _row_of_unknown(own: Dict[str, Any]) -> Sequence[str]:
-    """The row of a robot that answers, and that no log names yet."""
+    """The row of a robot that answers but is not in any log yet."""
     return (own["robot"], "", "", "", _log_text(own, own), "now", own["waits_for"])
 
 
 def _log_text(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> str:
-    """How long a log is, how much of it is on the disk, and whether it lost its end."""
+    """The length of a log, how much of it is on the disk, and whether it lost its end."""
     length = robot["log_length"]
     on_disk = length if own is None else own.get("synced_length", length)
     text = str(length) if on_disk >= length else "%d (%d on disk)" % (length, on_disk)

@@ -47,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output",
         metavar="FILE.csv",
-        help="write the table to FILE.csv, and keep what was measured in FILE.csv%s: the same "
-        "command then measures only what is missing there" % SUFFIX,
+        help="write the table to FILE.csv, and store the measured points in FILE.csv%s; the same "
+        "command then measures only missing points" % SUFFIX,
     )
     parser.add_argument(
         "--plot", metavar="FILE", help="plot the measures over the first variation (.png .svg .pdf)"
@@ -57,14 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     how = parser.add_argument_group("how each point is measured")
     how.add_argument(
-        "--exact", action="store_true", help="compute the steady state in place of simulating"
+        "--exact", action="store_true", help="compute the steady state instead of simulating"
     )
     add_run_arguments(how)
     add_limit_arguments(parser.add_argument_group("limits of --exact"))
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure what is missing, and print the table."""
+    """Measure the missing points, and print the table."""
     if args.plot:
         begin_picture(args.plot)
     variations = [read_variation(text) for text in args.vary]
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
             _write(args.output, sweep, points, wanted)
         if args.plot:
             save_picture(sweep_figure(sweep, points, wanted), args.plot)
-    finally:  # what was measured is printed, even if it cannot be written
+    finally:  # the measures are printed even if they cannot be written
         if args.json:
             print(json.dumps(_json(sweep, points, wanted, kept, notes), indent=2, allow_nan=False))
         else:
@@ -128,7 +128,7 @@ def _measured(
 def _write(
     path: str, sweep: Sweep, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
 ) -> None:
-    """Write the table, all of it or nothing."""
+    """Write the table atomically."""
     text = io.StringIO()
     writer = csv.writer(text)
     names = [variation.name for variation in sweep.variations]

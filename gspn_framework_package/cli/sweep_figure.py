@@ -1,4 +1,5 @@
-"""The picture of a sweep: each measure over the first parameter, a line for each other value."""
+"""Plots a sweep: each measure over the first parameter, with a line for each combination of the
+others."""
 
 from __future__ import annotations
 
@@ -8,10 +9,10 @@ from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint
 from gspn_framework_package.model.errors import UsageError
 
 _MOST = 12
-"""Most measures in one picture."""
+"""Maximum number of measures in a picture."""
 
 _LINES = 12
-"""Most lines with a name in the legend."""
+"""Maximum number of lines named in the legend."""
 
 _UNITS = {"throughput": "throughput (1/s)", "mean_tokens": "mean tokens"}
 

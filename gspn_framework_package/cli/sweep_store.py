@@ -1,7 +1,7 @@
-"""The store of a sweep: what was measured, a line for each point, beside the table that it makes.
+"""The store of a sweep: its measured points, a line for each, in a file next to the table.
 
-A point is known by its key, which depends on all that its measures depend on. Points are appended
-as they are measured, so that an interrupted sweep keeps them.
+A point is identified by a key, which depends on everything that its measures depend on. Points are
+appended as they are measured, so that an interrupted sweep keeps them.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ _FIRST = {"gspn_sweep": 1}
 
 
 class PointStore:
-    """The points in one file, which is made with the first of them.
+    """The points in one file, which is created with the first point.
 
-    :ivar known: key -> point; numbers and values are to be put in by who knows the grid.
+    :ivar known: key -> point; its index and values must be filled in by the caller, who knows the
+        grid.
     :raises DataError: the file is not the store of a sweep.
     """
 
@@ -40,7 +41,7 @@ class PointStore:
             raise InputError("it cannot be read (%s)" % error.strerror, file=path) from None
         for number, line in enumerate(lines, 1):
             if number == len(lines) and not line.endswith(b"\n"):
-                break  # cut off while it was written: measured again
+                break  # cut off while being written, so it is measured again
             self._take(line, number)
             self._whole += len(line)
 
@@ -57,14 +58,14 @@ class PointStore:
             self.known[key] = SweepPoint(0, (), key, _measures(data["measures"]), runs)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise DataError(
-                "this is no point of a sweep",
+                "this is not a point of a sweep",
                 file=str(self.path),
                 line=number,
-                hint="move the file away, and all points are measured anew",
+                hint="move the file away to measure all points again",
             ) from None
 
     def add(self, point: SweepPoint) -> None:
-        """Keep a point. :raises InputError: the file cannot be written."""
+        """Store a point. :raises InputError: the file cannot be written."""
         if point.key in self.known:
             return
         self.known[point.key] = point

@@ -1,4 +1,4 @@
-"""How the verbs for operators reach a team: through ROS, or through a router."""
+"""Connects the operators' verbs to a team, through ROS or a router."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_team_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of every verb that talks to a team."""
+    """Declare the options of every verb that contacts a team."""
     parser.add_argument(
         "--run",
         dest="run_name",
@@ -29,11 +29,11 @@ def add_team_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the key of a team on ROS, from 'gspn keys shared', to give it orders",
     )
-    add_way(parser, "ask the robots at this router instead of those on ROS: tls/HOST:7447")
+    add_way(parser, "reach the robots through this router instead of ROS: tls/HOST:7447")
 
 
 def add_way(parser: argparse.ArgumentParser, connect: str) -> None:
-    """Declare the options that say how a team without ROS is reached.
+    """Declare the options for reaching a team without ROS.
 
     :param connect: the help of ``--connect``.
     """
@@ -44,14 +44,14 @@ def add_way(parser: argparse.ArgumentParser, connect: str) -> None:
 
 
 def team_client(args: argparse.Namespace) -> OperatorClient:
-    """The client that the options of a verb ask for.
+    """The client selected by the options of a verb.
 
     :raises GspnError: the team cannot be reached that way.
     """
     if args.keys and not args.connect:
-        raise UsageError("--keys says nothing without --connect")
+        raise UsageError("--keys requires --connect")
     if args.team_key_file and args.connect:
-        raise UsageError("--team-key-file says nothing with --connect", hint="--keys DIR")
+        raise UsageError("--team-key-file cannot be used with --connect", hint="use --keys DIR")
     if args.connect:
         from gspn_framework_package.team.zenoh_operator import client_on_zenoh
 
@@ -65,9 +65,9 @@ def team_client(args: argparse.Namespace) -> OperatorClient:
 
 
 def access_of(args: argparse.Namespace, robot: str = "") -> TeamAccess:
-    """The endpoints and keys that the options of a verb name.
+    """The endpoints and keys named by the options of a verb.
 
-    :param robot: take the keys of this robot, also from the folder of its team.
+    :param robot: use the keys of this robot, which may also be in the folder of its team.
     :raises GspnError: the keys cannot be used.
     """
     from gspn_framework_package.team.keys import keys_of_robot, read_keys

@@ -1,5 +1,5 @@
-"""``gspn trust``: has the robots of a team that are here go on after a loss of power, without the
-others. Says what that gives up, and asks."""
+"""``gspn trust``: has the present robots of a team continue without the others after a power loss.
+Shows what that gives up, and asks for confirmation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from gspn_framework_package.team.addressing import robots_of_run
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     order_verbs()["trust"].add_arguments(parser)
-    parser.add_argument("--yes", action="store_true", help="do not ask")
+    parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
     parser.epilog = (
-        "Exit codes: 0 the order is in the log, and the team goes on; 1 it was refused, or you "
-        "said no; 2 wrong usage."
+        "Exit codes: 0 the order is in the log, and the team continues; 1 it was refused, or you "
+        "declined; 2 wrong usage."
     )
 
 
@@ -33,8 +33,10 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(given_up(there)))
     if not args.yes:
         if args.json or not sys.stdin.isatty():
-            raise UsageError("this order gives something up", hint="give it with --yes")
-        answer = input("Go on with what these robots know? [y/N] ")
+            raise UsageError(
+                "this order gives something up and needs confirmation", hint="confirm it with --yes"
+            )
+        answer = input("Continue with what these robots know? [y/N]  ")
         if answer.strip().lower() not in ("y", "yes"):
             print("not done")
             return 1
@@ -44,21 +46,21 @@ def run(args: argparse.Namespace) -> int:
 def given_up(statuses: Mapping[Any, Dict[str, Any]]) -> List[str]:
     """What the order gives up, line by line.
 
-    :param statuses: those of the robots of the run that answer.
+    :param statuses: the statuses of the run's robots that answer.
     """
     longest = max(statuses.values(), key=lambda status: int(status["log_length"]))
     here = {status["robot"] for status in statuses.values()}
     off = [m for m in longest.get("members", ()) if m not in here]
     torn = sorted(status["robot"] for status in statuses.values() if status.get("torn"))
-    lines = ["The robots go on from the longest log here: %s slots." % longest["log_length"]]
+    lines = ["The robots continue from the longest log here: %s slots." % longest["log_length"]]
     if torn:
         lines.append(
-            "Lost with the power: firings, orders and tasks that are in none of these logs, of "
-            "about the last second before it (torn: %s)." % ", ".join(torn)
+            "Lost in the power loss: firings, orders and tasks that are in none of these logs, "
+            "from about the last second before it (torn: %s)." % ", ".join(torn)
         )
     if off:
         lines.append(
-            "Given up: what only these know: %s. You assert that they are off, and stay off until "
-            "they are evicted; later they join again." % ", ".join(off)
+            "Given up: what only these robots know: %s. You assert that they are off, and stay "
+            "off until they are evicted; later they can rejoin." % ", ".join(off)
         )
     return lines

@@ -18,13 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--settled",
         action="store_true",
-        help="nothing was pending at the end of the run: a proposal that is not in the log is a "
-        "violation",
+        help="nothing was pending at the end of the run, so that a proposal missing from the log "
+        "is a violation",
     )
     parser.add_argument(
         "--incomplete",
         action="store_true",
-        help="logs of some robots are missing: do not count votes",
+        help="some logs are missing, so do not count votes",
     )
     parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
     parser.epilog = (

@@ -30,25 +30,25 @@ def simulate_to_log(
 ) -> int:
     """Run the plan once, record it in ``args.log``, and print what happened.
 
-    :param beginning: where it goes on in the middle of another run.
+    :param beginning: start in the middle of another run.
 
     :raises UsageError: the subject is a net, the run would have no end, or the file exists.
     """
     if not isinstance(subject, Plan):
-        raise UsageError("--log records the run of a plan, and this is a net")
+        raise UsageError("--log records the run of a plan, but this is a net")
     plan = subject.with_seed(args.seed)
     if args.until is not None:
         plan = replace(plan, until=either(plan.until, args.until)).validate()
     if math.isinf(args.time) and plan.until is None:
-        raise UsageError("how long is the run?", hint="give --time, or --until")
+        raise UsageError("the length of the run is not given", hint="give --time, or --until")
     for option in ("replications", "precision", "batches", "measure"):
         if getattr(args, option):
-            raise UsageError("--log records a single run, which has no --%s" % option)
+            raise UsageError("--log records a single run, so --%s does not apply" % option)
     if args.timing != "run":
         raise UsageError("--log records a plan as it runs, not as a net")
     if os.path.exists(args.log):
         raise UsageError(
-            "it exists already", file=args.log, hint="give --log the name of a new file"
+            "the file exists already", file=args.log, hint="give --log the name of a new file"
         )
     agents = True if beginning is None else beginning.agents
     run = VirtualRun(plan, agents=agents, loss_rate=args.losses)
@@ -92,7 +92,7 @@ def _text(result: VirtualResult, log: str) -> Iterator[str]:
         log,
     )
     if result.ended is not None:
-        yield "it ended: %s" % result.ended.reason
+        yield "the run ended: %s" % result.ended.reason
     yield "%-32s %s" % ("place", "mean tokens")
     for name, mean in result.mean_tokens.items():
         yield "%-32s %.6g" % (name, mean)

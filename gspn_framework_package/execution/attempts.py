@@ -1,16 +1,17 @@
-"""The attempts at actions in event logs: when each began and ended, and what came of it.
+"""Extracts the attempts at actions from event logs: when each began and ended, and its outcome.
 
 An attempt begins when its action starts: with the ``goal`` record in the log of the robot itself,
 otherwise with the slot that moved the robot, plus the delay of a retry. It ends with the slot that
 holds its ``Done`` or ``Failed``, or with the ``private`` record of a local transition; what the
-robot waits for afterwards is not part of it. The moment that a team needs to agree on the slot is
-part of it, because every action of the run has it; an outage is not (see :data:`OUTAGE`). A pause
-changes nothing: actions go on, and their ends are logged.
+robot waits for afterwards is not part of it. The time that a team needs to agree on the slot is
+included, because every action of the run has it; an outage is not (see :data:`OUTAGE`). A pause has
+no effect: actions continue, and their ends are logged.
 
-An attempt whose end is not known is *censored*: it lasted at least until then. That is so at the
-end of the log or of the run, when an event interrupts the action, when the operator moves the robot
-or takes it out of the team, and when its node ends. If not even the start is known, for example
-while a robot learns the log from the others, the attempt is left out.
+An attempt whose end is not known is *censored*: its duration is only known to be at least the
+observed one. This happens at the end of the log or of the run, when an event interrupts the action,
+when the operator moves the robot or removes it from the team, and when its node ends. If not even
+the start is known, for example while a robot learns the log from the others, the attempt is left
+out.
 """
 
 from __future__ import annotations
@@ -39,17 +40,18 @@ from gspn_framework_package.model.plan import FailureKind, Plan
 
 OUTAGE = 1.0
 """Seconds. If a team takes longer than this to agree that an action has ended, for example because
-there is no quorum, the attempt ends when the robot's own log says so (its ``invoked`` record)."""
+there is no quorum, the attempt ends at the time of the ``invoked`` record in the robot's own
+log."""
 
 
 class Attempt(NamedTuple):
     """An attempt at the action of a place, by ``robot`` in its ``visit``.
 
     ``start`` and ``end`` are seconds on the clock of the log; for a censored attempt ``end`` is
-    when it was last known to go on. ``completed``: the end is known. ``result`` is the transition
-    that the action named, "" if it named none, and only means something if the attempt is
+    when it was last known to be running. ``completed``: whether the end is known. ``result`` is the
+    transition that the action named ("" for none), which is meaningful only if the attempt is
     completed and did not fail. ``failed`` is the reason of a failure, otherwise "". ``log`` is the
-    index of the log among those given.
+    index of the attempt's log among those given.
     """
 
     robot: str
@@ -70,13 +72,13 @@ class Attempt(NamedTuple):
 
 
 class EventCount(NamedTuple):
-    """How often something came, and its *exposure*: the time (s) in which it could. The rate is the
-    quotient.
+    """How often something occurred, and its *exposure*: the time (s) in which it could have. The
+    rate is the quotient.
 
-    A transition of the environment comes when it fires; its time counts once for each busy server.
-    A task from outside comes whether or not its transition is enabled. The event of a transition
-    that interrupts comes once in a visit, to each robot in its place (also while it is done or
-    waits); if it is not held, only while the transition is enabled.
+    A transition of the environment occurs when it fires; its time counts once for each busy server.
+    A task from outside arrives whether or not its transition is enabled. An event that interrupts
+    occurs once per visit, for each robot in its place (also while the robot is done or waits); if
+    it is not held, only while its transition is enabled.
     """
 
     firings: int
@@ -84,7 +86,7 @@ class EventCount(NamedTuple):
 
 
 class _Going(NamedTuple):
-    """An attempt that goes on. ``start`` is None if it is not known."""
+    """A running attempt. ``start`` is None if unknown."""
 
     place: str
     incarnation: int
@@ -97,12 +99,12 @@ class AttemptFollower:
     """Follows one log, or the slots of a live team, record by record.
 
     :param plan: the plan in the header of the log.
-    :param robot: the robot that keeps the log; "" for a standalone run or a live team, whose slots
-        are all timed by when they are decided.
+    :param robot: the robot that keeps the log; "" for a standalone run or a live team, where all
+        slots are timed by their decision.
     :param agents: whether it is a standalone run (as in the header).
-    :param own_only: follow only the robot that keeps the log. This is faster, because nothing is
-        replayed.
-    :param log: the index that the attempts get.
+    :param own_only: follow only the robot that keeps the log. This is faster, because it replays
+        nothing.
+    :param log: the log index to assign to the attempts.
 
     :ivar now: the time of the newest record (s).
     :ivar step: what the newest record changed, as replayed; None if it holds no slot.
@@ -127,12 +129,12 @@ class AttemptFollower:
         self._replayer = None if own_only else Replayer(self._game)
         self._going: Dict[str, _Going] = {}
         self._live = not robot
-        """Whether slots come when they are decided. It is false while the robot learns the log."""
+        """Whether slots are received when they are decided; false while the robot catches up."""
         self._life = 0
         self._own_end: Optional[Tuple[float, log_entries.Entry]] = None
-        """When the own robot's attempt ended and how, before the team has agreed on it."""
+        """When and how the log's own robot's attempt ended, before the team has agreed on it."""
         self._delay = 0.0
-        """Seconds for which the next goal of the log's own robot waits before it starts."""
+        """Delay in seconds before the next goal of the log's own robot starts."""
         self._interrupts = [t for t, e in self._game.interrupts.items() if e.after is None]
         self._interrupts = [t for t in self._interrupts if self._game.has_robots[t]]
         self._arrivals = {
@@ -140,7 +142,7 @@ class AttemptFollower:
             for t in self._game.submissions
             if not plan.simulate_environment or plan.net.transitions[t].name in plan.events
         }
-        """The transitions by which tasks come from outside."""
+        """The transitions through which tasks arrive from outside."""
         self._came: Set[Tuple[object, ...]] = set()
         """The tasks and events that were counted."""
         self._counted: Dict[int, Tuple[int, float]] = dict.fromkeys(
@@ -149,8 +151,7 @@ class AttemptFollower:
 
     @property
     def events(self) -> Dict[str, EventCount]:
-        """The transitions of the environment and those of events, by name, with what was counted so
-        far."""
+        """The counts so far, by the name of a transition of the environment or of an event."""
         names = self.plan.net.transitions
         return {names[t].name: EventCount(*counted) for t, counted in self._counted.items()}
 
@@ -164,14 +165,14 @@ class AttemptFollower:
         if changed:
             raise LogError(
                 "from slot %s on, the team follows another plan" % record.get("slot"),
-                hint="attempts can be read from runs under one plan only; gspn replay and gspn "
-                "verify read this log",
+                hint="attempts can be read only from runs under a single plan; use gspn replay or "
+                "gspn verify on this log",
             )
 
     def take(self, record: Record) -> List[Attempt]:
-        """Take in the next record, and return the attempts that ended with it.
+        """Process the next record, and return the attempts that ended with it.
 
-        :raises LogError: the record does not follow from those before it, or is damaged.
+        :raises LogError: the record does not follow from the previous ones, or is damaged.
         """
         try:
             return self._take(record)
@@ -181,8 +182,7 @@ class AttemptFollower:
             raise LogError("the record is not of this plan (%s)" % error) from None
 
     def running(self, now: float) -> List[Attempt]:
-        """The attempts that still go on at ``now`` (s, on the clock of the log), as censored
-        ones."""
+        """The attempts still running at ``now`` (s, on the clock of the log), as censored ones."""
         return [
             a for robot, going in self._going.items() for a in self._censored(robot, going, now)
         ]
@@ -258,14 +258,14 @@ class AttemptFollower:
                         self.now + command.delay if self._live else None,
                     )
         for name in [name for name in self._going if name != self.robot]:
-            if name not in step.state.robots:  # an agent that a join destroyed
+            if name not in step.state.robots:  # an agent destroyed by a join transition
                 del self._going[name]
         if step.state.ended is not None:
             ended += self._cut_all()
         return ended
 
     def _end(self, entry: log_entries.Entry) -> List[Attempt]:
-        """Take in an entry that may end an attempt."""
+        """Process an entry that may end an attempt."""
         if isinstance(entry, (log_entries.Done, log_entries.Failed)):
             going = self._going.get(entry.robot)
             if going is None or not self._ends(entry, going):
@@ -283,7 +283,7 @@ class AttemptFollower:
         elif isinstance(entry, log_entries.Join):
             if entry.robot == self.robot:
                 self._live = self._live or entry.incarnation >= self._life
-            else:  # its node restarted: how long the attempt went on is not known
+            else:  # its node restarted, so the end of the attempt is unknown
                 self._going.pop(entry.robot, None)
         elif isinstance(entry, (log_entries.SetPlace, log_entries.Leave)):
             if entry.robot != self.robot:
@@ -292,7 +292,7 @@ class AttemptFollower:
             silent = self.plan.timing.evict_after
             going = self._going.get(entry.robot)
             if going is not None and going.incarnation == entry.incarnation:
-                # nobody has heard the robot for so long
+                # the robot has been silent for that long
                 return self._cut(entry.robot, self.now - silent)
         return []
 
@@ -306,7 +306,8 @@ class AttemptFollower:
         return (entry.incarnation, entry.visit) == (going.incarnation, going.visit)
 
     def _is_bad(self, place: str, result: str) -> bool:
-        """Whether an action of this place cannot have that result, which is then a failure."""
+        """Whether an action of this place cannot have that result, so that it counts as a
+        failure."""
         net = self.plan.net
         p = net.place_number(place)
         leaving = net.consumers[p]
@@ -316,7 +317,7 @@ class AttemptFollower:
         return len(of_action) > 1 and all(net.transitions[t].timed for t in leaving)
 
     def _goal(self, record: Record) -> List[Attempt]:
-        """The robot's own node starts an action."""
+        """Process the start of an action by the robot's own node."""
         going = _Going(
             record["place"], record["incarnation"], record["visit"], record["attempt"], None
         )
@@ -328,7 +329,7 @@ class AttemptFollower:
         return ended
 
     def _new_life(self, record: Record, before: float) -> List[Attempt]:
-        """The node of the log's own robot has started (again)."""
+        """Process a start or restart of the node of the log's own robot."""
         self._life = record["incarnation"]
         self._live = False
         self._delay = 0.0
@@ -336,7 +337,7 @@ class AttemptFollower:
         return self._cut(self.robot, before)
 
     def _jump(self) -> None:
-        """A snapshot was taken over: what happened until then has no times."""
+        """Process an adopted snapshot: everything before it has no times."""
         assert self.step is not None
         for name in [name for name in self._going if name != self.robot]:
             robot = self.step.state.robots.get(name)
@@ -349,7 +350,7 @@ class AttemptFollower:
     def _completed(
         self, entry: Union[log_entries.Done, log_entries.Failed], going: _Going, end: float
     ) -> List[Attempt]:
-        """The attempt that ended with ``entry``; none if its times are not known."""
+        """The attempt that ended with ``entry``; none if its times are unknown."""
         result = failed = ""
         if isinstance(entry, log_entries.Failed):
             failed = entry.reason or "failed"
@@ -363,7 +364,7 @@ class AttemptFollower:
         return self._attempt(entry.robot, going, end, True, result, failed)
 
     def _cut(self, robot: str, end: float) -> List[Attempt]:
-        """The attempt of a robot, if it has one, is over without a known end."""
+        """End a robot's attempt, if it has one, without a known end."""
         going = self._going.get(robot)
         found = self._censored(robot, going, end) if going is not None else []
         self._going.pop(robot, None)
@@ -376,7 +377,7 @@ class AttemptFollower:
 
     def _censored(self, robot: str, going: _Going, end: float) -> List[Attempt]:
         if robot == self.robot and self._own_end is not None:
-            # the action had ended; only the team has not heard of it
+            # the action had ended, but the team had not learned of it
             ended, entry = self._own_end
             assert isinstance(entry, (log_entries.Done, log_entries.Failed))
             return self._completed(entry, going, ended)
@@ -415,7 +416,8 @@ class AttemptFollower:
     # -- the environment ---------------------------------------------------------------------------
 
     def _count_exposure(self, seconds: float) -> None:
-        """Count the time since the last record for the transitions that could fire in it."""
+        """Add the time since the last record to the exposure of the transitions that could fire in
+        it."""
         if self._replayer is None or not self._live or seconds <= 0:
             return
         state = self._replayer.state
@@ -435,7 +437,7 @@ class AttemptFollower:
                 self._counted[t] = firings, exposure + busy * seconds
 
     def _exposed(self, state: TeamState, t: int) -> int:
-        """To how many robots the event of ``t`` can come now."""
+        """The number of robots for which the event of ``t`` can occur now."""
         place = next(p for p, _ in self.plan.net.inputs[t] if not self._game.is_resource[p])
         free = self._game.interrupts[t].hold or self.plan.net.is_enabled(state.marking, t)
         return sum(

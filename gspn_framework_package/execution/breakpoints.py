@@ -1,9 +1,9 @@
 """Breakpoints: places and transitions at which a robot stops until somebody resumes it.
 
 A robot stops before its action in a *place* starts, and before it asks for a *transition* (or its
-event fires it): its own node, or the standalone executor, then orders ``Pause`` for this robot
-alone, and ``Resume`` releases it. So the log holds all that happened, and the token game knows no
-breakpoints. They are kept in ``breakpoints.json`` beside the plan.
+event fires it): its own node, or the standalone executor, then orders a ``Pause`` of this robot,
+and a ``Resume`` releases it. The log thus records everything, and the token game needs no
+breakpoints. They are stored in ``breakpoints.json`` next to the plan.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class Breakpoints(NamedTuple):
 
     @classmethod
     def of_names(cls, names: List[str], plan: Plan) -> Breakpoints:
-        """The breakpoints at places and transitions of these names. :raises PlanError: one has no
-        such meaning."""
+        """The breakpoints at places and transitions of these names. :raises PlanError: a robot
+        cannot stop at one of them."""
         known = plan.net.place_index
         return cls.from_json(
             {
@@ -71,8 +71,8 @@ class Breakpoints(NamedTuple):
         )
 
     def stops_result(self, plan: Plan, place: str, result: str) -> bool:
-        """Whether a robot that is done in ``place`` stops. Where its action names no transition, it
-        stops if one with a breakpoint may be next."""
+        """Whether a robot that is done in ``place`` stops. If its action names no transition, it
+        stops if any possible next transition has a breakpoint."""
         if not self.transitions:
             return False
         if result not in ("", "None"):
@@ -83,7 +83,7 @@ class Breakpoints(NamedTuple):
 
 
 def read_names(text: str) -> List[str]:
-    """The names in a JSON list. :raises UsageError: it is none."""
+    """The names in a JSON list. :raises UsageError: the text is not such a list."""
     try:
         names = json.loads(text)
     except (ValueError, RecursionError):
@@ -102,7 +102,7 @@ def why_no_breakpoint(plan: Plan, name: str, kind: str) -> str:
         if name in plan.resource_places:
             return "no robot is ever in a resource place"
         before = [name]
-        what = "it has no action: a robot goes on at once"
+        what = "the place has no action, so a robot leaves at once"
     else:
         t = net.transition_index.get(name)
         if t is None:
@@ -110,8 +110,8 @@ def why_no_breakpoint(plan: Plan, name: str, kind: str) -> str:
         before = [net.places[p].name for p, _ in net.inputs[t]]
         before = [place for place in before if place not in plan.resource_places]
         if not before:
-            return "it moves no robot"
-        what = "no action comes before it: a robot goes on at once"
+            return "the transition moves no robot"
+        what = "no action precedes it, so a robot fires it at once"
     own = [dict(robot.actions) for robot in plan.robots]
     if any(actions.get(p) is not None for actions in (plan.actions, *own) for p in before):
         return ""
@@ -119,9 +119,9 @@ def why_no_breakpoint(plan: Plan, name: str, kind: str) -> str:
 
 
 class RobotBreakpoints:
-    """Where one robot stops.
+    """The breakpoints of one robot.
 
-    :ivar breakpoints: where it does; may be replaced at any time.
+    :ivar breakpoints: its breakpoints; may be replaced at any time.
     """
 
     def __init__(self) -> None:
@@ -132,11 +132,11 @@ class RobotBreakpoints:
 
     def may_start(self, visit: Hashable, place: str, attempt: int, paused: bool) -> str:
         """Whether the robot's action may start: "yes", "no" (it stops), or "pause" (it stops, and
-        the pause has to be ordered).
+        the caller must order a pause).
 
         :param visit: anything that distinguishes this visit from others.
-        :param attempt: the number of the attempt. A later one stops only if the robot is paused:
-            its node was restarted while it was stopped.
+        :param attempt: the number of the attempt. A later attempt stops only if the robot is
+            paused, because its node was restarted while it was stopped.
         :param paused: whether the robot is paused, according to the log.
         """
         if visit == self._passed:
@@ -155,9 +155,9 @@ class RobotBreakpoints:
 
 
 class BreakpointFile:
-    """The file with the breakpoints of a plan; without one, they are only kept in memory.
+    """The file with the breakpoints of a plan; without a file, they are only kept in memory.
 
-    :ivar breakpoints: those that were read or written last.
+    :ivar breakpoints: the last breakpoints read or written.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -168,7 +168,7 @@ class BreakpointFile:
         self.breakpoints = Breakpoints()
 
     def follow(self, plan: Plan) -> None:
-        """Go on under another plan, with the breakpoints that fit it; the file stays as it is."""
+        """Switch to another plan, keeping the breakpoints that fit it; the file is unchanged."""
         self._plan = plan
         places, transitions = self.breakpoints
         self.breakpoints = Breakpoints(
@@ -179,8 +179,8 @@ class BreakpointFile:
     def changed(self) -> bool:
         """Read the file if it has changed; return whether it had.
 
-        :raises InputError: it does not fit the plan; it is not read again before it changes, and
-            the breakpoints stay as they were.
+        :raises InputError: the file does not fit the plan. The breakpoints then stay as they were,
+            and the file is not read again until it changes.
         """
         stamp = self._look()
         if stamp == self._stamp:
@@ -194,9 +194,9 @@ class BreakpointFile:
         return self.breakpoints != before
 
     def write(self, breakpoints: Breakpoints) -> None:
-        """Keep these breakpoints; a file without any is removed.
+        """Store the breakpoints; the file is removed if there are none.
 
-        :raises InputError: the file cannot be written. They hold in this process all the same.
+        :raises InputError: the file cannot be written. The breakpoints still apply in this process.
         """
         self.breakpoints = breakpoints
         if self.path:

@@ -1,4 +1,5 @@
-"""The random numbers of a run: hashes of the log position, so that every replica draws the same."""
+"""The random numbers of a run: hashes of the log position, so that every replica makes the same
+draw."""
 
 from __future__ import annotations
 

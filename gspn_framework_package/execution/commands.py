@@ -1,4 +1,4 @@
-"""Commands: actions that are programs on the robot's computer, without ROS."""
+"""Actions that run programs on the robot's computer, without ROS."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from gspn_framework_package.model.errors import DataError
 from gspn_framework_package.model.outcome import Outcome
 
 _LOOK_EVERY = 0.1
-"""Seconds between two looks at a program that has closed its output, or whose children have it."""
+"""Seconds between two checks of a program that has closed its output or passed it to its
+children."""
 
 READ_SIZE = 65_536
-"""Bytes that are read at once."""
+"""Number of bytes read at once."""
 
 PIPE_SIZE = 1_048_576
-"""Most bytes that a pipe holds on Linux."""
+"""Maximum capacity of a pipe on Linux, in bytes."""
 
 
 class Command:
     """A command, ready to be run for any robot.
 
     It runs in the plan's folder, without a shell and without input. Its environment has
-    ``GSPN_ROBOT``, ``GSPN_PLACE``, ``GSPN_VISIT`` and ``GSPN_ATTEMPT``. A command that is cancelled
-    gets SIGTERM with its whole process group, and SIGKILL if it does not end.
+    ``GSPN_ROBOT``, ``GSPN_PLACE``, ``GSPN_VISIT`` and ``GSPN_ATTEMPT``. When a command is
+    cancelled, its whole process group gets SIGTERM, and SIGKILL if it does not end.
 
     :param action: the command in the plan.
     :param folder: the plan's folder.
@@ -46,9 +47,9 @@ class Command:
     def __call__(self, context: ActionContext) -> ActionResult:
         """Run the command until it ends.
 
-        :raises DataError: data that it refers to is missing, or its last line is not JSON.
-        :raises ActionFailed: it cannot be started, or its exit code is not 0 and the plan names no
-            transition for ``aborted``.
+        :raises DataError: data that the command refers to is missing, or its last line is not JSON.
+        :raises ActionFailed: the command cannot be started, or its exit code is not 0 and the plan
+            names no transition for ``aborted``.
         """
         words = [_word(part) for part in fill(self._action.command, context.data)]
         given = {
@@ -103,7 +104,7 @@ class Command:
 
 
 def _word(value: Any) -> str:
-    """An argument: text as it is, any other value as JSON."""
+    """Format an argument: text unchanged, any other value as JSON."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
@@ -117,7 +118,7 @@ class _Killer:
         self._timer: Optional[threading.Timer] = None
 
     def end(self) -> None:
-        """Send SIGTERM, and SIGKILL after the time of grace."""
+        """Send SIGTERM, and SIGKILL after the grace period."""
         with self._lock:
             if self._over or self._timer is not None:
                 return
@@ -127,7 +128,8 @@ class _Killer:
             self._timer.start()
 
     def over(self) -> None:
-        """The program has ended. If it was cancelled, so does what it has left running."""
+        """Note that the program has ended. If it was cancelled, end the processes that it left
+        running."""
         with self._lock:
             self._over = True
             if self._timer is not None:
@@ -152,7 +154,7 @@ class _Killer:
 
 
 _running: Set[_Killer] = set()
-"""The programs that run; none survives the end of this process, unless it is killed."""
+"""The running programs; they are ended with this process, unless it is killed."""
 
 
 @atexit.register
@@ -162,8 +164,8 @@ def _end_all() -> None:
 
 
 def _last_lines(process: subprocess.Popen[bytes]) -> List[str]:
-    """Wait until a program has ended; the last line of its output, and of its errors. Children
-    that it leaves behind may keep both open."""
+    """Wait until a program has ended, and return the last lines of its output and errors. Children
+    that it leaves behind may keep both streams open."""
     assert process.stdout is not None and process.stderr is not None
     streams = [_LastLine(process.stdout), _LastLine(process.stderr)]
     open_ones = list(streams)
@@ -183,7 +185,7 @@ def _last_lines(process: subprocess.Popen[bytes]) -> List[str]:
 
 
 class _LastLine:
-    """The last line of a stream that is not empty; its beginning is cut off if it is too long."""
+    """Finds the last non-empty line of a stream, cutting off its beginning if it is too long."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
@@ -193,7 +195,7 @@ class _LastLine:
         return self._stream.fileno()
 
     def read(self) -> bool:
-        """Read what is there; False at the end of the stream."""
+        """Read what is available; False at the end of the stream."""
         data = os.read(self._stream.fileno(), READ_SIZE)
         *lines, self._begun = (self._begun + data).split(b"\n")
         self._begun = self._begun[-4 * VALUE_LIMIT :]
@@ -201,8 +203,8 @@ class _LastLine:
         return bool(data)
 
     def drain(self) -> None:
-        """Read what a program that has ended left there: at most as much as a pipe holds, since a
-        child of it may go on writing."""
+        """Read what an ended program left in the pipe: at most its capacity, since a child may
+        still be writing."""
         for _ in range(PIPE_SIZE // READ_SIZE + 1):
             if not select.select([self], [], [], 0)[0] or not self.read():
                 return

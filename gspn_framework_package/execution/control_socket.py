@@ -1,9 +1,9 @@
-"""A door to a run without ROS: another process of the same user can ask it to go on under another
-plan.
+"""The control socket of a run without ROS: another process of the same user can ask the run to
+switch to another plan.
 
 Each run listens on a Unix socket in a folder that only its user may enter. A connection carries one
 request and one answer, each a JSON object on a line. The socket of a process that was killed is
-removed when the runs are next looked for.
+removed by the next search for runs.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 
 REQUEST_PATIENCE = 5.0
-"""Seconds within which a line has to come, and a run has to say who it is."""
+"""Seconds within which a line must arrive, and a run must identify itself."""
 
 LARGEST_REQUEST = 10_000_000
-"""Most bytes of a request or an answer."""
+"""Maximum size of a request or an answer, in bytes."""
 
 
 class DeployRequest(NamedTuple):
-    """What a run is asked to go on with.
+    """A request to a run to switch to another plan.
 
-    :ivar plan: absolute name of the plan file.
+    :ivar plan: absolute path of the plan file.
     :ivar mapping: name in the present net -> name in the new one.
-    :ivar folder: where the functions are; None: where the plan is.
-    :ivar wait: most seconds until the run follows the plan.
+    :ivar folder: folder of the functions; None for the plan's folder.
+    :ivar wait: maximum number of seconds until the run follows the plan.
     """
 
     plan: str
@@ -43,8 +43,8 @@ class DeployRequest(NamedTuple):
 
 
 class RunningPlan(NamedTuple):
-    """A run that can be asked: its socket, its process, its plan, and the files of the plan that it
-    began with and of the one that it follows."""
+    """A run that accepts requests: its socket, its process, the name of its plan, and the files of
+    its first and present plan."""
 
     socket: str
     process: int
@@ -53,13 +53,13 @@ class RunningPlan(NamedTuple):
 
 
 class ControlSocket:
-    """Lets other processes ask a run to go on under another plan.
+    """Lets other processes ask a run to switch to another plan.
 
     :param about: returns the name of the present plan and the files of the plans, as in
         :class:`RunningPlan`; called on any thread.
-    :param deploy: carries a request out, or raises a :class:`GspnError` that says why not; called
-        on a thread of its own.
-    :raises ExecutionError: the socket cannot be made.
+    :param deploy: carries out a request, or raises a :class:`GspnError` with the reason why not;
+        called on a separate thread.
+    :raises ExecutionError: the socket cannot be created.
     """
 
     def __init__(
@@ -77,11 +77,11 @@ class ControlSocket:
         threading.Thread(target=self._accept, name="door", daemon=True).start()
 
     def close(self) -> None:
-        """Take no more requests. Those that were taken are answered."""
+        """Accept no more requests. Accepted ones are still answered."""
         with contextlib.suppress(OSError):
             os.unlink(self._path)
         with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # ends accept(), which close() does not
+            self._socket.shutdown(socket.SHUT_RDWR)  # interrupts accept(), which close() does not
         self._socket.close()
 
     def __enter__(self) -> ControlSocket:
@@ -127,7 +127,7 @@ class ControlSocket:
 
 
 def running_plans() -> List[RunningPlan]:
-    """The runs of this user on this machine, in the order of their processes.
+    """The runs of this user on this machine, by process id.
 
     :raises ExecutionError: their folder is not safe.
     """
@@ -142,18 +142,18 @@ def running_plans() -> List[RunningPlan]:
             about = _ask(path, {"ask": "about"}, REQUEST_PATIENCE)
             files = [str(file) for file in about["files"]]
             found.append(RunningPlan(path, int(process), str(about["plan"]), files))
-        except ConnectionRefusedError:  # its process was killed
+        except ConnectionRefusedError:  # the process was killed
             with contextlib.suppress(OSError):
                 os.unlink(path)
         except (OSError, KeyError, TypeError, ValueError):
-            continue  # it is about to end, or does not answer
+            continue  # the run is about to end, or does not answer
     return sorted(found, key=lambda run: run.process)
 
 
 def ask_to_deploy(run: RunningPlan, request: DeployRequest) -> Dict[str, Any]:
-    """Ask a run to go on under another plan: ``done``, whether it does, and a ``message``.
+    """Ask a run to switch to another plan. Returns ``done``, whether it did, and a ``message``.
 
-    :raises ExecutionError: it does not answer; whether it follows the plan is not known.
+    :raises ExecutionError: the run does not answer, so it is unknown whether it follows the plan.
     """
     try:
         question = {"ask": "deploy", **request._asdict()}
@@ -162,30 +162,30 @@ def ask_to_deploy(run: RunningPlan, request: DeployRequest) -> Dict[str, Any]:
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ExecutionError(
             "process %d does not answer (%s)" % (run.process, error),
-            hint="its output says whether it goes on under the new plan",
+            hint="see its output for whether it follows the new plan",
         ) from None
 
 
 def chosen_run(runs: List[RunningPlan], file: str, process: str) -> RunningPlan:
-    """The run that is meant.
+    """Choose the run that is meant.
 
-    :param file: the plan that it follows or began with; "" for any.
-    :param process: the number of its process; "" if there is only one.
-    :raises ExecutionError: there is none, or there are several.
+    :param file: its present or first plan; "" for any.
+    :param process: its process id; "" if there is only one run.
+    :raises ExecutionError: no run matches, or several do.
     """
     fitting = [run for run in runs if not file or os.path.realpath(file) in run.files]
     if process:
         fitting = [run for run in fitting if str(run.process) == process]
     if not fitting:
         raise ExecutionError(
-            "there is no run%s%s"
+            "no run found%s%s"
             % (" of %s" % file if file else "", " in process %s" % process if process else ""),
-            hint="; ".join(_told(run) for run in runs) or "gspn run starts one",
+            hint="; ".join(_told(run) for run in runs) or "start one with gspn run",
         )
     if len(fitting) > 1:
         raise ExecutionError(
-            "there are several: %s" % "; ".join(_told(run) for run in fitting),
-            hint="name one with --run PROCESS",
+            "there are several runs: %s" % "; ".join(_told(run) for run in fitting),
+            hint="choose one with --run PROCESS",
         )
     return fitting[0]
 
@@ -195,9 +195,9 @@ def _told(run: RunningPlan) -> str:
 
 
 def _folder() -> str:
-    """The folder of the sockets, which belongs to the user alone.
+    """The folder of the sockets, which only the user may access.
 
-    :raises ExecutionError: it cannot be made, or others may enter it.
+    :raises ExecutionError: the folder cannot be created, or others may access it.
     """
     own = os.environ.get("XDG_RUNTIME_DIR", "")
     if own and os.path.isdir(own):
@@ -209,10 +209,10 @@ def _folder() -> str:
             os.mkdir(path, 0o700)
         found = os.lstat(path)
     except OSError as error:
-        raise ExecutionError("cannot be made (%s)" % error.strerror, file=path) from None
+        raise ExecutionError("cannot be created (%s)" % error.strerror, file=path) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:
         raise ExecutionError(
-            "is not a folder that only you may enter", file=path, hint="remove it, or chmod 700"
+            "is not a folder that only you may access", file=path, hint="remove it, or chmod 700"
         )
     return path
 
@@ -231,16 +231,16 @@ def _send(connection: socket.socket, data: Dict[str, Any]) -> None:
 
 
 def _receive(connection: socket.socket, patience: float) -> Dict[str, Any]:
-    """The JSON object on a line. :raises OSError, ValueError: none came in time."""
+    """The JSON object on a line. :raises OSError, ValueError: none arrived in time."""
     connection.settimeout(patience)
     data = b""
     while not data.endswith(b"\n"):
         part = connection.recv(65_536)
         if not part:
-            raise ValueError("it ended")
+            raise ValueError("the connection ended")
         data += part
         if len(data) > LARGEST_REQUEST:
-            raise ValueError("it is too long")
+            raise ValueError("the line is too long")
     found = json.loads(data.decode())
     if not isinstance(found, dict):
         raise ValueError("not a JSON object")

@@ -1,4 +1,4 @@
-"""What is shown of the data, tasks and held events of a team: whole to programs, shortened to
+"""Formats a team's data, tasks and held events for display: complete for programs, shortened for
 people."""
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from gspn_framework_package.execution.team_state import RobotState, Task, TeamSt
 from gspn_framework_package.model.net import Net
 
 SHOWN_LENGTH = 200
-"""Longest text that people are shown of a value, in characters."""
+"""Maximum length of a value's text shown to people."""
 
 SHOWN_NAMES = 50
-"""Most names of one robot, task or team that people are shown."""
+"""Maximum number of names of a robot, task or team shown to people."""
 
 SHOWN_TASKS = 20
-"""Most tasks of one queue that people are shown: the next ones."""
+"""Maximum number of tasks of a queue shown to people, the next ones first."""
 
 
 def shown(value: Any) -> str:
@@ -29,7 +29,7 @@ def shown(value: Any) -> str:
 
 
 def shown_values(values: Mapping[str, Any]) -> Dict[str, str]:
-    """Data as short texts; what is left out is counted under the name "…"."""
+    """Data as short texts; omitted values are counted under the name "…"."""
     texts = {name: shown(values[name]) for name in itertools.islice(values, SHOWN_NAMES)}
     if len(values) > SHOWN_NAMES:
         texts["…"] = "%d more" % (len(values) - SHOWN_NAMES)
@@ -43,11 +43,11 @@ def order_text(given: Mapping[str, Any]) -> str:
     """
     who, proof = given["operator"] or "somebody", given["proof"]
     order = " ".join(filter(None, (given["command"], given["robot"], given["argument"])))
-    return "%s (%s) orders: %s" % (shown(who), proof or "not proved", shown(order))
+    return "%s (%s) orders: %s" % (shown(who), proof or "not authenticated", shown(order))
 
 
 def decided_order_text(entry: log_entries.Entry, asked: str) -> str:
-    """Who gave an order that is in the agreed log, as a short text; "" if it does not say.
+    """Who gave an order that is in the agreed log, as a short text; "" if the log does not say.
 
     :param asked: the robot that was asked.
     """
@@ -62,14 +62,14 @@ def decided_order_text(entry: log_entries.Entry, asked: str) -> str:
 
 
 def cause_text(cause: Mapping[str, Any]) -> str:
-    """What was read of an event, as a short text."""
+    """The cause of an event as a short text."""
     return shown(", ".join("%s: %s" % item for item in shown_values(cause).items()))
 
 
 def displayed_team(state: TeamState, net: Net, brief: bool = False) -> Dict[str, Any]:
-    """The data of the team, the tasks in its queues, and those that wait outside.
+    """The data of the team, the tasks in its queues, and the tasks waiting outside the net.
 
-    :param brief: shortened, for people.
+    :param brief: whether to shorten it for people.
     :returns: ``team``: name -> value; ``queues``: place -> list of [id, data]; ``waiting``: list of
         [transition, id].
     """
@@ -92,7 +92,7 @@ def displayed_robot(robot: RobotState, net: Net, brief: bool = False) -> Dict[st
     """The data of a robot, the task that it carries, and the events that it holds.
 
     :returns: ``data``: name -> value; ``task``: [id, data] or None; ``held``: transition -> cause;
-        ``resumed_from``: the visit that the present one continues, 0 for none.
+        ``resumed_from``: the visit that the present one continues; 0 for none.
     """
     task = robot.task
     return {

@@ -1,7 +1,7 @@
 """The simulated environment: exponential transitions that move no robot fire at their rates.
 
-This applies only to plans with ``environment: simulate``; otherwise the operator fires them, and
-tasks come from their sources.
+This applies only to plans with ``environment: simulate``; otherwise the operator fires these
+transitions, and tasks come from their sources.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from gspn_framework_package.execution.token_game import TokenGame
 class Environment:
     """Draws when the environment fires next.
 
-    Waiting times are memoryless, so the time is drawn again whenever the marking has changed.
+    Waiting times are memoryless, so the time is redrawn whenever the marking has changed.
 
     :param source: the random number generator.
-    :param without: transitions that fire for other reasons: their tasks have a source.
-    :param tasks: draw tasks in any case, even if the plan does not simulate its environment.
+    :param without: transitions not to simulate, because their tasks have a source.
+    :param tasks: whether to draw tasks even if the plan does not simulate its environment.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class Environment:
     def due(
         self, state: TeamState, now: float
     ) -> Optional[Union[log_entries.Fire, log_entries.Submit]]:
-        """What happens at ``now``: a task comes in, or another transition fires; None if it is not
-        yet time. The next time is then drawn anew."""
+        """The entry that is due at ``now``: a new task, or another firing; None if it is not yet
+        time. The next time is then redrawn."""
         time = self.next_time(state, now)
         if time is None or now < time:
             return None

@@ -3,24 +3,20 @@
 The source of an event may be a function of the plan's folder: ``{"function": "watch.low"}``. The
 names of its parameters, all of them optional, declare what it needs:
 
-``robot``
-    name of the robot (standalone: of the agent) that the event would interrupt; "" for tasks.
-``data``
-    the data that an action of that robot may read, by full name; for tasks, that of the team.
-``emit``
-    call it when the event comes (see below).
-``is_cancelled``
-    call it without arguments to learn whether the function should end; ``is_cancelled.wait(s)``
-    sleeps for ``s`` seconds, or until it should.
+``robot`` name of the robot (standalone: of the agent) that the event would interrupt; "" for tasks.
+    ``data`` the data that an action of that robot may read, by full name; for tasks, that of the
+    team. ``emit`` call it when the event occurs (see below). ``is_cancelled`` call it without
+    arguments to learn whether the function should end; ``is_cancelled.wait(s)`` sleeps for ``s``
+    seconds, or until the function should end.
 
 Any other parameter is a setting, as for actions (:mod:`gspn_framework_package.execution.actions`);
 a class is instantiated once for each robot.
 
-A function without ``emit`` is asked every ``every`` seconds. For an event that interrupts a robot,
-it returns whether the event holds: True or False (or None), or a dict, which means that it holds
-with that cause; it is also asked when the robot enters another place. For tasks, it returns a dict
-with the data of a task, a list of such dicts, or None if none came; the entry ``id`` identifies the
-task::
+A function without ``emit`` is called every ``every`` seconds. For an event that interrupts a robot,
+it returns whether the event holds: True or False (or None), or a dict, which means that the event
+holds with that cause; it is also called when the robot enters another place. For tasks, it returns
+a dict with the data of a task, a list of such dicts, or None if there are none; the key ``id``
+identifies the task::
 
     def low(robot):
         level = battery_of(robot)
@@ -30,7 +26,7 @@ task::
         return [{"id": o.number, "pose": o.pose} for o in new_orders()]
 
 A function with ``emit`` is called once and runs for as long as it likes. ``emit(level=0.1)``
-reports one event with that cause, ``emit(id="o7", pose=[1, 2])`` a task::
+reports an event with that cause, ``emit(id="o7", pose=[1, 2])`` a task::
 
     def pressed(emit, is_cancelled):
         while not is_cancelled.wait(0.01):
@@ -74,13 +70,14 @@ class EventFunction(PythonFunction):
 
 
 class EventHost(NamedTuple):
-    """What the functions of events report to, from threads of their own.
+    """The callbacks of event functions, called on the functions' threads.
 
     :ivar observe: called with (robot, transition, whether the event holds, cause), when that
-        changes; None in place of a bool for an event that lasts no time.
+        changes; None instead of a bool for an instantaneous event.
     :ivar submit: called with a task; its id is "" if the function gave none.
     :ivar fault: called with (robot or "", message) when a function fails.
-    :ivar data_of: called with a robot, or "" for the team; returns the data that it may read now.
+    :ivar data_of: called with a robot, or "" for the team; returns the data that the robot may read
+        now.
     """
 
     observe: Callable[[str, str, Optional[bool], Mapping[str, Any]], None]
@@ -93,12 +90,12 @@ class EventFunctions:
     """Runs the functions of a plan's events.
 
     :param plan: a validated plan.
-    :param host: what they report to.
+    :param host: the callbacks.
     :param topics: whether topics can be subscribed to: an event with a topic then needs no
         function.
     :raises PlanError: a function is missing or broken.
 
-    Its methods are for one thread.
+    All methods must be called on one thread.
     """
 
     def __init__(self, plan: Plan, host: EventHost, *, topics: bool) -> None:
@@ -110,42 +107,42 @@ class EventFunctions:
         }
         tasks = set(plan.submissions)
         self.tasks: Tuple[str, ...] = tuple(t for t in self._events if t in tasks)
-        """The transitions by which functions let tasks in."""
+        """The transitions through which functions submit tasks."""
         self.interrupts: Tuple[str, ...] = tuple(t for t in self._events if t not in tasks)
-        """The transitions that take a robot out of its place when a function says so."""
+        """The transitions that interrupt a robot when a function reports an event."""
         self._pool = WorkerPool("event")
         self._running: Dict[str, List[_Watcher]] = {}
 
     def watch(self, robot: str) -> None:
-        """Begin to watch for the events of a robot, unless that was begun before."""
+        """Start watching for the events of a robot, unless that was started before."""
         if robot not in self._running:
             self._begin(robot, self.interrupts)
 
     def watch_tasks(self) -> None:
-        """Begin to watch for tasks."""
+        """Start watching for tasks."""
         if "" not in self._running:
             self._begin("", self.tasks)
 
     def ask_again(self, robot: str) -> None:
-        """Ask the functions of a robot at once whose condition counts by level, since it is
-        elsewhere or has other data now; what they said before counts no longer."""
+        """Immediately call the functions of a robot whose condition counts by level, since the
+        robot has moved or has other data now; earlier results no longer count."""
         for watcher in self._running.get(robot, ()):
             if watcher.may_be_asked_again:
                 watcher.ask_again()
 
     def round(self, robot: str, transition: str) -> int:
-        """How often :meth:`ask_again` has asked for an event; an answer of an earlier round, which
-        its host has not taken in yet, is void."""
+        """How often :meth:`ask_again` has called the function of an event; a result of an earlier
+        round that the host has not processed yet is void."""
         watchers = self._running.get(robot, ())
         return next((w.round for w in watchers if w.transition == transition), 0)
 
     def forget(self, robot: str) -> None:
-        """End watching for the events of a robot."""
+        """Stop watching for the events of a robot."""
         for watcher in self._running.pop(robot, ()):
             watcher.end()
 
     def close(self) -> None:
-        """End all watching. A function that does not end by itself can do nothing more."""
+        """Stop all watching. A function that keeps running can no longer report anything."""
         for robot in list(self._running):
             self.forget(robot)
 
@@ -161,7 +158,7 @@ class EventFunctions:
 
 
 class _Watcher:
-    """One function of an event, for one robot or for tasks."""
+    """Runs one function of an event, for one robot or for tasks."""
 
     def __init__(
         self,
@@ -186,12 +183,12 @@ class _Watcher:
         self._told = ""
 
     def run(self) -> None:
-        """Run the function, or ask it again and again, until it is no longer wanted."""
+        """Run the function, or call it repeatedly, until it is stopped."""
         if self._function.asks_for("emit"):
             try:
                 self._call(_LiveData(lambda: self._host.data_of(self._robot)))
             except _FunctionFailed as error:
-                self._report_fault("%s; it does not watch any longer" % error)
+                self._report_fault("%s; it stopped watching" % error)
             return
         while not self.cancellation():
             self._asked_again.clear()
@@ -203,7 +200,7 @@ class _Watcher:
             self._asked_again.wait(self._every)
 
     def ask_again(self) -> None:
-        """Call the function at once; an answer that is on its way is void."""
+        """Call the function at once; a result of an earlier call is void."""
         with self._lock:
             self._holds = False
             self.round += 1
@@ -215,7 +212,8 @@ class _Watcher:
         self._asked_again.set()
 
     def _call(self, data: Mapping[str, Any]) -> Any:
-        """What the function returns. :raises _FunctionFailed: it raised an exception."""
+        """Call the function and return its result. :raises _FunctionFailed: it raised an
+        exception."""
         try:
             return self._function.call(
                 EventContext(self._robot, data, self._emit, self.cancellation)
@@ -225,16 +223,17 @@ class _Watcher:
             raise _FunctionFailed(text) from None
 
     def _emit(self, **fields: Any) -> None:
-        """The ``emit`` of the function. :raises DataError: the cause or the task cannot be kept."""
+        """The argument ``emit`` of the function. :raises DataError: the cause or the task cannot be
+        stored."""
         if not self._robot:
             self._submit(fields)
         elif not self.cancellation():
             self._host.observe(self._robot, self.transition, None, _checked(fields))
 
     def _take(self, found: Any) -> None:
-        """Report what the function returned, as far as it is news.
+        """Report the function's result if it has changed.
 
-        :raises _FunctionFailed: it cannot be understood.
+        :raises _FunctionFailed: the result is invalid.
         """
         try:
             if self._robot:
@@ -248,11 +247,11 @@ class _Watcher:
     def _take_condition(self, found: Any) -> None:
         if isinstance(found, Mapping):
             holds, cause = True, _checked(found)
-        # numpy's bool is what a comparison of its numbers gives
+        # comparisons of numpy numbers return numpy's bool
         elif found is None or type(found).__name__ in ("bool", "bool_"):
             holds, cause = bool(found), NOTHING
         else:
-            raise DataError("it returned %.100r, not True, False or a dict" % (found,))
+            raise DataError("the function returned %.100r, not True, False or a dict" % (found,))
         with self._lock:
             if holds is self._holds or self._asked_again.is_set() or self.cancellation():
                 return
@@ -261,7 +260,7 @@ class _Watcher:
 
     def _submit(self, task: Any) -> None:
         if not isinstance(task, Mapping):
-            raise DataError("%.100r is not a task: it is no dict" % (task,))
+            raise DataError("%.100r is not a task, because it is not a dict" % (task,))
         data = {name: value for name, value in task.items() if name != "id"}
         entry = make_submit(self.transition, task.get("id", ""), data)
         if not self.cancellation():
@@ -278,7 +277,7 @@ class _FunctionFailed(Exception):  # noqa: N818  # what it says
 
 
 class _LiveData(Mapping[str, Any]):
-    """Data as it is whenever it is read, for a function that runs for long."""
+    """A live view of data, for a function that runs for a long time."""
 
     def __init__(self, read: Callable[[], Mapping[str, Any]]) -> None:
         self._read = read
@@ -294,7 +293,7 @@ class _LiveData(Mapping[str, Any]):
 
 
 def _checked(cause: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The cause of an event. :raises DataError: it cannot be kept."""
+    """Check the cause of an event. :raises DataError: it cannot be stored."""
     why = why_not_kept(dict(cause))
     if why:
         raise DataError("the cause %s" % why)

@@ -1,9 +1,10 @@
-"""Which events interrupt a robot, and when: from what its sources show to entries of the log.
+"""Decides which events interrupt a robot and when, turning reports of event sources into log
+entries.
 
 The host of a robot (its node, or the standalone executor) watches the sources of a plan's events,
-and passes on what changes: that the condition of an event holds or no longer does, or that a
-momentary event came. :class:`EventWatch` relates this to the visit that the robot is in. It knows
-no clock and no source; the token game decides whether an event has an effect.
+and passes on changes: that the condition of an event holds or no longer does, or that an
+instantaneous event occurred. :class:`EventWatch` relates this to the robot's present visit. It
+reads no clock and no source; the token game decides whether an event has an effect.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Visit(NamedTuple):
 
 
 def asked_anew(plan: Plan, topics: bool) -> List[str]:
-    """The events whose functions a host asks anew when a visit begins (with
+    """The events whose functions a host calls again when a visit begins (with
     ``EventFunctions.ask_again``): those that count by level.
 
     :param topics: whether the host subscribes to topics.
@@ -36,8 +37,8 @@ def asked_anew(plan: Plan, topics: bool) -> List[str]:
 class EventWatch:
     """The events of one robot.
 
-    :param asked_anew: events whose source the host asks anew when a visit begins: what it showed
-        before does not count in that visit.
+    :param asked_anew: events whose source the host queries again when a visit begins; earlier
+        reports do not count in that visit.
     """
 
     def __init__(self, plan: Plan, robot: str, asked_anew: Collection[str] = ()) -> None:
@@ -48,16 +49,17 @@ class EventWatch:
         self._holds: Dict[str, Mapping[str, Any]] = {}
         """Event that holds -> its cause."""
         self._came: Dict[str, Mapping[str, Any]] = {}
-        """Event that came during this visit, by a rise or as a moment -> its cause."""
+        """Event that occurred during this visit, as a rising edge or instantaneously -> its
+        cause."""
         self._visit: Optional[Visit] = None
         self._since = 0.0
         self._told: Dict[str, None] = {}
-        """Events of this visit that were made into entries, and still hold."""
+        """Events of this visit for which an entry was made and that still hold."""
 
     def go_on_from(self, before: EventWatch, mapping: Mapping[str, str]) -> None:
         """Copy the state of all events that an earlier plan shares with this one.
 
-        :param mapping: names of the earlier plan -> names of this one, where they differ.
+        :param mapping: names of the earlier plan -> names of this one, if they differ.
         """
         same = {}
         for name, event in before._events.items():
@@ -79,11 +81,11 @@ class EventWatch:
     def observe(
         self, transition: str, holds: Optional[bool], cause: Mapping[str, Any] = NOTHING
     ) -> None:
-        """Take in what a source shows.
+        """Take a report of a source.
 
         :param transition: the event.
-        :param holds: whether its condition holds; None for an event that lasts no time.
-        :param cause: what was read of it.
+        :param holds: whether its condition holds; None for an instantaneous event.
+        :param cause: the data read from the event.
         """
         if holds is None:
             if self.watches(transition):
@@ -97,9 +99,9 @@ class EventWatch:
             self._told.pop(transition, None)
 
     def due(self, visit: Optional[Visit], now: float) -> List[log_entries.Interrupt]:
-        """The events that now interrupt the robot, each once.
+        """The events that should now interrupt the robot, each once.
 
-        :param visit: the visit that the robot is in; None if it is in no place.
+        :param visit: the robot's present visit; None if it is in no place.
         :param now: a monotonic clock, s.
         """
         if visit != self._visit:
@@ -123,7 +125,7 @@ class EventWatch:
         return found
 
     def wake_time(self, visit: Optional[Visit]) -> Optional[float]:
-        """When the next event of time is due in a visit that :meth:`due` has seen (s)."""
+        """When the next timed event is due in a visit passed to :meth:`due` (s)."""
         if visit is None or visit != self._visit:
             return None
         times = [

@@ -20,7 +20,7 @@ class Move(NamedTuple):
 
 
 class TaskMove(NamedTuple):
-    """The task ``id`` goes from ``source`` to ``target``: "place NAME" (a queue), "robot NAME", ""
+    """The task ``id`` moves from ``source`` to ``target``: "place NAME" (a queue), "robot NAME", ""
     (from outside), "done", or "dropped" if it ends in another way."""
 
     id: str
@@ -34,8 +34,8 @@ class Firing(NamedTuple):
     ``robot`` requested it ("" if no robot did), in its ``visit`` and ``incarnation``. ``moves``
     lists all robots that moved, and ``marking`` is the marking afterwards. ``drawn`` is the log
     position (slot, index) of the random draw that chose this transition (None if there was none).
-    ``tasks`` lists the tasks that it passed on, and ``cause`` holds what was read of the event that
-    fired it.
+    ``tasks`` lists the task movements, and ``cause`` holds the data of the event that fired the
+    transition.
     """
 
     slot: int
@@ -53,8 +53,9 @@ class Firing(NamedTuple):
 
 class StartAction(NamedTuple):
     """Start the action of ``place`` for this visit, after ``delay`` seconds; ``attempt`` counts
-    from 1. ``data`` (full name -> value) is what the action may read, and ``resumed_from`` the
-    earlier visit to the place that this one continues after an interrupt (0: none)."""
+    from 1. ``data`` (full name -> value) holds the values that the action may read, and
+    ``resumed_from`` is the earlier visit to the place that this one continues after an interrupt (0
+    for none)."""
 
     robot: str
     place: str
@@ -75,7 +76,7 @@ class CancelAction(NamedTuple):
 
 class Fault(NamedTuple):
     """A fault that a person should know about; ``robot`` is "" if it concerns no robot, and
-    ``failed`` the reason why its action failed, "" if the fault is another one."""
+    ``failed`` is the reason why its action failed ("" for other faults)."""
 
     robot: str
     message: str
@@ -93,7 +94,8 @@ GameCommand = Union[StartAction, CancelAction, Fault, Ended]
 
 
 def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:
-    """The firing as a JSON object; its marking maps place names to counts, without empty places."""
+    """Convert a firing to a JSON object; its marking maps place names to counts, without empty
+    places."""
     data = firing._asdict()
     data["marking"] = net.named(firing.marking, zeros=False)
     data["moves"] = [list(m) for m in firing.moves]
@@ -110,7 +112,7 @@ def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:
 
 
 def firing_from_json(data: Dict[str, Any], net: Net) -> Firing:
-    """The firing in a JSON object. :raises LogError: it is not a firing of this net."""
+    """Convert a JSON object to a firing. :raises LogError: it is not a firing of this net."""
     try:
         fields = {key: data[key] for key in Firing._fields if key not in ("tasks", "cause")}
         fields["tasks"] = tuple(TaskMove(*map(str, m)) for m in data.get("tasks", ()))

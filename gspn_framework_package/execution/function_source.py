@@ -1,5 +1,5 @@
-"""What the source of a plan's function shows without running it: whether it is there, and can take
-its settings."""
+"""Inspects the source of a plan's function without running it: whether the function exists and can
+take its settings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def why_not_callable(
         return "%s (%s)" % (error.message, error.hint) if error.hint else error.message
     except (InputError, SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = ", line %s" % error.lineno if isinstance(error, SyntaxError) and error.lineno else ""
-        return "%s%s: it cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
+        return "%s%s: cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
     parameters = _parameters(tree, function)
     if parameters is not None:
         try:
@@ -59,7 +59,8 @@ def why_not_callable(
 
 
 def _bindings(tree: ast.Module, file: str, function: str) -> str:
-    """The module that a name of a module is imported from; "" if it is not, or nothing shows it.
+    """The module that a name of a module is imported from; "" if it is not imported, or if the
+    source does not show it.
 
     :raises PlanError: the module has no such name.
     """
@@ -130,7 +131,7 @@ def _is_ours(decorator: ast.expr) -> bool:
 
 
 def _bases_are_here(node: ast.ClassDef, tree: ast.Module, deep: int = 0) -> bool:
-    """Whether all bases of a class are classes of the same file."""
+    """Whether all bases of a class are defined in the same file."""
     for base in node.bases:
         if isinstance(base, ast.Name) and base.id == "object":
             continue
@@ -161,8 +162,8 @@ def method_of(
 
 
 def _listed(function: ast.FunctionDef, bound: bool) -> List[inspect.Parameter]:
-    """The parameters of a function, without the first one if it is ``bound``. A default that is no
-    plain value is an ``object``."""
+    """The parameters of a function, without the first one if it is ``bound``. A default that is not
+    a literal is represented by an ``object``."""
     if function.decorator_list and bound:
         return [inspect.Parameter("more", inspect.Parameter.VAR_KEYWORD)]
     arguments, kinds = function.args, inspect.Parameter

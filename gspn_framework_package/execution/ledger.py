@@ -24,7 +24,7 @@ class Origin(NamedTuple):
 
     For each robot, an entry has an effect only if it is newer than all before, so duplicates are
     harmless. Two lives of a robot that lost its log may claim the same incarnation; it belongs to
-    the first that gets into the agreed log.
+    the first one in the agreed log.
     """
 
     robot: str
@@ -34,7 +34,7 @@ class Origin(NamedTuple):
 
 
 class Item(NamedTuple):
-    """An entry and its origin, on the way into the log. ``private`` marks a ``Done`` of partial
+    """An entry and its origin, before it is in the log. ``private`` marks a ``Done`` of partial
     synchronisation whose local transition has already fired."""
 
     entry: log_entries.Entry
@@ -47,11 +47,11 @@ class Item(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Any) -> Item:
-        """The item in a JSON value. :raises LogError: it is not an item."""
+        """Parse an item. :raises LogError: the JSON value is not an item."""
         try:
             entry, (robot, incarnation, number, log_id), private = data
             if type(incarnation) is not int or type(number) is not int:
-                raise ValueError("its origin is not counted in whole numbers")
+                raise ValueError("the numbers of its origin are not integers")
             if not isinstance(robot, str) or not isinstance(log_id, str):
                 raise ValueError("its origin has no name")
             item = cls(
@@ -67,7 +67,7 @@ class Item(NamedTuple):
 
 
 def _is_newer(origin: Origin, known: Optional[Tuple[int, int, str]]) -> bool:
-    """Whether an entry of this origin is newer than the one that is known of its robot."""
+    """Whether an entry of this origin is newer than the last known one of its robot."""
     if known is None or origin.incarnation > known[0]:
         return True
     _, incarnation, number, log_id = origin
@@ -77,15 +77,15 @@ def _is_newer(origin: Origin, known: Optional[Tuple[int, int, str]]) -> bool:
 class Ledger:
     """The state after a prefix of the log.
 
-    :param game: the rules of the plan that the run begins with; ledgers may share them.
+    :param game: the rules of the run's first plan; ledgers may share them.
 
-    :ivar first: these rules.
-    :ivar game: the rules that apply now: others once the team has adopted another plan.
+    :ivar first: the same rules.
+    :ivar game: the rules that apply now, which change when the team adopts another plan.
     :ivar state: the team after ``length`` slots; changed in place.
     :ivar hash: the end of the hash chain.
     :ivar seen: robot -> (incarnation, number, log) of its newest entry in the log.
-    :ivar logs: robot -> id of the log with which it was last let in; it has no robots of the first
-        team that never joined again.
+    :ivar logs: robot -> id of the log with which it was last let in; does not include robots of the
+        first team that never rejoined.
     :ivar cast_out: robot -> slot of its last eviction by force.
     """
 
@@ -103,7 +103,7 @@ class Ledger:
         return self.state.next_slot
 
     def entrance(self, transition: str) -> Optional[int]:
-        """The number of the transition by which tasks come in now; None if they do not.
+        """The number of the transition through which tasks arrive now; None if there is none.
 
         :param transition: its name, in this plan or an earlier one.
         """
@@ -115,8 +115,8 @@ class Ledger:
         return _is_newer(origin, self.seen.get(origin.robot))
 
     def news(self, items: Sequence[Item]) -> List[Item]:
-        """Those items of a batch that are newer than all entries of their robot before them, in the
-        log and in the batch."""
+        """The items of a batch that are newer than all earlier entries of their robot in the log
+        and the batch."""
         seen: Dict[str, Tuple[int, int, str]] = {}
         fresh = []
         for item in items:
@@ -129,11 +129,11 @@ class Ledger:
     def append(
         self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
     ) -> Tuple[Record, Step]:
-        """Put a batch into the next slot, without repeated items.
+        """Append a batch as the next slot, without repeated items.
 
         :param items: the batch.
         :param ballot: the ballot under which a team agreed on it.
-        :returns: the ``slot`` record, and what it changed.
+        :returns: the ``slot`` record, and its effects.
         """
         fresh = self.news(items)
         self.seen.update({item.origin.robot: item.origin[1:] for item in fresh})
@@ -147,7 +147,8 @@ class Ledger:
         return record, step
 
     def _note_membership(self, entry: log_entries.Entry) -> None:
-        """Record the log with which a robot was let in, or the slot in which it was cast out."""
+        """Record the log with which a robot was admitted, or the slot in which it was evicted by
+        force."""
         if isinstance(entry, log_entries.Join):
             robot = self.state.robots.get(entry.robot)
             if entry.robot in self.state.witnesses or (
@@ -173,7 +174,8 @@ class Ledger:
     def record(
         self, slot: int, entries: Sequence[log_entries.Entry], origins: List[Any], step: Step
     ) -> Record:
-        """The ``slot`` record of a step that was already made; extends the hash chain."""
+        """Make the ``slot`` record of a step that was already carried out, and extend the hash
+        chain."""
         written = [log_entries.to_json(e) for e in entries]
         before, self.game = self.game, step.game(self.game)
         firings = [

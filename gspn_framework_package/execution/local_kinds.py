@@ -1,5 +1,5 @@
-"""The kinds of action that need no ROS, beside Python functions: in standalone runs, and in the
-execution nodes of robots."""
+"""The kinds of action other than Python functions that need no ROS, for standalone runs and robots'
+execution nodes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
 
 LocalAction = Callable[[ActionContext], ActionResult]
-"""Carries an action out, on a thread of its own: returns its result, or raises ActionFailed or
-DataError. It ends soon after ``is_cancelled``."""
+"""Carries out an action, on its own thread: returns its result, or raises ActionFailed or
+DataError. Returns soon after ``is_cancelled``."""
 
 LOCAL_KINDS: Dict[type, Callable[[Plan, Any], LocalAction]] = {
     CommandAction: lambda plan, action: Command(action, plan.folder, plan.cancel_grace),
 }
-"""Kind of action -> what makes an action of a plan ready to be run."""
+"""Kind of action -> function that prepares an action of a plan."""
 
 
 ALLOW_IN_STANDALONE_RUN = "gspn run --allow-commands"
@@ -28,7 +28,7 @@ ALLOW_IN_STANDALONE_RUN = "gspn run --allow-commands"
 def refuse_commands(plan: Plan, how: str) -> None:
     """Refuse a plan that runs programs.
 
-    :param how: what the operator does to allow it.
+    :param how: how the operator can allow it.
     :raises RefusedError: an action of the plan is a command.
     """
     for place, action in plan.bindings():

@@ -1,7 +1,7 @@
-"""Entries of the event log: the external events that determine a whole run.
+"""Entries of the event log: the external events that determine the whole run.
 
-What an operator can order has ``by``: who gave the order, which robots write from version 3 of the
-protocol on.
+Entries that an operator can order have ``by``, the giver of the order, which robots record from
+version 3 of the protocol on.
 
 An entry is a value; ``to_json`` and ``from_json`` convert it to a JSON object and back. The field
 ``visit`` grows by one with each move of a robot, so a stale or repeated ``Done`` is recognised and
@@ -23,26 +23,26 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 """No data."""
 
 ID_LIMIT = 200
-"""Longest id of a task, in characters."""
+"""Maximum length of the id of a task, in characters."""
 
 WHY_LIMIT = 2_000
-"""Longest reason of a robot that cannot follow a plan, in characters."""
+"""Maximum length of the reason why a robot cannot follow a plan, in characters."""
 
 
 GIVER_LIMIT = 200
-"""Longest name of somebody who gives an order, in characters."""
+"""Maximum length of the name of an operator, in characters."""
 
 
 class Giver(NamedTuple):
-    """Who gave an order. ``proof``: what shows that it was that person (``certificate``, ``team
-    key``); "" if nothing does."""
+    """The giver of an order. ``proof``: how the name was authenticated (``certificate``, ``team
+    key``); "" if not at all."""
 
     name: str = ""
     proof: str = ""
 
 
 NOBODY = Giver()
-"""No operator, or nobody knows which."""
+"""No operator, or an unknown one."""
 
 
 class Start(NamedTuple):
@@ -93,8 +93,8 @@ class Fire(NamedTuple):
 
 
 class Interrupt(NamedTuple):
-    """The event of a transition came while a robot was in that visit: it interrupts the robot's
-    action. ``cause`` holds what was read of the event, e.g. fields of a message."""
+    """The event of a transition occurred while a robot was in that visit, and interrupts the
+    robot's action. ``cause`` holds the data of the event, e.g. fields of a message."""
 
     robot: str
     incarnation: int
@@ -104,9 +104,9 @@ class Interrupt(NamedTuple):
 
 
 class Submit(NamedTuple):
-    """A task comes in by a transition of the environment. Of several entries with one transition
-    and ``id``, the first counts, and one that comes ``again``, because the robot that carries it is
-    gone. If the transition is not enabled, the task waits until it is."""
+    """A task arrives through a transition of the environment. Of several entries with the same
+    transition and ``id``, only the first counts, except for an entry marked ``again``, whose robot
+    is gone. If the transition is not enabled, the task waits until it is."""
 
     transition: str
     id: str
@@ -116,11 +116,11 @@ class Submit(NamedTuple):
 
 
 class Join(NamedTuple):
-    """A robot joins, or comes back with a higher incarnation.
+    """A robot joins, or returns with a higher incarnation.
 
     A new robot starts in ``place``. A robot that was lost or had left returns to its last place
     with the next visit. A robot that only restarted keeps its place and visit, and its action
-    starts again as the next attempt. ``log`` is the id of the log that it now keeps. A witness that
+    starts again as the next attempt. ``log`` is the id of the robot's present log. A witness that
     lost its log also joins again, to regain its vote."""
 
     robot: str
@@ -138,9 +138,9 @@ class Leave(NamedTuple):
 
 
 class Evict(NamedTuple):
-    """A robot is declared lost; its token goes to the account of the lost. ``forced`` means that
-    the operator asserted that it is off, so its vote was not required. The last member of a team
-    cannot be evicted."""
+    """A robot is declared lost; its token is counted as lost. ``forced`` means that the operator
+    asserted that the robot is off, so its vote was not required. The last member of a team cannot
+    be evicted."""
 
     robot: str
     incarnation: int
@@ -151,8 +151,8 @@ class Evict(NamedTuple):
 class SetPlace(NamedTuple):
     """The operator puts a robot into a place; its action there starts.
 
-    With ``returns``, its task returns to the queue where ``place`` holds none. An entry that does
-    not have it, of an earlier version, leaves the task with the robot."""
+    With ``returns``, its task returns to the queue if robots carry no tasks in ``place``. Entries
+    without it, of earlier versions, leave the task with the robot."""
 
     robot: str
     place: str
@@ -182,12 +182,11 @@ class Stop(NamedTuple):
 
 
 class StagePlan(NamedTuple):
-    """The operator proposes a new plan for the running team; a newer stage takes its place.
-
-    ``plan`` is the new plan whole, as a header has it, and ``digest`` its hash
-    (:func:`~gspn_framework_package.execution.plan_change.digest_of`). ``mapping`` gives places and
-    transitions of the present net the names that they have in the new one; "" for a resource place
-    whose tokens are dropped. ``folder`` is where its functions are; "" is where they were at the
+    """The operator proposes a new plan for the running team; a newer stage replaces it. ``plan`` is
+    the whole new plan, as in a header, and ``digest`` its hash
+    (:func:`~gspn_framework_package.execution.plan_change.digest_of`). ``mapping`` maps names of
+    places and transitions in the present net to their names in the new one; "" for a resource place
+    whose tokens are dropped. ``folder`` holds the plan's functions; "" for the folder at the
     start."""
 
     plan: Mapping[str, Any]
@@ -208,15 +207,15 @@ class Staged(NamedTuple):
 
 
 class Adopt(NamedTuple):
-    """The team goes on under the staged plan with this number, from here on. Without effect unless
-    every member can follow it, and the state of the team fits it."""
+    """The team follows the staged plan with this number from here on. Has no effect unless every
+    member can follow the plan and the state of the team fits it."""
 
     stage: int
     by: Giver = NOBODY
 
 
 class Unstage(NamedTuple):
-    """The staged plan with this number is given up."""
+    """The staged plan with this number is withdrawn."""
 
     stage: int
     reason: str = "given up by the operator"
@@ -237,7 +236,7 @@ Ordered = Union[
     Adopt,
     Unstage,
 ]
-"""What an operator can order."""
+"""The entries that an operator can order."""
 
 Entry = Union[Ordered, Start, Done, Failed, Interrupt, Join, Staged]
 
@@ -275,25 +274,25 @@ _OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
 
 _BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by"))
-"""Fields of which more than the type is checked."""
+"""Fields that are checked for more than their type."""
 
 
 _LATER = ("again", "returns")
-"""Fields that entries of earlier versions do not have."""
+"""Fields that entries of earlier versions lack."""
 
 
 class _Form(NamedTuple):
-    """How the entries of a kind are written and read; worked out once, since every message and
-    every line of a log holds some."""
+    """How entries of a kind are written and read; computed once for speed, since every message and
+    every line of a log holds entries."""
 
     keys: Tuple[str, ...]
-    """``entry``, and the fields."""
+    """``entry`` and the names of the fields."""
     types: Tuple[Tuple[str, type], ...]
     """The plain fields and their types."""
     open: Tuple[str, ...]
     """Fields that are written only if they are not empty."""
     ordered: bool
-    """Whether an operator can give it: it has ``by``, which is written if it is known."""
+    """Whether an operator can order it, so that it has ``by``, which is written if known."""
     bounded: bool
     """Whether it has any of :data:`_BOUNDED`."""
 
@@ -339,7 +338,7 @@ def to_json(entry: Entry) -> Dict[str, Any]:
 def checked(entry: Entry) -> Entry:
     """A copy of the entry as every reader of the log will see it.
 
-    :raises LogError: nobody could read it: its data, cause or id is not JSON, or too long.
+    :raises LogError: readers would reject it: its data, cause or id is not JSON, or too long.
     """
     try:
         return from_json(json.loads(json.dumps(to_json(entry))))
@@ -348,7 +347,7 @@ def checked(entry: Entry) -> Entry:
 
 
 def from_json(data: Any) -> Entry:
-    """The entry in a JSON object. :raises LogError: it is not an entry."""
+    """Parse an entry. :raises LogError: the JSON object is not an entry."""
     try:
         kind = _KINDS[data["entry"]]
         fields = dict(data)
@@ -370,16 +369,16 @@ def from_json(data: Any) -> Entry:
 
 
 def new_task_id(source: str) -> str:
-    """A new id for a task that came without one: ``source``, and some random digits."""
+    """Make an id for a task that has none: ``source`` and some random digits."""
     return "%s-%s" % (source, uuid.uuid4().hex[:12])
 
 
 def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:
-    """The entry for a task from outside.
+    """Make the entry for a task from outside.
 
     :param task: the id of the task, text or a whole number; "" if it has none yet.
     :param data: name -> JSON value, without scopes: the names belong to the task.
-    :raises DataError: the id or the data cannot be kept.
+    :raises DataError: the id or the data cannot be stored.
     """
     if isinstance(task, bool) or not isinstance(task, (str, int)):
         raise DataError("the id of a task is text or a whole number, not %.100r" % (task,))
@@ -388,8 +387,9 @@ def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:
     for name in check_values(data):
         if "." in name or name == "id":
             raise DataError(
-                "'%.100s' is not a name of a task's data" % name,
-                hint="write it without a scope: 'pose' is read as task.pose, and task.id is the id",
+                "'%.100s' is not a valid name for a task's data" % name,
+                hint="write the name without a scope: 'pose' is read as task.pose, and task.id is "
+                "the id",
             )
     return Submit(transition, str(task), dict(data))
 
@@ -410,9 +410,9 @@ def _check_bounds(fields: Dict[str, Any]) -> None:
     if "by" in fields:
         by = fields["by"]
         if not isinstance(by, list) or [type(text) for text in by] != [str, str]:
-            raise ValueError("who gave it is not a name and a proof")
+            raise ValueError("its giver is not a name and a proof")
         if max(map(len, by)) > GIVER_LIMIT or not any(by):
-            raise ValueError("who gave it has no name of at most %d characters" % GIVER_LIMIT)
+            raise ValueError("its giver has no name of at most %d characters" % GIVER_LIMIT)
         fields["by"] = Giver(*by)
     if "digest" in fields and not isinstance(fields["plan"], dict):
         raise ValueError("its plan is not an object")

@@ -1,5 +1,5 @@
-"""What a log shows of a run: how often each transition fired, where the tokens were, what the
-policy chose, and what happened that no model of the run foresees."""
+"""Observes a run in its log: how often each transition fired, where the tokens were, what the
+policy chose, and what happened that the model does not include."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_NOTES = 5
 
 
 class PolicyChoice(NamedTuple):
-    """A choice that the policy made at ``at`` (s) in ``place``: ``chosen``, by the probabilities of
+    """The policy's choice of ``chosen`` at time ``at`` (s) in ``place``, by the probabilities of
     the ``row``."""
 
     at: float
@@ -29,9 +29,9 @@ class PolicyChoice(NamedTuple):
 class ChoiceReader:
     """Reads the policy's choices from firings.
 
-    Only choices between transitions that could all fire at once are read: a robot that draws a
-    transition which must wait may draw again before it fires, so what fires is then no fair sample
-    of what was drawn.
+    Only choices between transitions that could all fire at once are read. A robot that draws a
+    transition that must wait may draw again before it fires, so the firings would be a biased
+    sample of the draws.
 
     :param plan: the plan whose rows apply.
     """
@@ -47,8 +47,8 @@ class ChoiceReader:
         self._strict = plan.strict
 
     def read(self, firing: Firing, marking: Marking, at: float) -> Optional[PolicyChoice]:
-        """The choice that led to a firing, if there was one; ``marking`` is that before it, in the
-        order of the plan's places."""
+        """The choice that led to a firing, if there was one; ``marking`` is the previous marking,
+        in the order of the plan's places."""
         if firing.drawn is None or not firing.robot:
             return None
         source = next((m.source for m in firing.moves if m.robot == firing.robot), None)
@@ -85,17 +85,17 @@ class ChoiceReader:
 
 
 class RunObserver:
-    """Adds up what a run shows, step by step.
+    """Accumulates the observations of a run, step by step.
 
     :param plan: the plan to compare with; its net has the same places and transitions as that of
         the run, in any order.
 
     :ivar began: when the run began (s); None before that.
-    :ivar ended: when it ended; None while it goes on.
-    :ivar came: whether it came to the condition of its plan.
+    :ivar ended: when it ended (s); None while it is running.
+    :ivar came: whether it met the condition of its plan.
     :ivar firings: transition -> number of firings.
-    :ivar choices: what the policy chose.
-    :ivar notes: what happened that the prediction does not know, for people.
+    :ivar choices: the choices of the policy.
+    :ivar notes: notes for people on what the prediction does not include.
     """
 
     def __init__(self, plan: Plan, run_plan: Plan) -> None:
@@ -116,7 +116,7 @@ class RunObserver:
         self._now = 0.0
 
     def take(self, step: Replayed, now: float) -> None:
-        """Take in the next step of the run, at ``now`` (s)."""
+        """Process the next step of the run, at ``now`` (s)."""
         state = step.state
         if self.began is None:
             if not state.robots:
@@ -141,7 +141,7 @@ class RunObserver:
             self.came = state.finished and state.ended.startswith("until:")
 
     def wait(self, now: float) -> None:
-        """Let the time pass until ``now`` (s) without a step."""
+        """Advance the time to ``now`` (s) without a step."""
         if self.began is None or self.ended is not None or now <= self._now:
             return
         for p, count in enumerate(self._marking):
@@ -150,8 +150,8 @@ class RunObserver:
         self._now = now
 
     def start_of(self, plan: Plan) -> Plan:
-        """``plan`` with the robots and the marking with which the run began. A robot that the plan
-        knows has its own actions there, too."""
+        """``plan`` with the robots and the marking at the start of the run. A robot that the plan
+        knows keeps its own actions."""
         own = {robot.name: robot.actions for robot in plan.robots}
         robots = tuple(r._replace(actions=own.get(r.name, {})) for r in self._robots)
         resources = {
@@ -177,7 +177,7 @@ class RunObserver:
         return {p.name: s for p, s in zip(self._plan.net.places, self._tokens)}
 
     def all_notes(self) -> List[str]:
-        """The notes, and how many were left out."""
+        """The notes, and the number of those left out."""
         if not self._more_notes:
             return list(self.notes)
         return [*self.notes, "and %d more such events" % self._more_notes]
@@ -208,7 +208,7 @@ class RunObserver:
             return
         whom = getattr(entry, "robot", "") or "the team"
         self.notes.append(
-            "%s %s after %.1f s, which the prediction does not know"
+            "%s %s after %.1f s, which the prediction does not include"
             % (whom, text, now - self.began)
         )
 
@@ -217,7 +217,7 @@ _UNFORESEEN = {
     log_entries.Join: "joined",
     log_entries.Leave: "left",
     log_entries.Evict: "was lost",
-    log_entries.SetPlace: "was put into another place",
+    log_entries.SetPlace: "was moved to another place",
     log_entries.Pause: "was paused",
     log_entries.Retry: "was ordered to try again",
 }

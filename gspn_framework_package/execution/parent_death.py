@@ -1,4 +1,4 @@
-"""Processes that do not outlive the one that started them, however that one ends."""
+"""Ends a process when its parent ends, however the parent ends."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2)
 def end_with_parent(parent: int, number: int) -> bool:
     """Have the kernel send this process a signal when its parent has ended.
 
-    Linux counts the thread of the parent that started this process: it must last as long. On other
-    systems this does nothing.
+    On Linux, the signal is sent when the parent's thread that started this process ends, so that
+    thread must live as long. Does nothing on other systems.
 
-    :param parent: the process id of the parent, as the parent knows it.
+    :param parent: the process id of the parent, as passed by the parent.
     :param number: the signal.
-    :returns: whether the parent is still there.
+    :returns: whether the parent is still running.
     """
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, number)

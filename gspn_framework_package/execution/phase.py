@@ -1,10 +1,10 @@
-"""The one vocabulary for the phase that a robot or an agent is in.
+"""The phases of a robot or an agent.
 
 The log gives each robot a phase (:attr:`RobotState.phase`). The phase reported to people and
-programs also takes into account a pause, the end of the run and what is not in the log yet
+programs also reflects a pause, the end of the run, and changes that are not in the log yet
 (:func:`.team_state.reported_phase`). The members of :class:`Phase` form a table: the name of each
-phase in logs, in reports, in the thesis and on the page, and flags for what follows from it.
-Nothing else in the package compares these names.
+phase in logs, in reports, in the thesis and on the page, and flags for its properties. No other
+code in the package compares these names.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any, Dict, NamedTuple
 
 
 class PhaseReport(NamedTuple):
-    """How a phase is reported, and what follows from it."""
+    """How a phase is reported, and its properties."""
 
     state: str
     """Its name in what a robot reports of itself (thesis 4.3.3)."""
     agent: str
     """Its name for an agent that is a thread (thesis 4.1.2, Figure 4.5)."""
     word: str
-    """The word that people read on the page."""
+    """Its name for people, on the page."""
     tone: str
-    """How the page marks it: "good", "warn", "bad" or ""."""
+    """Its style on the page: "good", "warn", "bad" or ""."""
     acts: bool = False
     """Whether the robot's action runs, or is about to start."""
     waits: bool = False
@@ -33,7 +33,7 @@ class PhaseReport(NamedTuple):
     failed: bool = False
     """Whether the robot's action failed for good; the operator can have it tried again."""
     needs_operator: bool = False
-    """Whether the robot cannot go on without the operator."""
+    """Whether the robot needs the operator to continue."""
     at_rest: bool = False
     """Whether the robot is finished or stopped, so that it takes no orders."""
     outlasts: bool = False
@@ -52,17 +52,17 @@ class Phase(enum.Enum):
     gone: bool
 
     def __new__(cls, value: str, report: PhaseReport) -> Phase:
-        """A member of the table below."""
+        """Create a member from a row of the table below."""
         phase = object.__new__(cls)
         phase._value_ = value
         phase.report = report
-        phase.gone = report.gone  # read so often that one look-up less matters
+        phase.gone = report.gone  # an attribute, because it is read very often
         return phase
 
     UNHEARD = "", PhaseReport("", "", "not heard yet", "")
     """Nothing has been heard from the robot yet."""
     FREE = "free", PhaseReport("Doing", "Free", "acts", "good", acts=True)
-    """It has come to a new place and is about to start."""
+    """It has arrived in a place and is about to start."""
     DOING = "doing", PhaseReport("Doing", "Occupied", "acts", "good", acts=True)
     """Its action runs."""
     DONE = "done", PhaseReport("Done", "Done", "waits", "warn", waits=True)
@@ -78,7 +78,7 @@ class Phase(enum.Enum):
             "Failed", "Failed", "failed", "bad", failed=True, needs_operator=True, outlasts=True
         ),
     )
-    """Its action failed for good; the operator decides."""
+    """Its action failed for good; the operator has to decide."""
     INACTIVE = "inactive", PhaseReport("Inactive", "Inactive", "has finished", "", at_rest=True)
     """It is in a place without output arcs, and has finished there."""
     STOPPED = "stopped", PhaseReport("Inactive", "Inactive", "stopped", "", at_rest=True)
@@ -87,7 +87,7 @@ class Phase(enum.Enum):
         "lost",
         PhaseReport("Lost", "Void", "lost", "bad", gone=True, needs_operator=True, outlasts=True),
     )
-    """It was evicted; its token is in the account of the lost."""
+    """It was evicted; its token is counted as lost."""
     LEFT = (
         "left",
         PhaseReport("Left", "Void", "has left", "", gone=True, outlasts=True, shown=False),
@@ -109,7 +109,7 @@ class Phase(enum.Enum):
         """The phase with this name in logs. :raises ValueError: logs contain no such phase."""
         phase = cls.of_value(value)
         if phase not in _IN_LOGS:
-            raise ValueError("a robot cannot be '%s'" % value)
+            raise ValueError("'%s' is not a phase of a robot" % value)
         return phase
 
     @classmethod
@@ -134,12 +134,12 @@ _LOGGED = {Phase.FREE: Phase.DOING, Phase.WAITING: Phase.DONE, Phase.PAUSED: Pha
 
 
 ENTERED = Phase.DOING
-"""The phase of a robot that a firing has put into a place."""
+"""The phase of a robot that a firing has moved into a place."""
 
 
 def phases_to_json() -> Dict[str, Any]:
-    """The phases as a JSON object for the page: ``table``, how each phase is reported, by its
-    value, and ``named``, the phases that the page refers to by name."""
+    """The phases as a JSON object for the page: ``table`` maps values to reports, and ``named``
+    lists the phases that the page refers to by name."""
     left_out = ("state", "agent")
     return {
         "table": {

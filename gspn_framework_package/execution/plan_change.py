@@ -1,8 +1,8 @@
-"""The rules for putting a new plan into a running team: whether its state may go on under the plan,
-and what becomes of what the old plan named.
+"""The rules for deploying a new plan to a running team: whether its state fits the plan, and how
+the names of the old plan map to it.
 
 A new plan is *staged*, each member votes on it, and it is *adopted* (see ``docs/semantics.md``).
-This module knows plans and states; the token game carries the change out.
+This module only compares plans and states; the token game carries out the change.
 """
 
 from __future__ import annotations
@@ -22,32 +22,33 @@ from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
 KEPT_PLANS = 8
-"""Plans that are kept after they were read."""
+"""Number of parsed plans to cache."""
 
 _plans: Kept[str, Plan] = Kept(KEPT_PLANS)
 
 
 def digest_of(plan: Mapping[str, Any]) -> str:
-    """A hash of everything in a plan, given as a JSON object: also of its actions and times, which
-    do not determine the course of a run and are not in ``Plan.hash``."""
+    """A hash of everything in a plan (a JSON object), including its actions and times, which do not
+    determine the course of a run and are not in ``Plan.hash``."""
     text = compact_sorted(plan)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def stage_of(plan: Plan, mapping: Mapping[str, str], folder: str = "") -> StagePlan:
-    """The entry that stages a plan.
+    """Make the entry that stages a plan.
 
     :param mapping: names of places and transitions in the present net -> their names in ``plan``.
-    :param folder: where every robot finds the functions of the plan; "": where they were.
+    :param folder: the folder where every robot finds the functions of the plan; "" to keep the
+        present one.
     """
     data = json.loads(json.dumps(plan_to_json(plan)))
     return StagePlan(data, digest_of(data), dict(mapping), folder)
 
 
 def plan_of(staged: StagedPlan) -> Plan:
-    """The plan that was staged.
+    """Parse a staged plan.
 
-    :raises GspnError: it is none, or not the one with that digest.
+    :raises GspnError: it is not a plan, or its digest differs.
     """
 
     def read() -> Plan:
@@ -62,9 +63,9 @@ def plan_of(staged: StagedPlan) -> Plan:
 
 
 class NewNames:
-    """What the places and transitions of a plan are called in the plan that follows it.
+    """The names of a plan's places and transitions in the next plan.
 
-    A name that ``mapping`` does not have stays as it is.
+    Names not in ``mapping`` are unchanged.
     """
 
     def __init__(self, old: Plan, new: Plan, mapping: Mapping[str, str]) -> None:
@@ -72,22 +73,22 @@ class NewNames:
         self._old, self._new = old.net, new.net
 
     def place(self, name: str) -> Optional[str]:
-        """The new name of a place; None if it is no more."""
+        """The new name of a place; None if it no longer exists."""
         new = self._mapping.get(name, name)
         return new if new in self._new.place_index else None
 
     def transition(self, name: str) -> Optional[str]:
-        """The new name of a transition; None if it is no more."""
+        """The new name of a transition; None if it no longer exists."""
         new = self._mapping.get(name, name)
         return new if new in self._new.transition_index else None
 
     def place_number(self, p: int) -> Optional[int]:
-        """The new number of a place; None if it is no more."""
+        """The new number of a place; None if it no longer exists."""
         name = self.place(self._old.places[p].name)
         return None if name is None else self._new.place_index[name]
 
     def transition_number(self, t: int) -> Optional[int]:
-        """The new number of a transition; None if it is no more."""
+        """The new number of a transition; None if it no longer exists."""
         name = self.transition(self._old.transitions[t].name)
         return None if name is None else self._new.transition_index[name]
 
@@ -99,8 +100,8 @@ def home_of(plan: Plan, robot: str) -> str:
 
 
 def why_never(old: Plan, new: Plan, mapping: Mapping[str, str]) -> List[str]:
-    """Why a team that follows ``old`` cannot go on under ``new`` with this mapping, whatever its
-    state; empty if nothing forbids it."""
+    """Why a team that follows ``old`` cannot switch to ``new`` with this mapping in any state;
+    empty if nothing forbids it."""
     why = []
     for what, a, b in (
         ("synchronisation", old.synchronisation.value, new.synchronisation.value),
@@ -111,11 +112,11 @@ def why_never(old: Plan, new: Plan, mapping: Mapping[str, str]) -> List[str]:
     ):
         if a != b:
             why.append(
-                "it changes '%s' from %s to %s, which a running team cannot"
+                "it changes '%s' from %s to %s, which is not possible during a run"
                 % (what, json.dumps(a), json.dumps(b))
             )
     if not new.action_places:
-        why.append("it has no place for a robot")
+        why.append("the plan has no place for a robot")
     for name, target in mapping.items():
         if name in old.net.place_index:
             why += _why_not_place(old, new, name, target)
@@ -123,8 +124,8 @@ def why_never(old: Plan, new: Plan, mapping: Mapping[str, str]) -> List[str]:
             why.append("'%s' is mapped, but the present net has no such place or transition" % name)
         elif target not in new.net.transition_index:
             why.append(
-                "the transition '%s' is mapped to '%s', which the new net does not have as a "
-                "transition" % (name, target)
+                "the transition '%s' is mapped to '%s', which is not a transition of the new net"
+                % (name, target)
             )
         elif name in new.net.transition_index and name != target:
             why.append(
@@ -142,8 +143,7 @@ def _why_not_place(old: Plan, new: Plan, name: str, target: str) -> List[str]:
         )
     if target not in new.net.place_index:
         return [
-            "the place '%s' is mapped to '%s', which the new net does not have as a place"
-            % (name, target)
+            "the place '%s' is mapped to '%s', which is not a place of the new net" % (name, target)
         ]
     if resource != (target in new.resource_places):
         kinds = ("an action place", "a resource place")
@@ -152,8 +152,8 @@ def _why_not_place(old: Plan, new: Plan, name: str, target: str) -> List[str]:
 
 
 def new_marking(state: TeamState, old: Plan, new: Plan, names: NewNames) -> Dict[str, int]:
-    """The marking of the new net: its robots where they are, the tokens of the resource places that
-    survive, the initial tokens of new ones."""
+    """The marking of the new net: the robots in their places, the tokens of surviving resource
+    places, and the initial tokens of new ones."""
     marking = {p.name: 0 for p in new.net.places}
     inherited = set()
     for place, tokens in zip(old.net.places, state.marking):
@@ -175,7 +175,7 @@ def new_marking(state: TeamState, old: Plan, new: Plan, names: NewNames) -> Dict
 
 
 def why_not(state: TeamState, old: Plan, new: Plan, mapping: Mapping[str, str]) -> List[str]:
-    """Why the team cannot go on under ``new`` from this state; empty if it can."""
+    """Why the team cannot switch to ``new`` from this state; empty if it can."""
     why = why_never(old, new, mapping)
     if why:
         return why
@@ -187,7 +187,7 @@ def why_not(state: TeamState, old: Plan, new: Plan, mapping: Mapping[str, str]) 
             if target is None or target in new.resource_places:
                 who = [r.name for r in state.active() if old.net.places[r.place] is place]
                 why.append(
-                    "%s in '%s', which the new plan does not have as an action place: map it"
+                    "%s in '%s', which is not an action place of the new plan: map it"
                     % (_are(who), place.name)
                 )
         elif (
@@ -197,8 +197,8 @@ def why_not(state: TeamState, old: Plan, new: Plan, mapping: Mapping[str, str]) 
             and (target is None or target not in new.resource_places)
         ):
             why.append(
-                "'%s' holds %d tokens, and the new plan does not have it as a resource place: "
-                "map it, or drop them with '%s='" % (place.name, tokens, place.name)
+                "'%s' holds %d tokens, but is not a resource place of the new plan: map it, or "
+                "drop them with '%s='" % (place.name, tokens, place.name)
             )
     why += _tasks_without_place(state, old, new, names)
     if not why:
@@ -217,25 +217,27 @@ def _are(robots: List[str]) -> str:
 
 
 def _tasks_without_place(state: TeamState, old: Plan, new: Plan, names: NewNames) -> List[str]:
-    """Which tasks would be lost."""
+    """The tasks that would be lost."""
     why = []
     for p, queue in state.queues.items():
         place = old.net.places[p].name
         real = sum(1 for task in queue if task.id)
         if real and names.place(place) not in new.tasks.queues:
-            why.append("%d tasks wait in '%s', which is no queue in the new plan" % (real, place))
+            why.append(
+                "%d tasks wait in '%s', which is not a queue in the new plan" % (real, place)
+            )
     waiting = Counter(old.net.transitions[t].name for t, _ in state.submitted)
     for t, count in waiting.items():
         if names.transition(t) not in new.submissions:
             why.append(
-                "%d tasks wait for '%s', by which no tasks come in the new plan" % (count, t)
+                "%d tasks wait for '%s', which does not take tasks in the new plan" % (count, t)
             )
     return why
 
 
 def begun_here(state: TeamState, old: Plan, new: Plan, mapping: Mapping[str, str]) -> Plan:
-    """The new plan as if it began where the team is: for a check from the present marking. The
-    state has to allow it, see :func:`why_not`."""
+    """The new plan with the team's present state as its start, for a check. The state must fit the
+    plan, see :func:`why_not`."""
     names = NewNames(old, new, mapping)
     own = {spec.name: spec.actions for spec in new.robots}
     robots = [
@@ -251,7 +253,7 @@ def why_not_adopted(
 ) -> Tuple[List[str], Optional[Plan]]:
     """Why the staged plan cannot be adopted now, and the plan (None if it cannot be read).
 
-    :param agents: whether this is a standalone run, in which the executor ("") looks at the plan.
+    :param agents: whether this is a standalone run, in which the executor ("") votes on the plan.
     """
     staged = state.staged
     if staged is None:
@@ -262,7 +264,7 @@ def why_not_adopted(
     for member in [""] if agents else state.members():
         vote = vote_of(state, member)
         if vote is None:
-            why.append("%s has not looked at the plan yet" % (member or "the executor"))
+            why.append("%s has not voted on the plan yet" % (member or "the executor"))
         elif vote:
             why.append("%s cannot follow the plan: %s" % (member or "the executor", vote))
     try:
@@ -273,8 +275,8 @@ def why_not_adopted(
 
 
 def vote_of(state: TeamState, member: str) -> Optional[str]:
-    """Why a member cannot follow the staged plan, "" if it can; None if it has not said yet. What
-    it said in an earlier life does not count."""
+    """Why a member cannot follow the staged plan, "" if it can; None if it has not voted yet. Votes
+    of earlier incarnations do not count."""
     if state.staged is None or member not in state.staged.votes:
         return None
     incarnation, why = state.staged.votes[member]
@@ -285,7 +287,7 @@ def vote_of(state: TeamState, member: str) -> Optional[str]:
 def renamed(
     before: Mapping[str, str], old: Plan, new: Plan, mapping: Mapping[str, str]
 ) -> Dict[str, str]:
-    """The names of earlier plans that have another one under ``new``."""
+    """The names of earlier plans that are different under ``new``."""
     names = {a: mapping.get(b, b) for a, b in before.items()}
     names.update(mapping)
     nodes = (*new.net.place_index, *new.net.transition_index)

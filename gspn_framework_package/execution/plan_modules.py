@@ -1,9 +1,9 @@
-"""The Python modules that the functions of plans come from: which they may be, and how they are
-found, loaded, and loaded anew when they changed.
+"""The Python modules with the functions of plans: which ones are allowed, and how they are found,
+loaded, and reloaded when they change.
 
-A plan may name functions of its own folder, of the modules and folders that whoever starts the run
-allows (:func:`allow_modules`), and of :data:`SHIPPED`. Any other module, such as ``subprocess``,
-would let a plan without a line of Python run programs.
+A plan may name functions of its own folder, of modules and folders allowed by the user who starts
+the run (:func:`allow_modules`), and of :data:`SHIPPED`. Any other module, such as ``subprocess``,
+would let a plan run programs without a line of Python.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ SHIPPED = (
 """The modules of this package with functions for plans."""
 
 HOW_TO_ALLOW = (
-    "put the function into the plan's folder; or, if you trust it, allow where it is when you "
-    "start the run: --modules %s, in a launch file modules:=%s"
+    "put the function into the plan's folder; or, if you trust it, allow its module or folder when "
+    "you start the run: --modules %s, in a launch file modules:=%s"
 )
 
 _allowed: Tuple[str, ...] = ()
@@ -40,12 +40,12 @@ _allowed: Tuple[str, ...] = ()
 
 
 def allow_modules(names: Iterable[str]) -> None:
-    """Allow modules as sources of the functions of plans, in this process, in place of those that
-    were allowed before. Whoever starts a run decides this; neither a plan nor who deploys one does.
+    """Set the modules that may contain functions of plans in this process, replacing earlier ones.
+    The user who starts a run decides this, not a plan or the user who deploys it.
 
-    :param names: ``module`` or ``package``, with all that is in it; or a folder, with a separator
-        in its name, with all files in it.
-    :raises UsageError: one is neither.
+    :param names: ``module``, or ``package`` with all its modules; or a folder with all its files,
+        whose name must contain a separator.
+    :raises UsageError: a name is neither.
     """
     global _allowed
     found = []
@@ -56,7 +56,7 @@ def allow_modules(names: Iterable[str]) -> None:
             name = os.path.realpath(name)
         elif not all(part.isidentifier() for part in name.split(".")):
             raise UsageError(
-                "'%s' is not the name of a module" % name,
+                "'%s' is not a valid module name" % name,
                 element="modules",
                 hint="package.module, or a folder with a '/' in its name, such as ./parts",
             )
@@ -65,12 +65,12 @@ def allow_modules(names: Iterable[str]) -> None:
 
 
 def names_of(text: str) -> Tuple[str, ...]:
-    """The names in a text such as ``package.module,./parts``, as they are given to a program."""
+    """Split a list of names such as ``package.module,./parts``, as given to a program."""
     return tuple(name for name in re.split(r"[,\s]+", text) if name)
 
 
 def allowed_modules() -> Tuple[str, ...]:
-    """What :func:`allow_modules` allowed."""
+    """The modules allowed by :func:`allow_modules`."""
     return _allowed
 
 
@@ -80,15 +80,15 @@ def is_allowed(name: str) -> bool:
 
 
 def is_allowed_file(file: str, folder: Optional[str]) -> bool:
-    """Whether a file, wherever its links lead, is in the folder of a plan or in an allowed one."""
+    """Whether a file, after following links, is in the folder of a plan or in an allowed one."""
     folders = [folder] if folder else []
     folders += [known for known in _allowed if os.sep in known]
     return any(is_inside(file, known) for known in folders)
 
 
 def may_hold_functions(folder: str) -> bool:
-    """Whether a folder that a deployed plan names is one of plans: with the file of a plan, or
-    allowed. (Python's own folders, say, hold none.)"""
+    """Whether a deployed plan may name this folder for its functions: it contains a plan file or is
+    allowed. (Python's own folders, for example, do not qualify.)"""
     from gspn_framework_package.formats.plan_file import looks_like_plan
 
     if is_allowed_file(os.path.join(folder, "any"), None):
@@ -102,10 +102,10 @@ def may_hold_functions(folder: str) -> bool:
 
 
 def module_file(folder: Optional[str], within: str, name: str) -> Optional[str]:
-    """The file of the module ``name`` of a plan; None if it is none of its folder.
+    """The file of the module ``name`` of a plan; None if it is not in the plan's folder.
 
     :param folder: the plan's folder; None if it has none.
-    :param within: where the module is, relative to that folder; "": in it.
+    :param within: the module's folder, relative to the plan's; "" for that folder itself.
     :raises PlanError: the file is neither in that folder nor in an allowed one.
     """
     if not folder:
@@ -127,18 +127,18 @@ def refuse_other_module(name: str) -> None:
     """Refuse an installed module that was not allowed. :raises PlanError: it was not."""
     if not is_allowed(name):
         raise PlanError(
-            "the module '%s' is not in the plan's folder, and was not allowed" % name,
+            "the module '%s' is not in the plan's folder and was not allowed" % name,
             hint=HOW_TO_ALLOW % (name, name),
         )
 
 
 def refuse_foreign_function(function: Any, name: str, folder: Optional[str]) -> None:
-    """Refuse a function that a module of the plan only imports from one that is not allowed.
+    """Refuse a function that a module of the plan imports from a module that is not allowed.
 
     :param function: the function, class or callable object.
     :param name: the name that the plan gives it.
     :param folder: the plan's folder.
-    :raises PlanError: that is so.
+    :raises PlanError: the function comes from such a module.
     """
     while isinstance(function, functools.partial):
         function = function.func
@@ -155,12 +155,12 @@ def refuse_foreign_function(function: Any, name: str, folder: Optional[str]) -> 
 
 
 def load_module(folder: Optional[str], within: str, name: str, element: str) -> ModuleType:
-    """The module ``name`` of a plan. If a file in the plan's folder changed since it was loaded, it
-    is loaded anew; functions that were loaded before keep what they had.
+    """Load the module ``name`` of a plan. If a file in the plan's folder changed since it was
+    loaded, it is reloaded; functions loaded earlier are unaffected.
 
     :param folder: the plan's folder, which is searched first; None if it has none.
     :param within: see :func:`module_file`.
-    :param element: what the module is for, for messages.
+    :param element: what uses the module, for messages.
     :raises PlanError: there is no such module, it is not allowed, or importing it failed.
     """
     try:
@@ -181,7 +181,7 @@ def load_module(folder: Optional[str], within: str, name: str, element: str) -> 
         raise PlanError(
             "there is no module '%s'" % name,
             element=element,
-            hint="searched for %s.py in %s, and among the allowed modules"
+            hint="searched for %s.py in %s and among the allowed modules"
             % (name.replace(".", "/"), os.path.join(folder or "", within) or "no folder"),
         ) from None
     except Exception as error:
@@ -189,7 +189,7 @@ def load_module(folder: Optional[str], within: str, name: str, element: str) -> 
 
 
 _plan_folders: set[str] = set()
-"""Plan folders that were put on ``sys.path``, because their modules may import each other."""
+"""Plan folders on ``sys.path``, because their modules may import each other."""
 
 
 def is_installed(name: str) -> bool:
@@ -209,7 +209,7 @@ def is_installed(name: str) -> bool:
 
 
 _LOADING = threading.RLock()
-"""Held while a file is loaded: no other thread gets a module that is not whole yet."""
+"""Held while a file is loaded, so that no other thread gets an incomplete module."""
 
 
 def _load_file(folder: str, file: str, element: str) -> ModuleType:
@@ -220,7 +220,7 @@ def _load_file(folder: str, file: str, element: str) -> ModuleType:
 _Stamp = Tuple[int, int, int]
 
 _stamps: Dict[str, Tuple[str, str, _Stamp]] = {}
-"""Name of a module in a plan's folder -> the folder, its file, and what the file was like when it
+"""Name of a module in a plan's folder -> the folder, its file, and the state of the file when it
 was loaded."""
 
 
@@ -233,16 +233,16 @@ def _stamp(file: str) -> Optional[_Stamp]:
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Reads the source alone. What Python keeps of a compiled file has its time in whole seconds,
-    and would hide a change."""
+    """Loads only from source. Python's cache of compiled files stores their time in whole seconds,
+    which could hide a change."""
 
     def path_stats(self, path: str) -> Mapping[str, Any]:
-        raise OSError("not to be kept")
+        raise OSError("caching is disabled")
 
 
 def _forget_changed(folder: str) -> None:
-    """If a file of a plan's folder changed since it was loaded, forget all modules that were loaded
-    from there, since they may import each other. What still runs keeps the old ones."""
+    """If a file of a plan's folder changed since it was loaded, forget all modules loaded from
+    there, since they may import each other. Running functions keep the old ones."""
     there = {name: known for name, known in _stamps.items() if known[0] == folder}
     changed = [file for _, file, stamp in there.values() if _stamp(file) != stamp]
     if not changed:
@@ -252,12 +252,13 @@ def _forget_changed(folder: str) -> None:
         del _stamps[name]
     for file in changed:
         with contextlib.suppress(OSError, NotImplementedError):
-            os.unlink(importlib.util.cache_from_source(file))  # its time has whole seconds
+            # the finder's cache has a resolution of a second
+            os.unlink(importlib.util.cache_from_source(file))
     importlib.invalidate_caches()
 
 
 def _remember_files(folder: str, before: Set[str]) -> None:
-    """Remember what the files were like of modules that were just imported from a plan's folder."""
+    """Remember the state of the files of modules that were just imported from a plan's folder."""
     for name in set(sys.modules) - before:
         file = getattr(sys.modules[name], "__file__", None)
         root = getattr(sys.modules.get(name.partition(".")[0]), "__file__", None)
@@ -280,7 +281,8 @@ def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
     if name in sys.modules:
         return sys.modules[name]
     if folder not in sys.path:
-        sys.path.append(folder)  # its modules may import each other, but hide none of Python's own
+        # appended: modules may import each other, but must not hide Python's own
+        sys.path.append(folder)
         _plan_folders.add(folder)
     spec = importlib.util.spec_from_file_location(name, file, loader=_FromSource(name, file))
     assert spec is not None and spec.loader is not None
@@ -295,7 +297,7 @@ def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
     except Exception as error:
         del sys.modules[name]
         raise _import_failed(error, file, element) from error
-    except BaseException:  # it is not whole either
+    except BaseException:  # it is incomplete as well
         del sys.modules[name]
         raise
     finally:

@@ -49,7 +49,7 @@ class Rules:
         self.task_done = frozenset(net.transition_number(t) for t in plan.tasks.done)
         self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}
         self.of_action = [plan.of_action(p) for p in range(len(net.places))]
-        """The transitions that leave each place without an event."""
+        """For each place, the output transitions that are not fired by an event."""
         self.submissions = frozenset(net.transition_number(t) for t in plan.submissions)
         self.urgency = [-1 if t.timed else t.priority for t in net.transitions]
         self.top_urgency = max(self.urgency, default=0)
@@ -60,7 +60,7 @@ class Rules:
             for t, routes in plan.routing.items()
         }
 
-    # -- questions ---------------------------------------------------------------------------------
+    # -- queries ---------------------------------------------------------------------------------
 
     def may_fire(self, state: TeamState, t: int) -> bool:
         """Whether ``t`` can fire now: it is enabled in the marking, and enough robots are done and
@@ -102,8 +102,8 @@ class Rules:
         return False
 
     def why_waiting(self, state: TeamState, robot: RobotState) -> str:
-        """The reason, for people to read, why a robot that is done or has failed does not move; ""
-        if it is not waiting."""
+        """Why a robot that is done or has failed does not move, for people; "" if it is not
+        waiting."""
         if robot.phase is Phase.FAILED:
             return "its action failed (%s); waits for the operator" % robot.why
         if robot.phase is not Phase.DONE:

@@ -24,7 +24,7 @@ class Choice(NamedTuple):
 
 
 class SimulatedFiring(NamedTuple):
-    """One step: ``transition`` (index) fires ``delay`` seconds after the step before."""
+    """One step: ``transition`` (index) fires ``delay`` seconds after the previous step."""
 
     transition: int
     delay: float
@@ -97,7 +97,7 @@ class Simulator:
         return SimulatedFiring(chosen, self._delay(chosen))
 
     def step(self) -> Optional[SimulatedFiring]:
-        """Draw a firing and fire it; None, with the marking unchanged, when nothing can fire."""
+        """Draw a firing and fire it; None, with the marking unchanged, if nothing can fire."""
         firing = self.next_firing()
         if firing is not None:
             self.change = self.enabled.fire(firing.transition)
@@ -113,7 +113,7 @@ class Simulator:
         return SimulatedFiring(t, delay)
 
     def move_to(self, marking: Sequence[int]) -> None:
-        """Go to another marking, to reset, step back or clear."""
+        """Set another marking, to reset, step back or clear."""
         self.change = self.enabled.move_to(marking)
 
     def _weighted(self) -> Tuple[List[Tuple[int, float]], float]:
@@ -128,7 +128,7 @@ class Simulator:
             ]
             total = _sum(weight for _, weight in weighted)
         if total <= 0 and not any(t in self.probabilities for t in enabled):
-            # only choices that a policy would make (weight 0): all equally probable
+            # only transitions of weight 0, left to a policy: all equally probable
             weighted = [(t, 1.0) for t in enabled]
             total = float(len(enabled))
         return weighted, total
@@ -149,7 +149,7 @@ class Simulator:
 
 
 def _sum(values: Iterable[float]) -> float:
-    """Their sum; infinite if it exceeds the range of a float."""
+    """The sum of numbers; infinite if it exceeds the range of a float."""
     try:
         return math.fsum(values)
     except OverflowError:

@@ -1,6 +1,6 @@
 """Standalone execution: a plan runs without ROS, and its agents are threads (thesis 4.1).
 
-The executor is one thread with one queue. Actions run on their own threads, made on demand, which
+The executor is one thread with one queue. Actions run on separate threads, created on demand, which
 only put results into the queue. The executor turns the results into entries of a local log, and the
 token game determines what follows. Listeners are notified of the phases of the agents (thesis
 4.1.2, Figure 4.5); the log alone determines the state.
@@ -97,7 +97,7 @@ class Listener:
         """The entries of log slot ``slot`` were reduced and led to these firings and this state."""
 
     def on_plan(self, plan: Plan) -> None:
-        """The run goes on under another plan; called before the step that adopts it."""
+        """The run switches to another plan; called before the step that adopts it."""
 
     def on_phase(self, agent: str, phase: Phase) -> None:
         """An agent entered a phase: FREE, DOING (Occupied), DONE, WAITING, FAILED, INACTIVE, or at
@@ -107,7 +107,8 @@ class Listener:
         """The action of an agent reports its progress (called on the action's thread)."""
 
     def on_fault(self, agent: str, message: str) -> None:
-        """A fault occurred that a person should know about; ``agent`` is "" if it concerns none."""
+        """A fault occurred that a person should know about; ``agent`` is "" if the fault concerns
+        no agent."""
 
     def on_end(self, reason: str, finished: bool) -> None:
         """The run is over: it ran to completion (``finished``), or was stopped or failed."""
@@ -139,8 +140,8 @@ class StandaloneExecutor:
     :param listener: notified of what happens.
     :param event_log: the log that records the run; its creator writes the header.
     :param time_source: returns monotonic seconds.
-    :param firing_limit: the run stops after the event that brings the number of firings to this
-        limit. An event may cause several firings, which belong together, so the limit may be
+    :param firing_limit: the run stops after the event that makes the number of firings reach this
+        limit. An event may cause several firings, which are not separated, so the limit may be
         exceeded.
     :param allow_commands: whether the plan may run programs.
     :raises PlanError: an action needs ROS; a function is missing or broken.
@@ -165,9 +166,9 @@ class StandaloneExecutor:
         self.game = TokenGame(plan, agents=True)
         self._ledger = Ledger(self.game)
         self.state = self._ledger.state
-        """Only the executor's thread may use it; other threads call :meth:`status`."""
+        """Only for the executor's thread; other threads call :meth:`status`."""
         self.result: Optional[Ended] = None
-        """How the run ended; None while it goes on."""
+        """How the run ended; None while it is running."""
         self._listener = listener or Listener()
         self._event_log = event_log
         self._clock = time_source
@@ -176,14 +177,14 @@ class StandaloneExecutor:
         self._allow_commands = allow_commands
         self._actions = _load_functions(plan)
         self._prepared: Dict[str, Tuple[Plan, Dict[str, Dict[str, LocalAction]]]] = {}
-        """Digest of a plan that is about to be adopted -> the plan, and its actions."""
+        """Digest of a plan that is about to be adopted -> the plan and its actions."""
         self._pool = WorkerPool("agent")
         self._queue: queue.SimpleQueue[_Message] = queue.SimpleQueue()
         self._running: Dict[str, _Attempt] = {}
         self.break_at = Breakpoints()
-        """Where agents stop. May be replaced at any time."""
+        """The breakpoints of agents; may be replaced at any time."""
         self.breakpoint_file: Optional[BreakpointFile] = None
-        """Where the breakpoints are kept; it is read again when it changes."""
+        """The file with the breakpoints, which is read again when it changes."""
         self._breaks: Dict[str, RobotBreakpoints] = {}
         self._halted: Dict[str, StartAction] = {}
         self._timers: List[Tuple[float, int, _Message]] = []
@@ -207,12 +208,13 @@ class StandaloneExecutor:
         self._crash: Optional[BaseException] = None
         self._over = threading.Event()
 
-    # -- for other threads -------------------------------------------------------------------------
+    # -- called from other threads
+    # -------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start the run. :raises UsageError: it was already started."""
         if self._thread.ident is not None:
-            raise UsageError("this run was started before", hint="make a new executor")
+            raise UsageError("this run was started before", hint="create a new executor")
         self._thread.start()
 
     def record_to(self, event_log: EventLogWriter) -> None:
@@ -241,20 +243,20 @@ class StandaloneExecutor:
         timeout: float = 30.0,
         check: Callable[[Plan], str] = lambda plan: "",
     ) -> None:
-        """Go on under another plan without stopping; returns when the run follows it. Actions that
-        run finish under their old binding (see ``docs/semantics.md``).
+        """Switch to another plan without stopping; returns when the run follows it. Running actions
+        finish under their old binding (see ``docs/semantics.md``).
 
         :param plan: a validated plan.
         :param mapping: names of places and transitions of the present net -> their names in
             ``plan``.
-        :param timeout: most seconds to wait.
-        :param check: receives the plan as if it began where the run is; returns why it must not
-            run, "" if it may.
+        :param timeout: maximum number of seconds to wait.
+        :param check: receives the plan with the run's present state as its start; returns why it
+            must not run, "" if it may.
         :raises PlanError: an action needs ROS; a function is missing or broken.
-        :raises RefusedError: the state of the run does not fit the plan, the check refuses it from
-            there, an action is a command, and they are not allowed, or the run is over. Nothing has
+        :raises RefusedError: the state of the run does not fit the plan, the check refuses it, an
+            action is a command and commands are not allowed, or the run is over. Nothing has
             changed.
-        :raises ExecutionError: the executor did not take it up in time, and will not.
+        :raises ExecutionError: the executor did not adopt the plan in time, and will not.
         """
         if not self._allow_commands:
             refuse_commands(plan, ALLOW_IN_STANDALONE_RUN)
@@ -262,12 +264,12 @@ class StandaloneExecutor:
         self._check_from_here(plan, mapping, check)
         entry = plan_change.stage_of(plan, mapping, plan.folder or "")
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        taken = threading.Lock()  # by the executor, or by this thread, which gives up
+        taken = threading.Lock()  # removed by the executor, or by this thread when it gives up
 
         def adopted() -> List[log_entries.Entry]:
             now = self.state.adopted
             answers.put(
-                "" if now is not None and now.digest == entry.digest else "it was overtaken"
+                "" if now is not None and now.digest == entry.digest else "the plan was superseded"
             )
             return []
 
@@ -296,41 +298,42 @@ class StandaloneExecutor:
                 if time.monotonic() > deadline and taken.acquire(blocking=False):
                     raise ExecutionError("the plan was not adopted within %g s" % timeout) from None
         if why:
-            raise RefusedError("the plan is not adopted: %s" % why, file=plan.file)
+            raise RefusedError("the plan was not adopted: %s" % why, file=plan.file)
 
     def _check_from_here(
         self, plan: Plan, mapping: Mapping[str, str], check: Callable[[Plan], str]
     ) -> None:
-        """:raises RefusedError: the check refuses a plan from where the run is."""
+        """:raises RefusedError: the check refuses a plan from the run's present marking."""
         with self._lock:
             why = plan_change.why_not(self.state, self.plan, plan, mapping)
             if why:
-                raise RefusedError("the plan is not adopted: %s" % "; ".join(why), file=plan.file)
+                raise RefusedError("the plan was not adopted: %s" % "; ".join(why), file=plan.file)
             here = plan_change.begun_here(self.state, self.plan, plan, mapping)
         refused = check(here)
         if refused:
             raise RefusedError(
-                "the check refuses the plan from where the run is: %s" % refused, file=plan.file
+                "the check refuses the plan from the run's present marking: %s" % refused,
+                file=plan.file,
             )
 
     def submit(
         self, transition: str, data: Mapping[str, Any] = NOTHING, task: Union[str, int] = ""
     ) -> str:
-        """Let a task in from outside.
+        """Submit a task from outside.
 
-        :param transition: a transition of the environment by which tasks come in.
+        :param transition: a transition of the environment that takes tasks.
         :param data: the task's data: name -> JSON value.
-        :param task: its id; by default, a new one. A task whose id came before is not taken again,
+        :param task: its id; by default a new one. A task whose id was submitted before is refused,
             unless the robot that carries it is gone.
         :returns: the id.
-        :raises UsageError: no tasks come in by that transition.
-        :raises DataError: the data or the id cannot be kept.
+        :raises UsageError: that transition does not take tasks.
+        :raises DataError: the data or the id cannot be stored.
         """
         known = self.plan.submissions
         if transition not in known:
             raise UsageError(
-                "no tasks come in by '%s'" % transition,
-                hint="they come in by: %s" % ", ".join(known)
+                "'%s' does not take tasks" % transition,
+                hint="transitions that take tasks: %s" % ", ".join(known)
                 if known
                 else "the plan has no tasks: give it 'tasks' or 'events'",
             )
@@ -340,12 +343,11 @@ class StandaloneExecutor:
 
     @property
     def over(self) -> bool:
-        """Whether the run has ended or failed, so that nothing more will happen."""
+        """Whether the run has ended or failed."""
         return self._over.is_set()
 
     def wait(self, timeout: Optional[float] = None) -> Optional[Ended]:
-        """Wait for the end, at most ``timeout`` seconds; returns how the run ended, None if it has
-        not.
+        """Wait up to ``timeout`` seconds for the end; return how the run ended, None if it has not.
 
         :raises ExecutionError: the executor itself, its log or a listener failed.
         """
@@ -358,7 +360,8 @@ class StandaloneExecutor:
     def status(self) -> Dict[str, Any]:
         """The run as a JSON object: ``marking``; ``agents``, each with its name, place, state,
         visit, the ``seconds`` that it has been in that state, and why it waits; ``slots``, the
-        number of log slots; and ``ended``, the reason why the run ended (None while it goes on)."""
+        number of log slots; and ``ended``, the reason why the run ended (None while it is
+        running)."""
         with self._lock:
             now = self._clock()
             agents = []
@@ -389,7 +392,7 @@ class StandaloneExecutor:
             self._functions.watch_tasks()
             while self.result is None:
                 self._reduce(self._next_entries())
-        # wait() and the listener report it: a thread has no caller that it could raise to
+        # reported by wait() and the listener, since a thread has no caller to raise to
         except BaseException as error:
             self._crash = error
         finally:
@@ -414,7 +417,7 @@ class StandaloneExecutor:
         except queue.Empty:
             entries = []
         if any(isinstance(entry, log_entries.Adopt) for entry in entries):
-            return entries  # in a slot of its own: one slot, one net
+            return entries  # in a separate slot, so that a slot concerns one net
         now = self._clock()
         while self._timers and self._timers[0][0] <= now:
             entries += heapq.heappop(self._timers)[2]()
@@ -422,7 +425,7 @@ class StandaloneExecutor:
         return entries if fired is None else [*entries, fired]
 
     def _reduce(self, entries: List[log_entries.Entry]) -> None:
-        """One log slot: reduce the entries, notify the listener, carry out the commands."""
+        """Process one log slot: reduce the entries, notify the listener, carry out the commands."""
         if not entries:
             return
         self._look_at_breakpoints()
@@ -434,7 +437,7 @@ class StandaloneExecutor:
             step = self.game.reduce(self.state, slot, entries)
             if step.adopted:
                 self._follow_plan(step.game(self.game))
-        if self._event_log is not None:  # before any of its effects leaves the process
+        if self._event_log is not None:  # recorded before any of its effects leaves the process
             self._record(self._ledger.record(slot, entries, [], step))
         self._report_phases(step)
         self._listener.on_step(slot, entries, step.firings, self.state)
@@ -453,12 +456,12 @@ class StandaloneExecutor:
             more = (
                 ""
                 if self._fired == limit
-                else " (%d fired: one event sets off several)" % self._fired
+                else "  (%d fired, because an event may cause several)" % self._fired
             )
             self._reduce([log_entries.Stop("the limit of %s firings%s" % (limit, more))])
 
     def _follow_plan(self, game: TokenGame) -> None:
-        """Start later actions as another plan says, and watch its events."""
+        """Use another plan for later actions, and watch its events."""
         adopted = self.state.adopted
         assert adopted is not None
         before = self.plan
@@ -497,7 +500,7 @@ class StandaloneExecutor:
         for name in self.state.waiting:
             self._set_phase(name, Phase.WAITING)
         for robot in self.state.robots.values():
-            if robot.phase not in (Phase.DOING, Phase.DONE):  # these were already set above
+            if robot.phase not in (Phase.DOING, Phase.DONE):  # already set above
                 self._set_phase(robot.name, robot.phase)
 
     def _set_phase(self, name: str, phase: Phase) -> None:
@@ -541,11 +544,11 @@ class StandaloneExecutor:
         try:
             self.breakpoint_file.changed()
         except InputError as error:
-            self._listener.on_fault("", "the breakpoints stay as they were: %s" % error)
+            self._listener.on_fault("", "the breakpoints are unchanged: %s" % error)
         self.break_at = self.breakpoint_file.breakpoints
 
     def _may_start(self, command: StartAction) -> bool:
-        """Whether no breakpoint holds an agent before its action; if one does, pause the agent."""
+        """Whether an agent may start its action; if a breakpoint holds it, pause the agent."""
         robot = self.state.robots.get(command.robot)
         if robot is None or not (self.break_at.places or command.robot in self._breaks):
             return True
@@ -570,7 +573,7 @@ class StandaloneExecutor:
         return [log_entries.Pause(agent)] if robot is not None and not robot.paused else []
 
     def _release(self) -> None:
-        """Start the actions of agents that halted and were resumed."""
+        """Start the actions of agents that stopped at a breakpoint and were resumed."""
         for agent, command in list(self._halted.items()):
             if not self._is_current(command) or self.state.ended is not None:
                 del self._halted[agent]
@@ -597,20 +600,20 @@ class StandaloneExecutor:
     def _event_observed(
         self, agent: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
     ) -> None:
-        """Take in what the function of an event shows (called on its thread)."""
+        """Take a report of an event's function (called on its thread)."""
         asked = self._functions.round(agent, transition)
 
         def message() -> List[log_entries.Entry]:
             watch = self._watches.get(agent)
             if watch is None or asked != self._functions.round(agent, transition):
-                return []  # the agent is gone, or elsewhere
+                return []  # the agent is gone, or has moved
             watch.observe(transition, holds, cause)
             return self._events_of(agent)
 
         self._queue.put(message)
 
     def _task_came(self, task: log_entries.Submit) -> None:
-        """Take in a task from a function (called on its thread)."""
+        """Take a task from a function (called on its thread)."""
         entry = self._with_id(task)
 
         def message() -> List[log_entries.Entry]:
@@ -635,7 +638,7 @@ class StandaloneExecutor:
             return self.state.data_of(robot) if robot is not None else self.state.team_data()
 
     def _with_id(self, task: log_entries.Submit) -> log_entries.Submit:
-        """The task with an id, a new one if it has none (for any thread)."""
+        """Give the task an id if it has none (on any thread)."""
         t = self.plan.net.transition_number(task.transition)
         while not task.id:
             new = "%s-%d" % (task.transition, next(self._task_numbers))
@@ -661,7 +664,7 @@ class StandaloneExecutor:
                 self._functions.ask_again(agent)
             found = self._events_of(agent)
             self._wake_for(agent)
-            if found:  # later, so that an order to stop has its turn even if events never cease
+            if found:  # later, so that an order to stop gets through even if events never cease
                 self._queue.put(lambda found=found: found)  # type: ignore[misc]
 
     def _events_of(self, agent: str) -> List[log_entries.Entry]:
@@ -683,7 +686,7 @@ class StandaloneExecutor:
         return Visit(self.plan.net.places[robot.place].name, robot.incarnation, robot.visit)
 
     def _wake_for(self, agent: str) -> None:
-        """Look for events of an agent when the next one is due by time."""
+        """Schedule a check of an agent's events for when the next timed event is due."""
         visit = self._visit(agent)
         wake = self._watches[agent].wake_time(visit)
         if wake is None:
@@ -710,7 +713,7 @@ class StandaloneExecutor:
         if timeout is not None:
             self._at(self._clock() + timeout, lambda: self._timed_out(command, timeout))
         self._set_phase(command.robot, Phase.DOING)
-        plan, actions = self.plan, self._actions  # another plan may follow before it ends
+        plan, actions = self.plan, self._actions  # another plan may be adopted before it ends
         try:
             self._pool.submit(lambda: self._execute(command, attempt, plan, actions))
         except RuntimeError as error:  # the system cannot create another thread
@@ -794,8 +797,8 @@ def _broke_off(error: BaseException) -> str:
 
 
 def _load_functions(plan: Plan) -> Dict[str, Dict[str, LocalAction]]:
-    """The actions by agent and place; "" stands for agents without their own actions, and for
-    agents that will be created."""
+    """Load the actions by agent and place; "" stands for agents without their own actions, and for
+    agents created later."""
     for place, action in plan.bindings():
         if not (action is None or isinstance(action, (FunctionAction, *LOCAL_KINDS))):
             raise PlanError(

@@ -1,11 +1,11 @@
-"""Large policies, stored once beside the logs of a run.
+"""Stores large policies once, next to the logs of a run.
 
-The header of an event log has the plan, so that the log explains itself. With its policy, a plan of
-tens of thousands of rows takes megabytes, in the log of every robot. A policy whose JSON is longer
-than :data:`INLINE` therefore goes into a file of its own, ``policies/HASH.json`` in the folder of
-the log, and the header has its hash: ``"policy": {"hash": HASH}``. All logs in the folder share it.
-The file is a policy file like any other. The plans that a team stages and adopts are kept in the
-same way: records that hold one have its hash.
+The header of an event log contains the plan, so that the log is self-contained. A policy of tens of
+thousands of rows would take megabytes in the log of every robot. A policy whose JSON is longer than
+:data:`INLINE` is therefore stored in a separate file, ``policies/HASH.json`` in the folder of the
+log, and the header contains its hash: ``"policy": {"hash": HASH}``. All logs in the folder share
+it. The file is a policy file like any other. The policies of plans that a team stages and adopts
+are stored in the same way.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from gspn_framework_package.model.policy import Policy
 FOLDER = "policies"
 
 INLINE = 65_536
-"""Most bytes of JSON of a policy that stays in the header: some hundred rows. A log of which the
-header can be read at once is better in one file."""
+"""Maximum size in bytes of a policy's JSON in the header: some hundred rows. As long as the header
+is quick to read, a single file is better."""
 
 
 _Value = TypeVar("_Value")
@@ -38,7 +38,7 @@ _HASH = re.compile(r"[0-9a-f]{32}\Z")
 
 
 def stored_separately(plan: Dict[str, Any], log: str, fsync: bool) -> Dict[str, Any]:
-    """Return the plan for a line of ``log``; if its policy is large, it is stored first.
+    """Return the plan for a line of ``log``, after storing its policy separately if it is large.
 
     :param plan: the plan as a JSON object, with its policy.
     :param fsync: wait until the policy is on the disk.
@@ -59,8 +59,8 @@ def stored_separately(plan: Dict[str, Any], log: str, fsync: bool) -> Dict[str, 
 
 
 def without_large_policies(record: Mapping[str, Any], log: str, fsync: bool) -> Dict[str, Any]:
-    """Return a record for ``log`` in which the large policies of staged and adopted plans are
-    hashes; they are stored first.
+    """Return a record for ``log`` in which large policies of staged and adopted plans are replaced
+    by hashes, after storing them.
 
     :param fsync: as for :func:`stored_separately`.
     :raises OSError: a policy cannot be written.
@@ -84,8 +84,8 @@ def with_policies(record: Mapping[str, Any], log: str) -> Dict[str, Any]:
 def _with_plans(
     record: Mapping[str, Any], change: Callable[[Dict[str, Any]], Dict[str, Any]]
 ) -> Dict[str, Any]:
-    """The record, with ``change`` of each staged or adopted plan in it. What is no plan, in a log
-    that somebody altered, stays."""
+    """The record, with ``change`` applied to each staged or adopted plan in it. Values that are not
+    plans, as in an altered log, are left unchanged."""
 
     def holder(value: Any) -> Any:
         if isinstance(value, dict) and isinstance(value.get("plan"), dict):
@@ -115,14 +115,15 @@ def _with_plans(
 
 
 def hash_of(plan: Any) -> Optional[str]:
-    """The hash of the policy that the plan of a header refers to; None if it has its policy."""
+    """The hash of the policy that the plan of a header refers to; None if the header contains the
+    policy."""
     policy = plan.get("policy") if isinstance(plan, dict) else None
     found = policy.get("hash") if isinstance(policy, dict) else None
     return found if isinstance(found, str) and _HASH.match(found) else None
 
 
 def read_stored(log: str, name: str) -> Policy:
-    """Return the policy with the hash ``name``, to which the header of ``log`` refers.
+    """Read the policy with the hash ``name``, to which the header of ``log`` refers.
 
     :raises LogError: the file is missing, or its content has another hash.
     """
@@ -130,9 +131,9 @@ def read_stored(log: str, name: str) -> Policy:
 
 
 def _read(log: str, name: str, parse: Callable[[bytes], _Value]) -> _Value:
-    """What ``parse`` makes of the file of a policy. :raises LogError: see :func:`read_stored`."""
+    """Read and parse the file of a policy. :raises LogError: see :func:`read_stored`."""
     path = _file(log, name)
-    hint = "%s refers to it by its hash %s; copy the folder '%s' together with the logs" % (
+    hint = "%s refers to it by the hash %s; copy the folder '%s' together with the logs" % (
         os.path.basename(log),
         name,
         FOLDER,
@@ -152,7 +153,8 @@ def _read(log: str, name: str, parse: Callable[[bytes], _Value]) -> _Value:
 
 @functools.lru_cache(maxsize=2)
 def _object(data: bytes) -> Dict[str, Any]:
-    """The JSON object in a file. All records that refer to it share it: nobody may change it."""
+    """The JSON object in a file. It is shared by all records that refer to it, so do not change
+    it."""
     found = json.loads(data.decode())
     if not isinstance(found, dict):
         raise ValueError("no JSON object")
@@ -161,7 +163,7 @@ def _object(data: bytes) -> Dict[str, Any]:
 
 @functools.lru_cache(maxsize=2)
 def _parsed(data: bytes) -> Policy:
-    """The policy in a file. The logs of a team share one, so it is kept for the next."""
+    """The policy in a file, cached because the logs of a team share it."""
     policy = json.loads(data.decode())
     check_schema(policy, "policy")
     return policy_from_json(policy)
@@ -183,8 +185,7 @@ def _content(path: str) -> Optional[bytes]:
 
 
 def _write(path: str, data: bytes, fsync: bool) -> None:
-    """Write a file that other processes may write and read at the same time: it is there with all
-    of its content, or not at all."""
+    """Write a file atomically, because other processes may write and read it at the same time."""
     folder = os.path.dirname(path)
     os.makedirs(folder, exist_ok=True)
     handle, partial = tempfile.mkstemp(prefix=".", suffix=".part", dir=folder)

@@ -1,6 +1,6 @@
 """What a team does, as the JSON objects that watchers read: a firing, the activity of a robot, a
-marking, the state of the team. Live robots publish them, and ``gspn export`` makes them of a log.
-The messages in ``msg/`` have the same fields, and a header.
+marking, the state of the team. Live robots publish them, and ``gspn export`` reconstructs them from
+a log. The messages in ``msg/`` have the same fields, and a header.
 """
 
 from __future__ import annotations

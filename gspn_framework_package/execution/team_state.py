@@ -2,7 +2,7 @@
 phase.
 
 Only the token game changes a :class:`TeamState`. It can be written as JSON and read back (a
-*snapshot*); the copy goes on exactly as the original would.
+*snapshot*); the copy behaves exactly like the original.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan_timing import POLICY
 
 OUTSIDE_LIMIT = 10_000
-"""So many tasks wait for one transition; one more has no effect."""
+"""Maximum number of tasks waiting for a transition; further tasks have no effect."""
 
 
 class Draw(NamedTuple):
@@ -33,7 +33,7 @@ class Draw(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A task with its data (name -> JSON value); ``id`` is "" for a token that came without one."""
+    """A task with its data (name -> JSON value); ``id`` is "" for a token without a task."""
 
     id: str = ""
     data: Mapping[str, Any] = NOTHING
@@ -44,10 +44,10 @@ class Task(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Any) -> Task:
-        """The task in a JSON value. :raises ValueError, DataError: it is none."""
+        """Parse a task. :raises ValueError, DataError: the JSON value is not a task."""
         name, values = data
         if not isinstance(name, str):
-            raise ValueError("the id of a task is not text")
+            raise ValueError("the id of a task is not a string")
         return cls(name, check_values(values, None))
 
 
@@ -62,31 +62,31 @@ class RobotState:
     attempt: int = 1
     phase: Phase = Phase.DOING
     request: int = POLICY
-    """What a DONE robot asks for: a transition, or POLICY."""
+    """The request of a DONE robot: a transition, or POLICY."""
     order: int = 0
-    """Position of its ``Done`` among all: robots move in order of completion."""
+    """Sequence number of its ``Done``: robots move in order of completion."""
     failures: int = 0
     """Failed attempts since the last retry by the operator."""
     paused: bool = False
     drawn: Optional[Draw] = None
     why: str = ""
-    """Why its action failed, or why the policy gives it nothing to do."""
+    """Why its action failed, or why the policy makes it wait."""
     data: Dict[str, Any] = field(default_factory=dict)
     """Its own data: name -> value."""
     task: Optional[Task] = None
     """The task that it carries."""
     held: Dict[int, Mapping[str, Any]] = field(default_factory=dict)
-    """Event transitions that fire as soon as they can in this visit, with their causes."""
+    """Held events: transitions that fire as soon as they can in this visit, with their causes."""
     interrupted: Dict[int, int] = field(default_factory=dict)
-    """Place -> the visit there that was interrupted, and that the next one continues."""
+    """Place -> the interrupted visit there that the next one continues."""
     resumed_from: int = 0
-    """The visit that this one continues; 0: none."""
+    """The visit that this one continues; 0 for none."""
 
 
 @dataclass
 class StagedPlan:
-    """A plan that the team may go on with: the entry ``StagePlan`` that brought it, its
-    ``number``, and who has looked at it."""
+    """A plan that the team may adopt: its entry ``StagePlan``, its ``number``, and the votes on
+    it."""
 
     number: int
     digest: str
@@ -94,7 +94,7 @@ class StagedPlan:
     mapping: Mapping[str, str] = field(default_factory=dict)
     folder: str = ""
     votes: Dict[str, Tuple[int, str]] = field(default_factory=dict)
-    """Member -> its incarnation, and why it cannot follow the plan ("": it can)."""
+    """Member -> its incarnation, and why it cannot follow the plan ("" if it can)."""
 
     def to_json(self) -> Dict[str, Any]:
         """The plan and the votes as a JSON object."""
@@ -109,7 +109,8 @@ class StagedPlan:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> StagedPlan:
-        """The plan in a JSON object. :raises KeyError, TypeError, ValueError: it is none."""
+        """Parse a staged plan. :raises KeyError, TypeError, ValueError: the JSON object is not
+        one."""
         votes = {str(r): (whole_number(i), str(why)) for r, (i, why) in data["votes"].items()}
         if not isinstance(data["plan"], dict):
             raise ValueError("the staged plan is not an object")
@@ -131,9 +132,9 @@ class TeamState:
     for each place. Both follow from ``robots``. ``version`` counts the changes of the marking,
     ``orders`` counts how often a robot became DONE, and ``created`` numbers new agents.
 
-    ``data`` is that of the team. ``queues`` holds the tasks of each queue (place), the next one
-    first; ``submitted`` the tasks whose transition was not enabled yet; ``known`` the newest ids of
-    tasks that came by each transition.
+    ``data`` belongs to the team. ``queues`` holds the tasks of each queue (place), the next one
+    first; ``submitted`` holds tasks whose transition was not enabled yet; ``known`` holds the
+    newest ids of tasks that arrived through each transition.
     """
 
     marking: Tuple[int, ...]
@@ -146,7 +147,7 @@ class TeamState:
     created: int = 0
     paused: bool = False
     ended: Optional[str] = None
-    """Why the run is over; None while it goes on."""
+    """Why the run is over; None while it is running."""
     finished: bool = False
     """Whether the run completed; false if it was stopped or ended by a fault."""
     fault: bool = False
@@ -158,13 +159,13 @@ class TeamState:
     submitted: List[Tuple[int, Task]] = field(default_factory=list)
     known: Dict[int, Dict[str, None]] = field(default_factory=dict)
     stages: int = 0
-    """How many plans were staged."""
+    """Number of plans staged so far."""
     staged: Optional[StagedPlan] = None
-    """The plan that the team may go on with."""
+    """The staged plan, if any."""
     adopted: Optional[StagedPlan] = None
-    """The plan that the team follows; None: the one that it began with."""
+    """The plan that the team adopted; None for its first plan."""
     renamed: Dict[str, str] = field(default_factory=dict)
-    """Name of a place or transition in an earlier plan -> its name in the present one, where they
+    """Name of a place or transition in an earlier plan -> its name in the present one, if they
     differ."""
 
     def members(self) -> List[str]:
@@ -177,14 +178,14 @@ class TeamState:
         return [r for r in self.robots.values() if not r.phase.gone]
 
     def add_waiting(self, robot: RobotState) -> None:
-        """Mark ``robot`` as DONE, behind all that already are."""
+        """Mark ``robot`` as DONE, after all others that are."""
         self.orders += 1
         robot.order = self.orders
         robot.phase = Phase.DONE
         self._index(robot)
 
     def remove_waiting(self, robot: RobotState) -> None:
-        """Remove ``robot`` from those that are DONE, if it is one, and forget its draw."""
+        """Remove ``robot`` from the DONE robots, if it is one, and forget its draw."""
         robot.drawn = None
         if self.waiting.pop(robot.name, 0) is None:
             names = self.done_in[robot.place]
@@ -223,28 +224,28 @@ class TeamState:
         return self.renamed.get(name, name)
 
     def is_known(self, t: int, task: str) -> bool:
-        """Whether a task with this id has come by transition ``t``."""
+        """Whether a task with this id has arrived through transition ``t``."""
         return task in self.known.get(t, ())
 
     def with_again(self, task: Submit, net: Net) -> Submit:
-        """A task that an operator submits: ``again`` if it came before, and who carries it is
-        gone."""
+        """Mark a task that an operator submits as ``again`` if it was submitted before and the
+        robot that carries it is gone."""
         t = net.transition_index.get(self.present_name(task.transition))
         gone = t is not None and self.gone_with(t, task.id) is not None
         return task._replace(again=gone)
 
     def tasks_left(self, net: Net) -> List[str]:
-        """The tasks that are not done, each with where it is."""
+        """The tasks that are not done, each with its location."""
         carried = [(r.task, "with " + r.name) for r in self.robots.values() if r.task is not None]
         queued = [(t, "in " + net.places[p].name) for p, q in self.queues.items() for t in q]
         outside = [(task, "before " + net.transitions[t].name) for t, task in self.submitted]
         return ["%s %s" % (t.id, where) for t, where in carried + queued + outside if t.id]
 
     def gone_with(self, t: int, task: str) -> Optional[RobotState]:
-        """The robot that is lost or has left, and carries the task with this id that came by
-        transition ``t``; None if there is none."""
+        """The lost or departed robot that carries the task with this id of transition ``t``; None
+        if there is none."""
         if not self.is_known(t, task) or sum(task in ids for ids in self.known.values()) > 1:
-            return None  # it did not come, or there are several of this id
+            return None  # the task did not arrive, or there are several with this id
         carriers = (r for r in self.robots.values() if r.task is not None and r.task.id == task)
         return next((robot for robot in carriers if robot.phase.gone), None)
 
@@ -257,7 +258,7 @@ class TeamState:
     # -- snapshots ---------------------------------------------------------------------------------
 
     def to_json(self, net: Net) -> Dict[str, Any]:
-        """The state as a JSON object, with names in place of indices."""
+        """The state as a JSON object, with names instead of indices."""
         return {
             "marking": net.named(self.marking, zeros=False),
             "robots": [_robot_to_json(r, net) for r in self.robots.values()],
@@ -270,7 +271,7 @@ class TeamState:
 
     @classmethod
     def from_json(cls, data: Dict[str, Any], net: Net, queues: AbstractSet[int]) -> TeamState:
-        """The state in a JSON object.
+        """Parse a state.
 
         :param queues: the places of the plan whose tokens are tasks.
         :raises LogError: it is not a state, or not of this plan.
@@ -322,7 +323,7 @@ class TeamState:
             for t, ids in data.get("known", {}).items()
         }
         if not self.queues.keys() <= queues:
-            raise ValueError("a place that is no queue has tasks")
+            raise ValueError("a place that is not a queue has tasks")
         for p in queues:
             if len(self.queues.get(p, ())) != self.marking[p]:
                 raise ValueError("a queue does not have as many tasks as tokens")
@@ -363,7 +364,7 @@ class TeamState:
             ):
                 raise ValueError("a robot has a field of another type")
             if not robot.phase.gone and self.marking[robot.place] < 1:
-                raise ValueError("no token is where %s is" % robot.name)
+                raise ValueError("there is no token in the place of %s" % robot.name)
         if (
             any(type(number) is not int for number in numbers)
             or self.next_slot < 0
@@ -377,7 +378,7 @@ class TeamState:
 
 
 def whole_number(value: object) -> int:
-    """The value, if it is a whole number from 0 on. :raises ValueError: it is not."""
+    """Return the value if it is a non-negative integer. :raises ValueError: it is not."""
     if type(value) is not int or value < 0:
         raise ValueError("not a whole number: %.80r" % (value,))
     return value

@@ -28,15 +28,15 @@ from gspn_framework_package.model.plan import LostKind
 from gspn_framework_package.model.plan_timing import POLICY
 
 KNOWN_TASKS = 10_000
-"""For each transition, so many ids of tasks are remembered; an older id counts as new."""
+"""Number of task ids remembered for each transition; older ids count as new."""
 
 INTERRUPTIBLE = (Phase.DOING, Phase.DONE, Phase.FAILED)
-"""The phases in which an event takes a robot out of its place."""
+"""The phases in which an event can interrupt a robot."""
 
 
 class Step(NamedTuple):
     """The effects of some entries, in order. ``adopted`` holds the plans that the team adopted in
-    between: (number of firings before it, the rules from there on)."""
+    between: (number of preceding firings, the rules from there on)."""
 
     firings: List[Firing]
     commands: List[GameCommand]
@@ -58,8 +58,8 @@ class Step(NamedTuple):
 def robots_in(
     state: TeamState, entries: Iterable[log_entries.Entry], step: Step
 ) -> Dict[str, None]:
-    """The names of the robots whose visits may have begun or ended with a step: those that its
-    entries name, those that moved, and at the start all, in this order."""
+    """The names of the robots whose visits may have begun or ended with a step: those named by its
+    entries, those that moved, and at the start all robots, in this order."""
     entries = list(entries)
     names = dict.fromkeys(getattr(entry, "robot", "") for entry in entries)
     names.update((move.robot, None) for firing in step.firings for move in firing.moves)
@@ -70,7 +70,7 @@ def robots_in(
 
 
 GAMES = 8
-"""Rules of adopted plans that are kept."""
+"""Number of adopted plans whose rules are cached."""
 
 _games: Kept[Tuple[str, bool], TokenGame] = Kept(GAMES)
 
@@ -85,16 +85,16 @@ def adopted_game(staged: StagedPlan, agents: bool) -> TokenGame:
 class TokenGame(Rules):
     """The token game of one plan: see :class:`~gspn_framework_package.execution.rules.Rules`.
 
-    While a team goes on under a plan that it adopted, the token game of that plan applies:
+    Once a team has adopted another plan, the token game of that plan applies:
     :meth:`Step.game` after each step, :meth:`now` for a state.
     """
 
     def now(self, state: TeamState) -> TokenGame:
-        """The rules that apply in a state of the run that began with this plan."""
+        """The rules that apply in a state of a run that began with this plan."""
         return adopted_game(state.adopted, self.agents) if state.adopted else self
 
     def _game_of(self, data: Mapping[str, Any]) -> TokenGame:
-        """The rules that apply in a state that is given as a JSON object."""
+        """The rules that apply in a state given as a JSON object."""
         try:
             adopted = data.get("adopted")
             return adopted_game(StagedPlan.from_json(adopted), self.agents) if adopted else self
@@ -109,7 +109,7 @@ class TokenGame(Rules):
         return state
 
     def state_from_json(self, data: Dict[str, Any]) -> TeamState:
-        """The state in a JSON object, of a run that began with this plan.
+        """Parse a state of a run that began with this plan.
 
         :raises LogError: it is not a state of this plan, or of the one that was adopted.
         """
@@ -194,7 +194,7 @@ class _Reducer(Turn):
             self._enter(robot)
 
     def _current(self, name: str, incarnation: int, visit: int) -> Optional[RobotState]:
-        """The robot, if its action of exactly that visit still runs; None otherwise."""
+        """The robot if its action of exactly that visit is still running; otherwise None."""
         robot = self.state.robots.get(name)
         if robot is None or robot.phase is not Phase.DOING:
             return None
@@ -250,14 +250,14 @@ class _Reducer(Turn):
     def _submit(self, entry: log_entries.Submit) -> None:
         t = self.net.transition_index.get(entry.transition)
         if t not in self.rules.submissions:
-            self._fault(None, "no tasks come in by '%s'" % entry.transition)
+            self._fault(None, "'%s' does not take tasks" % entry.transition)
             return
         assert t is not None
         carrier = self.state.gone_with(t, entry.id) if entry.again else None
         if self.state.is_known(t, entry.id) and carrier is None:
             return
         if self.state.is_full(t):
-            text = "%d tasks wait for '%s' already: '%s' is not taken"
+            text = "%d tasks are already waiting for '%s'; '%s' is refused"
             self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
             return
         self.state.submitted.append((t, Task(entry.id, entry.data)))
@@ -266,7 +266,7 @@ class _Reducer(Turn):
             carrier.task = None
             del known[entry.id]
         known[entry.id] = None
-        # the id of a task that still waits is not forgotten; tasks of one transition wait in order
+        # ids of waiting tasks are not forgotten; tasks of one transition wait in order
         waits = next(task.id for other, task in self.state.submitted if other == t)
         while len(known) > KNOWN_TASKS:
             oldest = next(iter(known))
@@ -274,7 +274,8 @@ class _Reducer(Turn):
                 break
             del known[oldest]
 
-    # -- a new plan --------------------------------------------------------------------------------
+    # -- plan changes
+    # --------------------------------------------------------------------------------
 
     def _stage(self, entry: log_entries.StagePlan) -> None:
         self.state.stages += 1
@@ -302,7 +303,7 @@ class _Reducer(Turn):
         present, staged = self.plan, self.state.staged
         why, new = plan_change.why_not_adopted(self.state, present, entry.stage, self.rules.agents)
         if why or new is None or staged is None:
-            self._fault(None, "the staged plan is not adopted: %s" % "; ".join(why))
+            self._fault(None, "the staged plan was not adopted: %s" % "; ".join(why))
             return
         game = adopted_game(staged, self.rules.agents)
         names = plan_change.NewNames(present, new, staged.mapping)
@@ -311,7 +312,7 @@ class _Reducer(Turn):
         for robot in robots:
             self._carry_over(robot, names, game)
             if robot.task is not None and robot.task.id and not game.queues:
-                self._fault(robot, "keeps task %s, and the plan has no queue" % robot.task.id)
+                self._fault(robot, "keeps task %s, but the plan has no queue" % robot.task.id)
         self._carry_tasks_over(names, game)
         self.state.renamed = plan_change.renamed(self.state.renamed, present, new, staged.mapping)
         self.rules, self.net, self.plan = game, game.net, game.plan
@@ -322,8 +323,8 @@ class _Reducer(Turn):
         self._ask_anew(asked)
 
     def _asked_for(self, names: plan_change.NewNames) -> Dict[str, str]:
-        """What each robot that is done asks for, under its new name; "" for the policy. Then those
-        that are inactive follow."""
+        """The requests of robots that are done, under their new names ("" for the policy), followed
+        by inactive robots."""
         transitions = self.net.transitions
         asked = {}
         for name in self.state.waiting:
@@ -342,8 +343,8 @@ class _Reducer(Turn):
         if robot.phase.gone and (
             place is None or game.is_resource[place] or self._gave_back(robot)
         ):
-            # it comes back as a new robot would: its place is no more, or what it held there was
-            # given back
+            # it returns like a new robot: its place no longer exists, or its resources were given
+            # back
             place = game.net.place_number(plan_change.home_of(game.plan, robot.name))
         assert place is not None
         robot.place = place
@@ -386,12 +387,13 @@ class _Reducer(Turn):
         state.known = known
 
     def _is_resource_of_both(self, p: int, target: int, game: TokenGame) -> bool:
-        """Whether a place holds resources in the present net, and its successor in the new one."""
+        """Whether a place of the present net and its successor in the new one are both resource
+        places."""
         return self.rules.is_resource[p] and game.is_resource[target]
 
     def _ask_anew(self, asked: Mapping[str, str]) -> None:
-        """Let the robots that are done ask again under the new plan, in their order of completion,
-        as if their actions had just ended."""
+        """Repeat the requests of robots that are done under the new plan, in their order of
+        completion, as if their actions had just ended."""
         self.state.waiting.clear()
         self.state.done_in.clear()
         for name, result in asked.items():
@@ -402,11 +404,11 @@ class _Reducer(Turn):
             elif robot.phase is Phase.DONE:
                 self.state.add_waiting(robot)
 
-    # -- membership and the operator ---------------------------------------------------------------
+    # -- membership and orders ---------------------------------------------------------------
 
     def _join(self, entry: log_entries.Join) -> None:
         if entry.robot in self.state.witnesses:
-            if self.state.staged is not None:  # what it said in an earlier life does not count
+            if self.state.staged is not None:  # votes of an earlier incarnation do not count
                 self.state.staged.votes.pop(entry.robot, None)
             return
         robot = self.state.robots.get(entry.robot)
@@ -442,8 +444,8 @@ class _Reducer(Turn):
         if isinstance(entry, log_entries.Evict) and entry.incarnation != robot.incarnation:
             return
         if self.state.members() == [robot.name] and not self.rules.agents:
-            # otherwise nobody would be left to let a robot in
-            self._fault(robot, "stays: it is the last one of the team")
+            # otherwise no member would be left to admit a robot
+            self._fault(robot, "stays, because it is the last robot of the team")
             return
         self._cancel(robot)
         self.state.remove_waiting(robot)
@@ -456,28 +458,29 @@ class _Reducer(Turn):
         if robot.phase is Phase.LOST:
             self._fault(robot, "is lost; its token was in %s" % self._name(robot.place))
         if robot.task is not None and robot.task.id:
-            text = "goes with task %s, which %s gives back to no queue (on_evict); submit it again"
+            text = "is gone with task %s, which %s returns to no queue (on_evict); submit it again"
             self._fault(robot, text % (robot.task.id, self._name(robot.place)))
         if robot.phase is Phase.LOST:
             self._on_lost(robot)
 
     def _gave_back(self, robot: RobotState) -> Mapping[str, int]:
-        """What a robot gives back when it departs from its place: resource place -> tokens."""
+        """The resources that a robot returns when it departs from its place: resource place ->
+        tokens."""
         return self.plan.on_evict.get(self._name(robot.place), {})
 
     def _holds_task(self, place: str) -> bool:
-        """Whether a robot that departs from a place gives a task back."""
+        """Whether a robot that departs from a place returns a task."""
         names = (self.net.places[q].name for q in self.rules.queues)
         return not self.plan.on_evict.get(place, {}).keys().isdisjoint(names)
 
     def _put_down(self, robot: RobotState, place: str, marking: List[int]) -> None:
-        """Return the task of a robot that is put into a place that holds none."""
+        """Return the task of a robot that is moved to a place where robots carry none."""
         if robot.task is None or self._holds_task(place):
             return
         if self._holds_task(self._name(robot.place)):
             self._give_back(robot, marking, only_tasks=True)
         elif robot.task.id:
-            text = "keeps task %s in %s: %s gives it back to no queue (on_evict)"
+            text = "keeps task %s in %s, because %s returns it to no queue (on_evict)"
             self._fault(robot, text % (robot.task.id, place, self._name(robot.place)))
 
     def _give_back(self, robot: RobotState, marking: List[int], only_tasks: bool = False) -> None:
@@ -487,11 +490,11 @@ class _Reducer(Turn):
                 marking[p] += count
             if p not in self.rules.queues:
                 continue
-            # its task is the next to be taken: it came before those that still wait
+            # its task goes first, because it arrived before those still waiting
             back = [robot.task or Task()] + [Task()] * (count - 1)
             self.state.queues[p] = [*back, *self.state.queues.get(p, ())]
             if robot.task is not None and robot.task.id:
-                self._fault(robot, "gives task %s back to %s" % (robot.task.id, resource))
+                self._fault(robot, "returns task %s to %s" % (robot.task.id, resource))
             robot.task = None
 
     def _on_lost(self, lost: RobotState) -> None:
@@ -505,7 +508,7 @@ class _Reducer(Turn):
             return
         if rule.kind is LostKind.STOP:
             self._end(
-                "%s is lost, and %s waits for it" % (lost.name, stuck[0].name), finished=False
+                "%s is lost, but %s waits for it" % (lost.name, stuck[0].name), finished=False
             )
             return
         t = self.net.transition_number(rule.transition)
@@ -515,7 +518,7 @@ class _Reducer(Turn):
                 robot.drawn = None
 
     def _needs(self, robot: RobotState, place: int) -> bool:
-        """Whether the request of ``robot`` lacks a robot in ``place``."""
+        """Whether the request of ``robot`` is missing a robot in ``place``."""
         t = (
             robot.request
             if robot.request != POLICY

@@ -30,10 +30,10 @@ from gspn_framework_package.model.plan import FailureKind
 from gspn_framework_package.model.plan_timing import POLICY
 
 FIRINGS_PER_ENTRY = 10_000
-"""This many firings after one entry are taken for a timeless cycle, and the run ends."""
+"""Number of firings after one entry that counts as a timeless cycle and ends the run."""
 
 TASKS_NAMED = 10
-"""So many tasks that are not done are named at the end of a run."""
+"""Maximum number of unfinished tasks named at the end of a run."""
 
 ASKS_POLICY = ("", "None", None)
 """Results of an action that let the policy decide (thesis Algorithm 1)."""
@@ -44,8 +44,8 @@ class Turn:
 
     After each entry (``docs/semantics.md``), immediate transitions with only resource inputs fire
     first, by priority and weight. Then come the requests of robots that are done, in order of
-    completion; higher priority takes precedence. Then come events that are held, and tasks that
-    wait to come in. After each firing this starts again, until nothing is enabled.
+    completion; higher priority takes precedence. Then come held events, and waiting tasks. This
+    repeats after each firing until nothing is enabled.
     """
 
     def __init__(self, rules: Rules, state: TeamState, slot: int) -> None:
@@ -133,7 +133,7 @@ class Turn:
         return True
 
     def _fire_held(self) -> bool:
-        """Fire the first event that is held and can fire now."""
+        """Fire the first held event that can fire now."""
         if not self.rules.interrupts:
             return False
         for robot in self.state.active():
@@ -144,7 +144,7 @@ class Turn:
         return False
 
     def _fire_submitted(self) -> bool:
-        """Let the first task in whose transition is enabled now."""
+        """Admit the first task whose transition is enabled now."""
         for number, (t, task) in enumerate(self.state.submitted):
             if self.net.is_enabled(self.state.marking, t):
                 del self.state.submitted[number]
@@ -153,7 +153,7 @@ class Turn:
         return False
 
     def _interrupt(self, robot: RobotState, t: int, cause: Mapping[str, Any]) -> None:
-        """Fire the transition of an event, which takes ``robot`` out of its place."""
+        """Fire the transition of an event, which interrupts ``robot``."""
         self._cancel(robot)
         if self.rules.interrupts[t].resume:
             robot.interrupted[robot.place] = robot.visit
@@ -164,11 +164,11 @@ class Turn:
         the marking or the candidates change."""
         leaving = self.rules.immediate[robot.place]
         if not leaving:
-            return self._nothing(robot, "an event has to come")
+            return self._nothing(robot, "waits for an event")
         distribution = self.rules.policy.distribution(self.state.marking, robot.place)
         if distribution is not None:
             if not distribution.choices:
-                return self._nothing(robot, "the policy lets it wait in this marking")
+                return self._nothing(robot, "the policy makes it wait in this marking")
             choices = self._of_top_priority(distribution.choices)
         elif self.rules.policy.matches(self.state.marking, robot.place):
             return self._nothing(
@@ -204,7 +204,7 @@ class Turn:
         return robot.drawn.transition if robot.drawn else None
 
     def _of_top_priority(self, choices: Sequence[Tuple[int, float]]) -> Sequence[Tuple[int, float]]:
-        """The choices except those whose priority is lower than that of an enabled choice."""
+        """The choices without those of lower priority than an enabled choice."""
         priorities = {self.net.transitions[t].priority for t, _ in choices}
         if len(priorities) < 2:
             return choices
@@ -244,9 +244,9 @@ class Turn:
     ) -> None:
         """Fire transition ``t``.
 
-        :param movers: the robots that it moves; by default, those that are done and free for it.
-        :param task: the task that comes in with it.
-        :param cause: what was read of the event that fires it.
+        :param movers: the robots that it moves; by default those that are done and free for it.
+        :param task: the task that arrives with it.
+        :param cause: the data of the event that fires it.
         """
         if movers is None:
             movers = self._bind(t, requester)
@@ -300,12 +300,12 @@ class Turn:
         targets: List[Optional[int]],
         incoming: Optional[Task],
     ) -> Tuple[TaskMove, ...]:
-        """Pass the tasks on as ``t`` fires: those of its queues, of the robots that it moves, and
-        the one that comes in.
+        """Move the tasks when ``t`` fires: those of its queues, of the robots that it moves, and
+        the arriving one.
 
-        A queue gets the tasks of the robots first, then those from other queues, then the one that
-        comes in. What is left goes to the robots that carry none, in order. A task that comes in
-        without a queue is done with the firing.
+        A queue first gets the tasks of the robots, then those from other queues, then the arriving
+        one. The rest go to the robots that carry none, in order. A task that arrives without a
+        queue is done by the firing.
         """
         queues, state = self.rules.queues, self.state
         moves: List[TaskMove] = []
@@ -430,12 +430,13 @@ class Turn:
             self._failed(
                 robot,
                 Outcome.BAD_RESULT,
-                "no transition was named, and %s has %d exponential ones"
+                "no transition was named, but %s has %d exponential ones"
                 % (self._name(robot.place), len(of_action)),
             )
 
     def _write(self, robot: RobotState, data: Mapping[str, Any]) -> bool:
-        """Write what an action returned; if that is not possible, the action has failed."""
+        """Write the data that an action returned; if that is not possible, the action has
+        failed."""
         task = dict(robot.task.data) if robot.task is not None else None
         stores = {"robot": dict(robot.data), "team": dict(self.state.data), "task": task}
         for full, value in data.items():
@@ -446,7 +447,7 @@ class Turn:
                 return False
             store[name] = value
             if len(store) > NAMES_LIMIT:
-                self._failed(robot, Outcome.BAD_RESULT, "more than %d names of data" % NAMES_LIMIT)
+                self._failed(robot, Outcome.BAD_RESULT, "more than %d data names" % NAMES_LIMIT)
                 return False
         robot.data, self.state.data = stores["robot"] or {}, stores["team"] or {}
         if robot.task is not None:
@@ -472,7 +473,7 @@ class Turn:
         if rule.kind is FailureKind.FIRE:
             t = self.net.transition_number(rule.transition)
             if t in self.net.consumers[robot.place]:
-                self._fault(robot, "%s; goes on with %s" % (what, rule.transition), reason)
+                self._fault(robot, "%s; continues with %s" % (what, rule.transition), reason)
                 self._ask(robot, t)
                 return
         if rule.kind is FailureKind.STOP:
@@ -535,7 +536,7 @@ class Turn:
             left = self.state.tasks_left(self.net)
             if left:
                 more = ", ..." if len(left) > TASKS_NAMED else ""
-                text = "the run ends with %d tasks that are not done: %s%s"
+                text = "the run ends with %d unfinished tasks: %s%s"
                 self._fault(None, text % (len(left), ", ".join(left[:TASKS_NAMED]), more))
             self.state.ended, self.state.finished = reason, finished
             self.state.fault = not (finished or stopped)

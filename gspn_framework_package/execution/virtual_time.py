@@ -1,13 +1,13 @@
-"""A plan in virtual time: the token game as it is executed, with durations drawn instead of waited
+"""Runs a plan in virtual time: the token game of a real run, with durations drawn instead of waited
 for.
 
 :class:`VirtualRun` is the reference for every other simulation and for the analysis: it uses the
-token game itself (``token_game``), so its policy draws, priorities, failure rules and time-outs are
-those of a run. Its log is a real event log, whose clocks start at 0.
+token game itself (``token_game``), so its policy draws, priorities, failure rules and time-outs
+match those of a real run. Its log is a real event log, whose clocks start at 0.
 
-Events come at the rates of their transitions, to each robot by itself and as long as its visit
-lasts, whatever it is up to; an event of time (``after``) comes when its time is over. Tasks come in
-at the rate of their transition while it is enabled. The plan's sources are not asked, so whether an
+Events occur at the rates of their transitions, independently for each robot and throughout its
+visit, whatever its phase; a timed event (``after``) occurs when its time is over. Tasks arrive at
+the rate of their transition while it is enabled. The plan's sources are not used, so whether an
 event counts by level or by edge makes no difference.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
@@ -48,14 +48,14 @@ from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 
 Slowness = Callable[[str, str, float], float]
 """Called with (robot, place, time in seconds) when an attempt starts; returns the factor by which
-its duration is longer."""
+its duration is multiplied."""
 
 
 class VirtualResult(NamedTuple):
-    """What happened in a virtual run, after its warm-up.
+    """The result of a virtual run, after its warm-up.
 
     :ivar time: when it ended (s).
-    :ivar seconds: how long it was observed: without the warm-up.
+    :ivar seconds: how long it was observed (s), without the warm-up.
     :ivar firings: transition -> number of firings.
     :ivar mean_tokens: place -> time-averaged number of tokens.
     :ivar slots: number of log slots.
@@ -81,9 +81,9 @@ class VirtualRun:
     :param seed: seed of the durations, outcomes and failures, and of the policy; by default that of
         the plan.
     :param agents: whether transitions may create and destroy agents, as in a standalone run.
-    :param loss_rate: how often a robot is lost, per second and robot.
-    :param slowness: makes actions slower; for experiments.
-    :param environment: whether transitions of the environment fire, and tasks come, by themselves.
+    :param loss_rate: rate at which each robot is lost, per second.
+    :param slowness: makes actions slower, for experiments.
+    :param environment: whether to simulate the environment's transitions and the arrival of tasks.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class VirtualRun:
         self.now = 0.0
         """The virtual time (s)."""
         self.result: Optional[Ended] = None
-        """How the run ended; None while it goes on."""
+        """How the run ended; None while it is running."""
         self._random = np.random.Generator(np.random.PCG64(self.plan.seed % 2**64))
         self._environment = Environment(
             self.game,
@@ -134,9 +134,9 @@ class VirtualRun:
         self._log = event_log
 
     def record_in(self, path: str, run: str, log_id: str) -> EventLogWriter:
-        """Record the run in a new file, which the caller closes.
+        """Record the run in a new file, which the caller must close.
 
-        :param log_id: unique to this log.
+        :param log_id: a unique id for this log.
         :raises LogError: the file cannot be written.
         """
         agents = self.game.agents
@@ -156,13 +156,14 @@ class VirtualRun:
         warmup: float = 0.0,
         while_running: Optional[Callable[[int], None]] = None,
     ) -> VirtualResult:
-        """Run until the plan ends or a limit is reached; once.
+        """Run until the plan ends or a limit is reached. Call this once.
 
-        :param time: latest virtual time (s).
-        :param firings: stop after the slot that brings the number of firings to this limit.
-        :param warmup: time (s) at the start that the result leaves out.
-        :param while_running: called with the number of slots at intervals; may raise, to cancel.
-        :raises UsageError: it would never end, or was run before.
+        :param time: virtual time at which to stop (s).
+        :param firings: stop after the slot in which the number of firings reaches this limit.
+        :param warmup: time (s) at the start to exclude from the result.
+        :param while_running: called at intervals with the number of slots; may raise to cancel the
+            run.
+        :raises UsageError: the run would never end, or was run before.
         """
         self._latest = time
         self.begin(warmup)
@@ -187,10 +188,10 @@ class VirtualRun:
         """Start the run, for :meth:`step`.
 
         :param warmup: see :meth:`run`.
-        :raises UsageError: it was started before.
+        :raises UsageError: the run was started before.
         """
         if self._begun:
-            raise UsageError("this run was started before", hint="make a new one")
+            raise UsageError("this run was started before", hint="create a new one")
         self._begun = True
         self._counted_from = warmup
         if self._ledger.length:
@@ -201,11 +202,11 @@ class VirtualRun:
             self._schedule_losses()
 
     def continue_from(self, snapshot: Record) -> None:
-        """Start in the middle of another run of the plan, at time 0: the robots are where they were
-        then, and those that were doing an action begin it anew. Call it before the run.
+        """Start at time 0 from the middle of another run of the plan: the robots keep their places,
+        and running actions start again. Call this before the run.
 
         :param snapshot: a ``snapshot`` record.
-        :raises LogError: it is none, or not of this plan.
+        :raises LogError: it is not a snapshot of this plan.
         """
         self._ledger.restore(snapshot)
         self.state = self._ledger.state
@@ -213,13 +214,13 @@ class VirtualRun:
             self._log.append(snapshot)
 
     def order(self, entry: log_entries.Entry) -> None:
-        """Put an entry into the log now, for example an order of the operator."""
+        """Append an entry to the log now, for example an operator's order."""
         if isinstance(entry, log_entries.Submit):
             entry = self.state.with_again(entry, self._ledger.game.net)
         self._reduce([entry])
 
     def step(self, time: float) -> bool:
-        """Go on to the next thing that happens; returns False if nothing does until ``time``."""
+        """Advance to the next occurrence; return False if there is none until ``time``."""
         fire_at = self._environment.next_time(self.state, self.now)
         due = self._heap[0][0] if self._heap else math.inf
         if fire_at is not None and fire_at < due:
@@ -249,7 +250,7 @@ class VirtualRun:
         return True
 
     def wait_until(self, when: float) -> None:
-        """Let the time pass until ``when``, in which nothing happens."""
+        """Advance the time to ``when``, before which nothing happens."""
         seconds = when - max(self.now, self._counted_from)
         if seconds > 0:
             for p, count in enumerate(self.state.marking):
@@ -274,12 +275,12 @@ class VirtualRun:
     def _tell(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
-        """A subclass may take in what a step did; ``before`` is the marking before it."""
+        """Hook for subclasses, called after a step; ``before`` is the previous marking."""
 
     # -- events ------------------------------------------------------------------------------------
 
     def _visit(self, name: str) -> Optional[Tuple[int, int]]:
-        """The visit that a robot is in, as (incarnation, number)."""
+        """The present visit of a robot, as (incarnation, number)."""
         robot = self.state.robots.get(name)
         return None if robot is None or robot.phase.gone else (robot.incarnation, robot.visit)
 
@@ -296,7 +297,7 @@ class VirtualRun:
         return begun
 
     def _follow_visits(self, begun: Sequence[Tuple[RobotState, Tuple[int, int]]]) -> None:
-        """Draw the events of visits that have begun. A subclass may do something else."""
+        """Draw the events of visits that have begun. Subclasses may override this."""
         for robot, visit in begun:
             for transition in self._interrupts[self.plan.net.places[robot.place].name]:
                 self._draw_event(log_entries.Interrupt(robot.name, *visit, transition))
@@ -308,11 +309,11 @@ class VirtualRun:
             return
         rate = self.plan.net.transition(event.transition).rate
         when = self.now + self._random.exponential(1 / rate)
-        if when <= self._latest:  # so that rare events of many visits do not fill the memory
+        if when <= self._latest:  # keeps rare events of many visits from filling the memory
             self._at(when, event)
 
     def _come_again(self, event: log_entries.Interrupt) -> None:
-        """Draw the next event, if the one that came changed nothing."""
+        """Draw the next event if the last one changed nothing."""
         same = self._visit(event.robot) == (event.incarnation, event.visit)
         if same and self.plan.events[event.transition].after is None:
             self._draw_event(event)
@@ -332,7 +333,7 @@ class VirtualRun:
                 )
 
     def _go_on(self) -> None:
-        """Begin the actions and the events of a team in the middle of a run."""
+        """Start the actions and the events of a team in the middle of a run."""
         state = self.state
         if state.ended is not None:
             self.result = Ended(state.ended, state.finished)
@@ -364,8 +365,8 @@ class VirtualRun:
             self._at(self.now + command.delay + seconds, entry, command)
 
     def _attempt(self, command: StartAction) -> Tuple[float, log_entries.Entry]:
-        """Draw how long an attempt takes (s), and what the log says at its end. A subclass may do
-        something else."""
+        """Draw how long an attempt takes (s), and the log entry at its end. Subclasses may override
+        this."""
         p = self.plan.net.place_index[command.place]
         timing = self.timing.of(command.robot, p)
         seconds = timing.duration.sample(self._random)
@@ -421,12 +422,12 @@ class VirtualRun:
 
 
 def failed(command: StartAction, reason: Outcome, detail: str) -> log_entries.Failed:
-    """The entry of an attempt that failed."""
+    """Make the entry of an attempt that failed."""
     return log_entries.Failed(
         command.robot, command.incarnation, command.visit, command.attempt, reason, detail
     )
 
 
 def timed_out(command: StartAction, timeout: float) -> log_entries.Failed:
-    """The entry of an attempt that took longer than ``timeout`` seconds."""
+    """Make the entry of an attempt that took longer than ``timeout`` seconds."""
     return failed(command, Outcome.TIMEOUT, "no result within %g s" % timeout)

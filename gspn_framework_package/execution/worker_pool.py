@@ -1,4 +1,4 @@
-"""Threads made on demand, for actions that may run for any length of time."""
+"""A pool of threads created on demand, for actions that may run indefinitely."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Work = Callable[[], None]
 class WorkerPool:
     """Runs each task immediately, on an idle thread or a new one (thesis 7.2.1).
 
-    Its threads are daemons, so a function that never returns does not keep the process from
-    exiting (with ``concurrent.futures`` it would). An idle thread ends after ``idle_seconds``.
-    A task must not raise.
+    Its threads are daemons, so, unlike with ``concurrent.futures``, a function that never returns
+    does not keep the process from exiting. An idle thread ends after ``idle_seconds``. A task must
+    not raise.
     """
 
     def __init__(self, name: str = "worker", idle_seconds: float = 10.0) -> None:

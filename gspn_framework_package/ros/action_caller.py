@@ -38,13 +38,13 @@ from gspn_framework_package.team.sides import LOOK_AGAIN
 _AnyConnection = Union[ActionConnection, DirectConnection]
 
 LOOK_AT_TYPE = 1.0
-"""Seconds after which the type of a server is looked at that is not connected."""
+"""Seconds after which the type of an unconnected server is checked."""
 
 MISSED = 2.5
-"""Periods without a status after which a server is silent."""
+"""Number of periods without a status after which a server counts as silent."""
 
 MOST_GIVEN_UP = 20
-"""Goals that were given up of which it is reported if they have a result after all, the last."""
+"""Number of the latest abandoned goals whose late results are reported."""
 
 
 class ActionEnded(NamedTuple):
@@ -56,7 +56,7 @@ class ActionEnded(NamedTuple):
     outcome: Outcome = Outcome.SUCCEEDED
     detail: str = ""
     data: Mapping[str, Any] = NOTHING
-    """What the action wrote: name -> value."""
+    """The data that the action wrote: name -> value."""
 
 
 class _Abandoned(NamedTuple):
@@ -69,8 +69,8 @@ class _Abandoned(NamedTuple):
 
 
 class _Goal:
-    """A goal, and the deadlines of its current state: monotonic seconds, or, as said, those of the
-    caller's clock."""
+    """A goal, and the deadlines of its current state, in monotonic seconds unless the caller's
+    clock is named."""
 
     def __init__(
         self, identity: GoalIdentity, target: ActionTarget, command: StartAction, start_at: float
@@ -79,17 +79,17 @@ class _Goal:
         self.id = str(identity)
         self.state = GoalState.DELAYED
         self.start_at = start_at
-        """When its attempt begins, by the caller's clock."""
+        """When its attempt begins, on the caller's clock."""
         self.connect_by = self.look_at_type = 0.0
         self.connection: Optional[_AnyConnection] = None
-        """The connection over which it was sent; None before."""
+        """The connection over which it was sent; None before that."""
         self.message: Optional[genpy.Message] = None
-        """The goal message that was sent; None before."""
+        """The goal message that was sent; None before that."""
         self.text = ""
         """The text that was sent with it; see ``ros.goal_data``."""
         self.sent_at = 0.0
         self.cut_off_at: Optional[float] = None
-        """When the action times out, by the caller's clock; None: never."""
+        """When the action times out, on the caller's clock; None for never."""
         self.acknowledged_by = ""
         """Caller id of the server that acknowledged it."""
         self.ended: Optional[Tuple[Outcome, str]] = None
@@ -108,7 +108,7 @@ class _Goal:
         if self.state is GoalState.CONNECTING:
             return "waits for the action server %s" % self.target.server
         if self.state is GoalState.SENT:
-            return "waits for %s to take the goal" % self.target.server
+            return "waits for %s to accept the goal" % self.target.server
         return ""
 
 
@@ -116,25 +116,24 @@ class ActionCaller:
     """Action client of one robot: sends goals, one at a time, and puts a deadline on every step.
     All methods belong to the node's worker thread.
 
-    Goals for servers in its own process go to them directly. A connection to another server is made
-    when its place is first needed; connections to the remaining servers follow in the background.
-    Connections are kept; when there are more than ``limit``, the least recently used are closed. A
-    separate thread calls the master, because without a master rospy's registrations block until it
-    is back.
+    Goals for servers in its own process go to them directly. Other servers are connected when their
+    place is first needed; the remaining ones follow in the background. Connections are kept; when
+    there are more than ``limit``, the least recently used are closed. A separate thread calls the
+    master, because without a master rospy's registrations block until it is back.
 
     :param targets: its actions by place.
     :param timeout: place -> seconds that its action may take, or None.
-    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
-    :param ended: receives the end of each attempt, once.
+    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
+    :param ended: called once when an attempt ends.
     :param feedback: receives (identity, feedback message) while an action runs.
     :param patience: how long each step may take.
     :param limit: maximum number of open connections to servers in other processes.
     :param own_servers: the servers in this process that receive goals directly, by their absolute
       names.
-    :param cancel_grace: seconds that a server has to end a goal that was cancelled.
-    :param fault: receives the text of a fault: a server did not end its goal in that time, or has
-      a result of a goal that was given up; or time went back.
-    :param clock: the clock by which the times of the plan pass.
+    :param cancel_grace: seconds that a server has to end a cancelled goal.
+    :param fault: receives the text of a fault: a server did not end its goal in that time, or sent
+        a result for an abandoned goal, or time went back.
+    :param clock: the clock that the plan's times refer to.
     """
 
     def __init__(
@@ -162,7 +161,7 @@ class ActionCaller:
         self._goal: Optional[_Goal] = None
         self._abandoned: Deque[_Abandoned] = deque()
         self._given_up: OrderedDict[str, str] = OrderedDict()
-        """Id of a goal that was given up -> why."""
+        """Id of an abandoned goal -> the reason."""
         self._times_back = clock.times_back
         self._connections: OrderedDict[str, ActionConnection] = OrderedDict()
         self._opening: Set[str] = set()
@@ -178,7 +177,7 @@ class ActionCaller:
     # -- the worker thread: orders -----------------------------------------------------------------
 
     def start(self, command: StartAction, now: float) -> None:
-        """Start an action; cancels the previous one if it still runs."""
+        """Start an action, cancelling the previous one if it still runs."""
         self.cancel()
         identity = GoalIdentity(
             self.robot, command.incarnation, command.visit, command.attempt, self.tag
@@ -193,7 +192,7 @@ class ActionCaller:
         timeout: Callable[[str], Optional[float]],
         own_servers: Optional[Mapping[str, PlaceServer]],
     ) -> None:
-        """From now on start the actions of another plan; a goal that is under way goes on."""
+        """Start the actions of another plan from now on; a running goal continues."""
         self._targets, self._timeout = targets, timeout
         for name, server in (own_servers or {}).items():
             if name not in self._direct:
@@ -226,19 +225,19 @@ class ActionCaller:
     # -- the worker thread: time -------------------------------------------------------------------
 
     def poll(self, now: float) -> Optional[float]:
-        """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
+        """Do what is due at ``now`` (monotonic seconds). Returns when to call this next; None if no
         time is set."""
         self._clock.seconds()
         if self._times_back != self._clock.times_back:
             self._times_back = self._clock.times_back
             self._fault(
-                "time went back by %.1f s (/clock): the run goes on, and goals for action servers "
-                "keep the newest time stamp" % self._clock.back_by
+                "time went back by %.1f s (/clock); the run continues, and goals for action "
+                "servers keep the newest time stamp" % self._clock.back_by
             )
         return earliest(self._poll_goal(now), self._poll_abandoned(now))
 
     def _poll_abandoned(self, now: float) -> Optional[float]:
-        """Report the goals whose servers had time enough to end them, and have not."""
+        """Report goals that their servers have not ended in time."""
         while self._abandoned and now >= self._abandoned[0].report_at:
             goal = self._abandoned.popleft()
             if goal.connection.still_has(goal.goal_id):
@@ -249,7 +248,7 @@ class ActionCaller:
         return self._abandoned[0].report_at if self._abandoned else None
 
     def _abandon(self, goal: _Goal) -> None:
-        """Have a goal cancelled that is of no interest any more."""
+        """Cancel a goal that is no longer wanted."""
         if goal.connection is not None:
             goal.connection.abandon(goal.id)
             report_at = time.monotonic() + self._cancel_grace
@@ -307,7 +306,8 @@ class ActionCaller:
         return min(now + LOOK_AGAIN, goal.connect_by)
 
     def _look_at_type(self, goal: _Goal) -> None:
-        """Have a goal fail whose server is of another type; on the thread of the connections."""
+        """Make a goal fail if its server has another type; runs on the thread of the
+        connections."""
         try:
             clash = goal.target.clash(published_topics())
         except MASTER_ERRORS:
@@ -344,7 +344,7 @@ class ActionCaller:
         if server is not None:
             seconds = _at_least(seconds, goal.connection.period(server))
         if now >= goal.sent_at + seconds:
-            detail = "%s did not say within %g s that it has the goal (~acknowledgement_timeout)"
+            detail = "%s did not acknowledge the goal within %g s (~acknowledgement_timeout)"
             self._fail(goal, Outcome.LOST, detail % (goal.target.server, seconds), cancel=True)
             return None
         return min(goal.sent_at + seconds, now + 0.5)
@@ -352,7 +352,7 @@ class ActionCaller:
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
         assert goal.connection is not None
         if not goal.connection.is_connected(goal.acknowledged_by):
-            # it must connect again within the time for a result, otherwise it is gone
+            # it must reconnect within the time limit for a result, otherwise it counts as gone
             self._await_result(goal, now)
             return goal.result_by
         silence = goal.connection.silence(goal.acknowledged_by)
@@ -371,8 +371,8 @@ class ActionCaller:
         goal.result_by = now + self._patience.result
 
     def _poll_result_due(self, goal: _Goal, now: float) -> Optional[float]:
-        """Give up on a result that has not arrived in time, or go on if the server is connected
-        again and has not ended the goal."""
+        """Give up on a result that has not arrived in time, or continue if the server has
+        reconnected and has not ended the goal."""
         if now < goal.result_by:
             return goal.result_by
         assert goal.connection is not None
@@ -381,7 +381,7 @@ class ActionCaller:
             return self._poll_goal(now)
         outcome, detail = goal.ended or (
             Outcome.SERVER_DIED,
-            "%s closed its connections, and did not open them within %g s (~result_timeout)"
+            "%s closed its connections and did not reopen them within %g s (~result_timeout)"
             % (goal.target.server, self._patience.result),
         )
         if outcome in (Outcome.SERVER_DIED, Outcome.LOST):
@@ -389,7 +389,7 @@ class ActionCaller:
         elif outcome == Outcome.SUCCEEDED and (
             goal.target.keep or goal.target.transition_of(outcome, None) == ""
         ):
-            detail = "%s ended the goal, and sent no result within %g s (~result_timeout)"
+            detail = "%s ended the goal, but sent no result within %g s (~result_timeout)"
             self._fail(goal, Outcome.LOST, detail % (goal.target.server, self._patience.result))
         else:
             self._finish(goal, outcome, detail, None)
@@ -402,9 +402,9 @@ class ActionCaller:
         if goal is None or goal.id != goal_id or goal.connection is not connection:
             if what is GoalNews.RESULT and goal_id in self._given_up:
                 why = self._given_up.pop(goal_id)
-                # else it ended because it was cancelled
+                # otherwise it ended because it was cancelled
                 if value[0] not in (Outcome.PREEMPTED, Outcome.LOST):
-                    text = "%s reports '%s' for a goal that was given up: %s"
+                    text = "%s reports '%s' for an abandoned goal: %s"
                     self._fault(text % (connection.server, value[0], why))
             return
         if what is GoalNews.ACKNOWLEDGED:
@@ -425,7 +425,7 @@ class ActionCaller:
             self._await_result(goal, time.monotonic())
             goal.ended = value or (
                 Outcome.SERVER_DIED,
-                "%s does not know the goal any more" % connection.server,
+                "%s no longer knows the goal" % connection.server,
             )
 
     def _finish(
@@ -522,5 +522,5 @@ class ActionCaller:
 
 
 def _at_least(seconds: float, period: float) -> float:
-    """Time for a server to say something by itself; ``seconds`` if it never does."""
+    """The time limit for a server that reports periodically; ``seconds`` if it does not."""
     return seconds if math.isinf(period) else max(seconds, MISSED * period)

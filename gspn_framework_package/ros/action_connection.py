@@ -32,20 +32,20 @@ class ActionConnection:
     """The client's side of the action protocol, for one goal at a time.
 
     It handles the protocol's messages itself, by goal id, instead of using
-    ``actionlib.ActionClient``. That class makes its own goal ids (they collide), mistakes a status
-    from a second server of the same name for the loss of the goal, and drops a result that arrives
-    after such a loss.
+    ``actionlib.ActionClient``. That class generates its own goal ids (which collide), mistakes a
+    status from a second server of the same name for the loss of the goal, and drops a result that
+    arrives after such a loss.
 
     It publishes ``SERVER/goal`` and ``SERVER/cancel``, and subscribes to ``SERVER/status``,
-    ``/result`` and ``/feedback``. Its callbacks run on rospy's threads and only pass on what
-    concerns the watched goal.
+    ``/result`` and ``/feedback``. Its callbacks run on rospy's threads and only pass on messages
+    about the watched goal.
 
     :param server: absolute name of the server.
     :param action_type: class of the action.
     :param robot: name of the robot that sends the goals.
     :param tag: tag of this start of the node. An unfinished goal of the robot with another tag is
-        cancelled as a leftover of a node that died, if it was there when this one connected or is
-        of an earlier incarnation.
+        cancelled as a leftover of a dead node if it existed when this node connected, or belongs to
+        an earlier incarnation.
     :param hand_on: called as ``hand_on(connection, what, goal_id, value)``; :class:`GoalNews`
         documents the value for each ``what``.
     """
@@ -68,15 +68,15 @@ class ActionConnection:
         self._incarnation = 0
         self._cancelled: Dict[str, bool] = {}
         self._abandoned: Dict[str, str] = {}
-        """Goal that was cancelled and has not ended -> caller id of the server that has it, "" if
-        none is known to have it."""
+        """Cancelled goal that has not ended -> caller id of the server that has it; "" if
+        unknown."""
         self.last_status: Dict[str, float] = {}
         """Caller id of each server of this name -> monotonic time of its last status."""
         self._last_status_ros: Dict[str, float] = {}
         self._listed: Dict[str, List[Tuple[str, int]]] = {}
         """Caller id -> the goals of its last status, with their states."""
         self._regular: Dict[str, int] = {}
-        """Caller id -> ``times_back`` of the clock at its last status that came by itself."""
+        """Caller id -> ``times_back`` of the clock at its last periodic status."""
         self._periods: Dict[str, float] = {}
         self._newest_stamp = rospy.Time()
         subscribe = rospy.Subscriber
@@ -100,15 +100,15 @@ class ActionConnection:
     # -- called by the node's worker thread --------------------------------------------------------
 
     def ready_server(self) -> Optional[str]:
-        """The caller id of a server to which every topic is connected, in both directions; None if
-        there is none yet. (A goal published before that would be lost silently.)"""
+        """The caller id of a server with all topics connected, in both directions; None if there is
+        none yet. (A goal published before that would be lost silently.)"""
         for caller in sorted(self.last_status, key=self.last_status.__getitem__, reverse=True):
             if self.is_connected(caller):
                 return caller
         return None
 
     def is_connected(self, caller: str) -> bool:
-        """Whether goals reach the server with this caller id, and results come back."""
+        """Whether goals reach the server with this caller id, and results arrive from it."""
         return (
             self._goal.impl.has_connection(caller)
             and self._cancel.impl.has_connection(caller)
@@ -119,31 +119,31 @@ class ActionConnection:
         )
 
     def silence(self, caller: str) -> float:
-        """Seconds since the last status of this server. With simulated time, which servers follow,
-        a slow or paused simulation does not count as silence. Nor does silence since time went
-        back: the timer of an action server in Python ends then, while the server works on."""
+        """Seconds since the last status of this server. With simulated time, which servers use, a
+        slow or paused simulation does not count as silence. Nor does silence since time went back:
+        that stops the status timer of a Python action server, although the server keeps working."""
         passed = ROS_CLOCK.seconds() - self._last_status_ros[caller]
         if self._regular.get(caller) != ROS_CLOCK.times_back:
             return 0.0
         return min(time.monotonic() - self.last_status[caller], passed)
 
     def period(self, caller: str) -> float:
-        """Seconds between two statuses of this server, as far as its parameters say so; 0: they do
-        not, infinity: it sends none by itself."""
+        """Seconds between two statuses of this server, according to its parameters; 0 if they do
+        not say, infinity if it sends none periodically."""
         return self._periods.get(caller, 0.0)
 
     def learn_periods(self) -> None:
-        """Read how often the servers send their status; may be called from any thread."""
+        """Read the servers' status periods; may be called from any thread."""
         for caller in set(self.last_status) - set(self._periods):
-            with contextlib.suppress(*MASTER_ERRORS):  # it is read again with the next goal
+            with contextlib.suppress(*MASTER_ERRORS):  # read again with the next goal
                 given = nearest_parameter("actionlib_status_frequency", caller, None)
                 given = nearest_parameter(self.server + "/status_frequency", caller, given)
                 known = isinstance(given, (int, float))
                 self._periods[caller] = (1.0 / given if given > 0 else math.inf) if known else 0.0
 
     def send(self, goal_id: str, goal: genpy.Message, incarnation: int, text: str = "") -> None:
-        """Send a goal and watch it. It is sent once: a server may begin a goal that it gets twice
-        twice.
+        """Send a goal and watch it. It is sent only once, because a server that receives a goal
+        twice may start it twice.
 
         The stamp of the goal id is empty, so the server fills in its own time; otherwise an older
         "cancel everything before" could apply to the goal if clocks differ. When simulated time
@@ -180,7 +180,7 @@ class ActionConnection:
         self.cancel(goal_id)
 
     def still_has(self, goal_id: str) -> bool:
-        """Whether a server still has an abandoned goal; asked once."""
+        """Whether a server still has an abandoned goal; can be asked only once."""
         caller = self._abandoned.pop(goal_id, "")
         return bool(caller) and self.is_connected(caller)
 
@@ -192,7 +192,8 @@ class ActionConnection:
         self._last_status_ros[caller] = ROS_CLOCK.seconds()
         self.last_status[caller] = time.monotonic()
         listed = [(status.goal_id.id, status.status) for status in message.status_list]
-        if self._listed.get(caller, listed) == listed:  # otherwise it may only tell what happened
+        # otherwise it may only be an ordinary status
+        if self._listed.get(caller, listed) == listed:
             self._regular[caller] = ROS_CLOCK.times_back
         self._listed[caller] = listed
         watched, known = self._watched, False
@@ -228,7 +229,9 @@ class ActionConnection:
         if first or goal_id in self._cancelled or identity.incarnation < self._incarnation:
             if not self._cancelled.get(goal_id):
                 self._cancelled[goal_id] = True
-                rospy.logwarn("%s: cancels the goal %s of an earlier start", self.server, goal_id)
+                rospy.logwarn(
+                    "%s: cancelling the goal %s of an earlier start", self.server, goal_id
+                )
             self.cancel(goal_id)
 
     def _on_result(self, message: genpy.Message) -> None:

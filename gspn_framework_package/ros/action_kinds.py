@@ -1,8 +1,8 @@
-"""The kinds of action that are no action servers, as an execution node carries them out: calls of
-services, messages that are published or waited for, and what needs no ROS.
+"""The kinds of action other than action servers, as an execution node carries them out: service
+calls, publishing a message, waiting for a message, and actions that need no ROS.
 
-To add a kind: its class in ``model.action`` (with its form in ``plan.schema.json``), and here a
-:class:`Job` in :data:`JOBS`; or, if it needs no ROS, an entry in ``execution.local_kinds``.
+To add a kind: add its class in ``model.action`` (with its form in ``plan.schema.json``), and a
+:class:`Job` in :data:`JOBS` here, or an entry in ``execution.local_kinds`` if it needs no ROS.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from gspn_framework_package.ros.transport.service_call import (
 from gspn_framework_package.team.jobs import CANCELLED, Job, JobAttempt, JobEnd, LocalJob
 
 _LOOK_EVERY = 0.1
-"""Seconds between two looks whether a service or subscriber is there."""
+"""Seconds between two checks for a service or subscriber."""
 
 
 class ServiceJob(Job):
-    """Calls a service. A call that is cancelled is abandoned; the service does not learn of it."""
+    """Calls a service. A cancelled call is abandoned; the service does not learn of it."""
 
     def __init__(self, plan: Plan, place: str, action: ServiceAction, namespace: str) -> None:
         super().__init__(place, action)
@@ -75,7 +75,7 @@ class ServiceJob(Job):
 
     def missing(self) -> Optional[str]:
         """See :meth:`Job.missing`."""
-        return None if service_type(self._name) else "no such service: %s" % self._name
+        return None if service_type(self._name) else "there is no service %s" % self._name
 
     def prepare(self, data: Mapping[str, Any]) -> genpy.Message:
         """See :meth:`Job.prepare`."""
@@ -98,7 +98,7 @@ class ServiceJob(Job):
             except ServiceFailed as error:
                 return JobEnd(error.outcome, self.clash({}) or str(error))
             except OSError:
-                pass  # it may be about to start
+                pass  # the service may be about to start
             if time.monotonic() > give_up:
                 text = "%s did not answer within %g s (~server_timeout)"
                 return JobEnd(Outcome.NO_SERVER, text % (self._name, attempt.patience.server))
@@ -115,14 +115,14 @@ class ServiceJob(Job):
         data = kept(response, self.action.keep)
         if getattr(response, "success", True) is False:
             text = getattr(response, "message", "")
-            text = text if isinstance(text, str) and text else "%s answered no" % self._name
+            text = text if isinstance(text, str) and text else "%s reported no success" % self._name
             return JobEnd(Outcome.ABORTED, text, data=data)
         return JobEnd(Outcome.SUCCEEDED, data=data)
 
 
 class PublishJob(Job):
-    """Publishes a message. A node that has just started waits until the subscribers that the master
-    knows are connected, since the message would be lost to them."""
+    """Publishes a message. A node that has just started waits until the subscribers known to the
+    master are connected, since they would miss the message."""
 
     def __init__(self, plan: Plan, place: str, action: PublishAction, namespace: str) -> None:
         super().__init__(place, action)
@@ -171,8 +171,8 @@ class PublishJob(Job):
 
 
 class WaitJob(Job):
-    """Waits for a message. The topic is subscribed from the start of the node on, so that a wait
-    begins at once; what arrives at other times is only read if it is latched."""
+    """Waits for a message. The node subscribes to the topic at its start, so that a wait begins at
+    once; messages that arrive at other times are read only if they are latched."""
 
     def __init__(self, plan: Plan, place: str, action: WaitAction, namespace: str) -> None:
         super().__init__(place, action)
@@ -220,7 +220,7 @@ class WaitJob(Job):
             over.wait()
         finally:
             with self._lock:
-                if self._take is take:  # no later attempt has begun
+                if self._take is take:  # no later attempt has started
                     self._take = None
         return (
             JobEnd(Outcome.SUCCEEDED, data=kept(found[0], self.action.keep)) if found else CANCELLED
@@ -246,7 +246,7 @@ class WaitJob(Job):
             return False
 
     def _is_there(self, message: genpy.Message) -> bool:
-        """Whether the node that latched the message would still deliver it."""
+        """Whether the node that latched the message still offers it."""
         assert self._subscriber is not None
         caller = message._connection_header.get("callerid", "")
         return any(c.callerid_pub == caller for c in self._subscriber.impl.connections)
@@ -257,7 +257,7 @@ JOBS: Dict[type, Callable[[Plan, str, Any, str], Job]] = {
     PublishAction: PublishJob,
     WaitAction: WaitJob,
 }
-"""Kind of action -> how a robot carries it out; those that need no ROS are in ``LOCAL_KINDS``."""
+"""Kind of action -> its job; kinds that need no ROS are in ``LOCAL_KINDS``."""
 
 
 def job(plan: Plan, place: str, action: Action, namespace: str) -> Optional[Job]:
@@ -288,7 +288,7 @@ def jobs(plan: Plan, robot: str, namespace: str) -> Dict[str, Job]:
 
 
 def absolute(name: str, namespace: str) -> str:
-    """A name in a plan as an absolute name. :raises PlanError: it is not legal in ROS."""
+    """Resolve a name in a plan to an absolute name. :raises PlanError: it is not legal in ROS."""
     found: str = rospy.names.ns_join(namespace, name)
     if not rosgraph.names.is_legal_name(found):
         raise PlanError("'%s' is not a legal name in ROS" % name)
@@ -310,13 +310,13 @@ class ActionFindings(NamedTuple):
     """Goals, requests, messages, conditions and kept fields that do not fit their type, and types
     that are not those of the ROS graph."""
     unknown: Dict[str, str]
-    """What was not looked at because its type is unknown in this shell."""
+    """Actions that were not checked because their type is unknown in this shell."""
 
 
 def look_at_actions(plan: Plan) -> ActionFindings:
     """Check whether the actions of a plan fit their types. This needs neither a node nor a master;
-    if there is a master, what it knows is compared too. A robot's namespace is taken to be its
-    name."""
+    if there is a master, the types that it knows are compared too. A robot's namespace is taken to
+    be its name."""
     found = ActionFindings({}, {})
     types: Optional[Mapping[str, str]] = None
     published: Optional[Mapping[str, str]] = None
@@ -346,7 +346,7 @@ def look_at_actions(plan: Plan) -> ActionFindings:
 
 
 def live_types(asked: Callable[[], Mapping[str, str]] = topic_types) -> Mapping[str, str]:
-    """Topic -> type, as a function of ``transport.registration`` says; empty without a master."""
+    """Topic -> type, from a function of ``transport.registration``; empty without a master."""
     try:
         return asked()
     except MASTER_ERRORS:

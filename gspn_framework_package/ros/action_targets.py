@@ -41,7 +41,7 @@ class ActionTarget(NamedTuple):
     foreign: bool
     """Whether the server is not one of the plan's Python functions."""
     keep: Mapping[str, str] = NOTHING
-    """Name of data -> field of the result that is written to it."""
+    """Name of data -> field of the result that is stored there."""
 
     def new_goal(self, data: Mapping[str, Any] = NOTHING) -> genpy.Message:
         """A new goal message. Empty time stamps in headers stay empty ("the latest"); the word
@@ -104,8 +104,7 @@ class ActionTarget(NamedTuple):
         return data
 
     def transition_of(self, outcome: Outcome, result: Optional[genpy.Message]) -> Optional[str]:
-        """The transition that an outcome stands for, "" to let the policy decide; None for a
-        failure.
+        """The transition that an outcome selects; "" to let the policy decide, None for a failure.
 
         :param result: the result message, if one arrived.
         """
@@ -162,7 +161,7 @@ def target(place: str, action: Union[FunctionAction, ServerAction], namespace: s
 
 
 def _action_type(place: str, type_name: str) -> type:
-    """The class of an action type. :raises PlanError: it cannot be found in this workspace."""
+    """The class of an action type. :raises PlanError: it does not exist in this workspace."""
     try:
         action_type = message_class(type_name, "action")
         if hasattr(action_type(), "action_goal"):
@@ -177,7 +176,7 @@ def _action_type(place: str, type_name: str) -> type:
 
 
 def filled(template: Mapping[str, Any], data: Mapping[str, Any], what: str) -> Mapping[str, Any]:
-    """The fields of a goal, request or message, with data in place of the references.
+    """The fields of a goal, request or message, with references replaced by data.
 
     :raises DataError: data is missing, or stands for all fields and is not an object.
     """
@@ -188,11 +187,11 @@ def filled(template: Mapping[str, Any], data: Mapping[str, Any], what: str) -> M
 
 
 def check_kept(owner: type, keep: Mapping[str, str]) -> None:
-    """Check whether messages have the fields that are to be kept.
+    """Check whether messages have the fields to be stored as data.
 
     :param owner: the class of the messages.
     :param keep: name of data -> field.
-    :raises PlanError: they do not have one, or a name is not one of data.
+    :raises PlanError: a field is missing, or a name is not a data name.
     """
     for name, field in keep.items():
         try:
@@ -203,7 +202,7 @@ def check_kept(owner: type, keep: Mapping[str, str]) -> None:
 
 
 def kept(message: genpy.Message, keep: Mapping[str, str]) -> Dict[str, Any]:
-    """The fields of a message that are kept as data. :raises DataError: they cannot be kept."""
+    """The fields of a message to be stored as data. :raises DataError: they cannot be stored."""
     try:
         return check_values(
             {

@@ -1,5 +1,5 @@
 """The whole check of a plan: the :mod:`~gspn_framework_package.team.verdict` on it and, in a shell
-that has ROS, the types of its goals, messages and events. Without ROS it works too.
+that has ROS, the types of its goals, messages and events. Also works without ROS.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gspn_framework_package.team.verdict import verdict
 
 
 def check_all(plan: Plan, **options: Any) -> PreflightReport:
-    """Check a plan, without running anything of it.
+    """Check a plan, without running any of its code.
 
     :param options: see :func:`~gspn_framework_package.team.verdict.verdict`.
     :raises GspnError: as there.
@@ -29,7 +29,7 @@ def check_all(plan: Plan, **options: Any) -> PreflightReport:
 
 def _look_at_types(plan: Plan) -> List[CheckItem]:
     """Report goals, requests, messages and conditions of actions that do not fit their types, if
-    this shell has ROS, which knows these."""
+    this shell has ROS."""
     if all(isinstance(action, (FunctionAction, type(None))) for _, action in plan.bindings()):
         return []
     try:
@@ -47,7 +47,7 @@ def _look_at_types(plan: Plan) -> List[CheckItem]:
             CheckItem(
                 "goals",
                 Severity.WARNING,
-                "%s; its fields were not looked at (%s)" % (text, name_list(places)),
+                "%s; its fields were not checked (%s)" % (text, name_list(places)),
                 {"where": places},
             )
         )
@@ -56,7 +56,7 @@ def _look_at_types(plan: Plan) -> List[CheckItem]:
 
 def _look_at_events(plan: Plan) -> List[CheckItem]:
     """Report topics, fields and conditions of events that do not fit their messages, if this shell
-    has ROS, which knows their types."""
+    has ROS."""
     if not any(source.topic for source in plan.events.values()):
         return []
     try:
@@ -69,6 +69,6 @@ def _look_at_events(plan: Plan) -> List[CheckItem]:
         for t, text in found.misfits.items()
     ]
     for t, text in found.unknown.items():
-        text = "event '%s': %s; its messages were not looked at" % (t, text)
+        text = "event '%s': %s; its messages were not checked" % (t, text)
         items.append(CheckItem("sources", Severity.WARNING, text, {"transition": t}))
     return items

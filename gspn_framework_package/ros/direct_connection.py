@@ -21,7 +21,7 @@ class DirectConnection:
 
     The server treats the goal like any other, and also publishes its status, feedback and result on
     its topics; only the goal itself does not appear on ``SERVER/goal``. Over topics, each of the
-    1,000 servers of 50 robots in 20 places would have five connections from its process to itself.
+    1,000 servers of 50 robots in 20 places would need five connections within its process.
 
     :param server: the server, in this process.
     :param hand_on: see :class:`ActionConnection`.
@@ -49,7 +49,7 @@ class DirectConnection:
         return rospy.get_name() if self._server.started else None
 
     def is_connected(self, caller: str) -> bool:
-        """Whether the server takes goals."""
+        """Whether the server accepts goals."""
         return self._server.started
 
     def silence(self, caller: str) -> float:
@@ -93,7 +93,7 @@ class DirectConnection:
         return has
 
     def _told(self, what: GoalNews, status: GoalStatus, message: genpy.Message) -> None:
-        """The server calls this, on any thread; ``what`` is FEEDBACK or RESULT."""
+        """Called by the server, on any thread; ``what`` is FEEDBACK or RESULT."""
         goal_id = status.goal_id.id
         if what is GoalNews.RESULT:
             self._abandoned.discard(goal_id)

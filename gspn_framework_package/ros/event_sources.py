@@ -1,7 +1,7 @@
-"""The topics and functions that a plan's events and tasks come from, watched for one robot.
+"""Watches the topics and functions that produce a plan's events and tasks, for one robot.
 
-Each callback of rospy evaluates the condition itself. Only what changes reaches the replica, so a
-topic that floods costs the robot's node no more than its rises, and the reading of its messages.
+Each callback of rospy evaluates the condition itself. Only changes reach the replica, so a flooding
+topic costs the robot's node no more than reading its messages and handling its rising edges.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from gspn_framework_package.team.function_sources import Complaints, FunctionSou
 from gspn_framework_package.team.sides import EventListener
 
 CAUSE_LIMIT = 200
-"""Longest value of a field in the cause of an event, in characters of JSON."""
+"""Maximum length of a field's value in the cause of an event, in characters of JSON."""
 
 
 class ConditionSource:
     """An event that holds while a condition on the last message does.
 
-    Messages may come on several threads. What they change is handed over in one piece: while the
-    worker has not taken it, later changes are merged into it, so that a busy worker is asked once.
+    Messages may arrive on several threads. Changes that the worker has not processed yet are
+    merged, so that a busy worker has only one pending call.
     """
 
     def __init__(self, transition: str, source: EventSource, host: EventListener) -> None:
@@ -48,16 +48,17 @@ class ConditionSource:
         self._complaints = Complaints(host, "event '%s' (%s)" % (transition, source.label))
         self._lock = threading.Lock()
         self._holds = False
-        self._given = False  # what the replica knows
-        self._rise: Optional[Mapping[str, Any]] = None  # the cause of one that it does not know
+        self._given = False  # the state that the replica knows
+        # the cause of an occurrence that it does not know
+        self._rise: Optional[Mapping[str, Any]] = None
         self._on_its_way = False
 
     def take(self, message: Any) -> None:
-        """Take a message in."""
+        """Process a message."""
         try:
             holds = self._condition.holds(message)
         except ExpressionError as error:
-            # what is not known does not change anything
+            # an undetermined condition changes nothing
             self._complaints.report(error.message)
             return
         with self._lock:
@@ -86,7 +87,7 @@ class ConditionSource:
 
 
 class MomentSource:
-    """An event that comes with each message, and lasts no time."""
+    """An instantaneous event that occurs with each message."""
 
     def __init__(self, transition: str, source: EventSource, host: EventListener) -> None:
         self._transition, self._host = transition, host
@@ -94,7 +95,7 @@ class MomentSource:
         self._on_its_way = False
 
     def take(self, message: Any) -> None:
-        """Take a message in; it counts only if the event could interrupt the robot now."""
+        """Process a message, which counts only if the event could interrupt the robot now."""
         if self._on_its_way or not self._host.watches(self._transition):
             return
         with self._lock:
@@ -109,18 +110,18 @@ class MomentSource:
 
 
 class TaskSource:
-    """Tasks: each message is one."""
+    """A source of tasks: each message is one."""
 
     def __init__(self, transition: str, source: EventSource, host: EventListener) -> None:
         self._transition, self._source, self._host = transition, source, host
         self._complaints = Complaints(host, "tasks of '%s' (%s)" % (transition, source.label))
 
     def take(self, message: Any) -> None:
-        """Take a message in."""
+        """Process a message."""
         try:
             task = task_of(self._transition, self._source, message)
         except GspnError as error:
-            self._complaints.report("a message is not taken as a task: %s" % error.message)
+            self._complaints.report("a message cannot be used as a task: %s" % error.message)
             return
         self._host.enqueue(self._host.give, TaskCame(task))
 
@@ -134,10 +135,10 @@ def task_of(transition: str, source: EventSource, message: Any) -> log_entries.S
     """The task in a message.
 
     Its data are the fields of the message, or the JSON object in the field ``json``. Its id is in
-    the field ``id`` of these, or the one that the plan names; without one it is made of the topic,
-    the publisher's name, the sequence number in the header and its time stamp.
+    the field ``id``, or in the one that the plan names; without either, it is composed of the
+    topic, the publisher's name, and the sequence number and time stamp in the header.
 
-    :raises GspnError: the message is no task: it lacks the id, or its data are not JSON.
+    :raises GspnError: the message has no id, or its data are not JSON.
     """
     data: Any = message_fields.message_to_json(message)
     if source.json:
@@ -165,10 +166,10 @@ def _task_id(source: EventSource, message: Any, data: Mapping[str, Any]) -> Any:
     if value is None and not source.id:
         header = getattr(message, "header", None)
         if header is None:
-            raise DataError("it has no field 'id' and no header")
+            raise DataError("the message has no field 'id' and no header")
         known = getattr(message, "_connection_header", {})
         sender = "%s %s" % (known.get("topic", ""), known.get("callerid", ""))
-        # a publisher that is restarted counts from 1 again
+        # a restarted publisher counts from 1 again
         return "%s:%d@%d.%09d" % (sender, header.seq, header.stamp.secs, header.stamp.nsecs)
     if value is None or value == "":
         raise DataError("its field '%s' is empty" % field_name(path))
@@ -176,7 +177,7 @@ def _task_id(source: EventSource, message: Any, data: Mapping[str, Any]) -> Any:
 
 
 def _short(value: Any) -> Any:
-    """A value for a cause, which is for people: a long one is described."""
+    """Shorten a value for a cause, which is for people: a long one is described."""
     if isinstance(value, float) and message_fields.message_to_json(value) is None:
         return str(value)
     plain = message_fields.message_to_json(value)
@@ -196,7 +197,7 @@ def _short_fields(message: Any) -> Dict[str, Any]:
     return {name: _short(getattr(message, name)) for name in message.__slots__[:10]}
 
 
-# -- what a plan watches, and whether that makes sense -------------------------------------------
+# -- checks of a plan's events -------------------------------------------
 
 
 def watched_topics(plan: Plan) -> Dict[str, EventSource]:
@@ -206,9 +207,9 @@ def watched_topics(plan: Plan) -> Dict[str, EventSource]:
 
 def look_at_event(plan: Plan, transition: str) -> Tuple[type, str]:
     """The type of the messages of an event from a topic, and what is wrong with its fields and
-    condition, "" if nothing is. This needs neither a node nor a master.
+    condition ("" for nothing). This needs neither a node nor a master.
 
-    :raises PlanError: the type is not known in this workspace.
+    :raises PlanError: the type does not exist in this workspace.
     """
     source = plan.events[transition]
     try:
@@ -260,8 +261,8 @@ def _why_no_header(source: EventSource, message: type) -> str:
         message_fields.check_field(message, ("header", "seq"))
     except ExpressionError:
         return (
-            "%s has no field 'id' and no header, so a task that comes twice is not recognised: "
-            "name a field that identifies it with 'id'" % source.type
+            "%s has no field 'id' and no header, so duplicate tasks are not recognised: name a "
+            "field that identifies a task with 'id'" % source.type
         )
     return ""
 
@@ -276,8 +277,8 @@ class EventFindings(NamedTuple):
 
 
 def event_clashes(plan: Plan, namespace: str) -> Dict[str, str]:
-    """Events whose topic has messages of another type, according to the master, if there is one:
-    transition -> what is wrong.
+    """Events whose topic has another type according to the master, if there is one: transition ->
+    what is wrong.
 
     :param namespace: the absolute namespace of a robot.
     """
@@ -292,8 +293,8 @@ def event_clashes(plan: Plan, namespace: str) -> Dict[str, str]:
 
 def look_at_events(plan: Plan) -> EventFindings:
     """Check whether the fields and conditions of a plan's events fit the types of their messages.
-    This needs neither a node nor a master; if there is a master, what it knows is compared too. A
-    robot's namespace is taken to be its name."""
+    This needs neither a node nor a master; if there is a master, the types that it knows are
+    compared too. A robot's namespace is taken to be its name."""
     found = EventFindings({}, {})
     types: Dict[str, str] = {}
     for transition, source in watched_topics(plan).items():
@@ -317,9 +318,9 @@ class EventSources:
     """Watches the topics and functions of a robot's events and of the tasks.
 
     :param namespace: absolute namespace of the robot, to which the topics are relative.
-    :param witness: whether the node has no robot: it takes tasks only.
+    :param witness: whether the node is a witness's, which takes only tasks.
     :param host: the robot's node.
-    :raises PlanError: a topic, type, field or condition makes no sense, or a function is missing.
+    :raises PlanError: a topic, type, field or condition is invalid, or a function is missing.
     """
 
     def __init__(
@@ -336,7 +337,7 @@ class EventSources:
             topic = rospy.names.ns_join(namespace, source.topic)
             known, takers = self._takers.setdefault(topic, (message, []))
             if not why and known is not message:
-                why = "the topic %s has messages of %s for another event" % (topic, known._type)  # type: ignore[attr-defined]
+                why = ("the topic %s has messages of %s for another event") % (topic, known._type)  # type: ignore[attr-defined]
             if why:
                 raise PlanError(why, file=plan.file, element="event of '%s'" % transition)
             kind: Any = TaskSource if outside else ConditionSource if source.when else MomentSource
@@ -358,10 +359,10 @@ class EventSources:
         self._functions.visit_began()
 
     def close(self) -> None:
-        """Unsubscribe, and end the functions."""
+        """Unsubscribe, and stop the functions."""
         self._functions.close()
         for subscriber in self._subscribers:
-            with contextlib.suppress(rospy.ROSException):  # rospy may have closed it already
+            with contextlib.suppress(rospy.ROSException):  # rospy may already have closed it
                 subscriber.unregister()
         self._subscribers = []
 

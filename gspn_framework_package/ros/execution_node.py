@@ -26,7 +26,7 @@ class ExecutionNode:
     Its ROS interface is documented in :class:`TopicLink`, :class:`RosFacts`, :class:`NodeServices`,
     :class:`RosReporter`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`.
 
-    :param plan: the checked plan, with the team that begins the run.
+    :param plan: the checked plan, with the team at the start of the run.
     :param namespace: absolute namespace of the robot.
     :param options: see :class:`NodeOptions`.
     :raises GspnError: the log or the actions cannot be used.
@@ -77,7 +77,7 @@ class ExecutionNode:
 
     @property
     def foreign_servers(self) -> List[ActionTarget]:
-        """Goals of the robot for action servers that this node does not serve."""
+        """The robot's goals for action servers that this node does not serve."""
         return self._actions.foreign_servers
 
     @property
@@ -121,7 +121,7 @@ def _carrier(
     inbound: InboundMessages,
 ) -> Carrier:
     if options.transport == Transport.ZENOH.value:
-        # imported here, since a team on ROS needs none of its libraries
+        # imported here, since a team that communicates over ROS does not need its libraries
         from gspn_framework_package.ros.zenoh_transport import zenoh_transport
 
         return zenoh_transport(host, plan, namespace, options)

@@ -1,4 +1,4 @@
-"""Publishes on ROS what a robot's host says to whoever watches."""
+"""Publishes a robot's firings and activity on ROS."""
 
 from __future__ import annotations
 

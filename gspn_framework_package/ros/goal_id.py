@@ -1,5 +1,5 @@
-"""Goal ids of the action protocol, which identify the robot that sends a goal (the goal itself has
-only ``place``)."""
+"""Goal ids of the action protocol, which identify the robot that sends a goal (the goal message
+contains only ``place``)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class GoalIdentity(NamedTuple):
 
 
 def new_tag() -> str:
-    """A tag for this start of a node (eight random hex digits)."""
+    """Make a tag for this start of a node (eight random hex digits)."""
     return uuid.uuid4().hex[:8]
 
 

@@ -56,7 +56,7 @@ class GoalState(enum.Enum):
 
 
 class IllegalTransitionError(RuntimeError):
-    """A goal was about to make a transition that is not in the picture: a bug in this program."""
+    """A goal attempted a transition that is not in the picture, which is a bug in this program."""
 
 
 TRANSITIONS: Dict[GoalState, FrozenSet[GoalState]] = {

@@ -1,4 +1,4 @@
-"""Checks what other nodes send to a robot before anybody works on it."""
+"""Checks messages of other nodes before a robot processes them."""
 
 from __future__ import annotations
 
@@ -13,27 +13,29 @@ from gspn_framework_package.team.orders import is_question
 from gspn_framework_package.team.seal import ORDER, SEALED, NotSealedError, Seal, is_sealed
 
 BRAKE = 0.05
-"""Seconds for which a connection is not read after it brought a message that is refused. Whoever
-sends then waits or loses messages, and the robot has no work with them."""
+"""Seconds for which a connection is not read after it delivered a refused message. The sender then
+blocks or loses messages, at no cost to the robot."""
 
 ASKED, ANSWERED = "asked", "answered"
-"""What a message in a service call is."""
+"""The purpose of a message in a service call."""
 
 _Header = Optional[Mapping[str, str]]
 """The header of the connection on which a message arrived."""
 
 
 def said(namespace: str, service_uri: str) -> str:
-    """What a message on a topic is, and how its sender is reached."""
+    """The purpose of a message on a topic, including its sender's address."""
     return "said\n%s\n%s" % (namespace, service_uri)
 
 
 class InboundMessages:
-    """The inbound of one robot on ROS; may be called on any thread.
+    """Checks the incoming messages of one robot on ROS; may be called on any thread.
 
-    A sender is named by the robot that it says it is, and by the node on whose connection it came.
+    A sender is identified by the robot that it claims to be and the node whose connection delivered
+    the message.
 
-    :param is_open: whether the robots of the team talk over ROS; if not, nothing is taken.
+    :param is_open: whether the robots of the team communicate over ROS; if not, all messages are
+        refused.
     :param seal: seals with the key of the team; None if it has none.
     """
 
@@ -43,7 +45,7 @@ class InboundMessages:
         self._filter = MessageFilter(LARGEST_MESSAGE)
 
     def sealed(self, to: str, body: str, purpose: str) -> str:
-        """A message of this robot as it leaves.
+        """Seal a message of this robot for sending.
 
         :param to: the receiving robot; "" is everybody.
         :param purpose: :data:`ASKED`, :data:`ANSWERED` or :func:`said`.
@@ -55,9 +57,10 @@ class InboundMessages:
     ) -> Optional[Message]:
         """The protocol message in a text; None if it is refused.
 
-        Call it on the thread that reads the connection: it brakes one that brings what is refused.
+        Call this on the thread that reads the connection: it slows down a connection that delivers
+        refused messages.
 
-        :param claimed: the robot that is said to have sent it; "": only the message says so.
+        :param claimed: the supposed sender; "" if only the message names one.
         """
         who = _named(claimed, connection)
         admitted = self._filter.admits(who, len(text), time.monotonic())
@@ -70,10 +73,10 @@ class InboundMessages:
         return None
 
     def pass_by(self, text: str, connection: _Header) -> None:
-        """A message of another run, or to another robot, came on a topic that all read. Nobody
-        looks at it; a connection that brings more of them than a robot sends is braked.
+        """Skip a message of another run, or to another robot, on a shared topic. A connection that
+        delivers more of them than a robot sends is slowed down.
 
-        Call it on the thread that reads the connection.
+        Call this on the thread that reads the connection.
         """
         who = _named("others", connection)
         if not self._filter.admits(who, len(text), time.monotonic(), "others"):
@@ -82,7 +85,7 @@ class InboundMessages:
     def _open(self, text: str, purpose: str, claimed: str) -> Message:
         """:raises NotSealedError: it is refused."""
         if not self._is_open:
-            raise NotSealedError("the team does not talk over ROS")
+            raise NotSealedError("the team does not communicate over ROS")
         senders = {claimed} - {""}
         if self._seal is not None:
             sender, text = self._seal.open(text, purpose, claimed)
@@ -100,7 +103,7 @@ class InboundMessages:
     def order(
         self, request: OperatorRequest, connection: _Header
     ) -> Tuple[OperatorRequest, Operator]:
-        """What is ordered or asked, and by whom.
+        """Read an operator's order or question, and its sender.
 
         :raises RefusedError: this robot does not take it.
         """
@@ -108,7 +111,7 @@ class InboundMessages:
         if request.command != SEALED:
             if self._seal is not None and not is_question(request):
                 self._filter.refuse(who, "an order without the key of the team")
-                raise RefusedError("this team takes orders with its key only: --team-key-file FILE")
+                raise RefusedError("this team takes only orders with its key: --team-key-file FILE")
             return request, Operator(who)
         if self._seal is None:
             raise RefusedError("this robot has no team key: give the order without one")
@@ -116,16 +119,16 @@ class InboundMessages:
             opened = self._seal.open_order(request.argument, ORDER)
         except NotSealedError as error:
             self._filter.refuse(who, error.why)
-            raise RefusedError("not taken: %s" % error.why) from None
+            raise RefusedError("refused: %s" % error.why) from None
         fields = json_object(opened.body) or {}
         texts = [fields.get(name) for name in OperatorRequest._fields]
         if not all(isinstance(text, str) for text in texts):
-            self._filter.refuse(who, "an order that cannot be read")
-            raise RefusedError("not taken: not an order")
+            self._filter.refuse(who, "an unreadable order")
+            raise RefusedError("refused: not an order")
         return OperatorRequest(*map(str, texts)), Operator(opened.sender, "team key")
 
     def refusals(self) -> List[NotTaken]:
-        """What was not taken so far."""
+        """The messages refused so far."""
         return self._filter.refusals()
 
 

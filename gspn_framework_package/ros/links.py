@@ -53,8 +53,7 @@ _SERVICES: Dict[str, Tuple[type, Callable[[str, str], genpy.Message]]] = {
 }
 
 MOST_ADDRESSES = 1000
-"""Senders whose addresses are noted between two greetings, before the robot knows whether it has
-anything to say to them."""
+"""Maximum number of unknown senders whose addresses are noted between two hellos."""
 
 Serve = Callable[[Message, Callable[[Message], None]], None]
 """Takes the request of a service call, and a function for its reply."""
@@ -66,7 +65,7 @@ class _Peer(NamedTuple):
 
 
 class _Neighbours:
-    """The robots of one run that are hosted in this process: they exchange messages without a
+    """The robots of one run that are hosted in this process, which exchange messages without a
     topic."""
 
     def __init__(self) -> None:
@@ -107,8 +106,8 @@ class Link(RosFacts):
     :param quiet: seconds without a message from a robot on its topics after which its services are
         called as well.
     :param inbound: checks what other nodes send.
-    :param knows: whether this robot listens to another one; called on any thread. Whoever it does
-        not know costs neither a thread nor a connection, since anybody can send under any name.
+    :param knows: whether this robot listens to another one; called on any thread. Unknown senders
+        get neither a thread nor a connection, since anybody can send under any name.
 
     :ivar sent: how many messages this robot has sent; a message to several robots counts once.
     """
@@ -145,7 +144,7 @@ class Link(RosFacts):
         _NEIGHBOURS.add(self)
 
     def serve_at(self, service_uri: str) -> None:
-        """Announce to peers that this robot's services are at that address."""
+        """Announce the address of this robot's services to peers."""
         self._service_uri = service_uri
 
     def send(self, sends: List[Send]) -> None:
@@ -222,8 +221,8 @@ class Link(RosFacts):
 
     def _call_quiet(self, to: str, message: Message) -> None:
         """Call the services of robots that are quiet on their topics. After a partition, TCP waits
-        about as long as the partition lasted (at most two minutes) before it resends; a new call
-        gets through at once."""
+        about as long as the partition lasted (at most two minutes) before it retransmits; a new
+        call gets through at once."""
         service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
         now = time.monotonic()
         for name in self._known_peers(to):
@@ -231,8 +230,7 @@ class Link(RosFacts):
                 self._call(name, service, compact(message))
 
     def _known_peers(self, to: str) -> List[str]:
-        """The robot ``to``, or all with an address; whoever this robot does not know is
-        forgotten."""
+        """The robot ``to``, or all robots with an address; unknown robots are forgotten."""
         names = [to] if to else list(self._peers)
         for name in names:
             if not self._knows(name):
@@ -261,7 +259,7 @@ class Link(RosFacts):
 
     def _answered(self, name: str, response: genpy.Message) -> None:
         if not response.agreement:
-            return  # it has nothing to say
+            return  # an empty reply
         message = self._inbound.read(
             response.agreement, response._connection_header, ANSWERED, name
         )
@@ -273,8 +271,8 @@ class TopicLink(Link):
     """Sends all messages on topics (full synchronisation): messages to several robots on the
     agreement topic, messages to one robot into its *inbox*, so that the others need not read them.
 
-    It subscribes to ``NAMESPACE/agreement`` and publishes on the inboxes of the robots that it has
-    messages for (gspn_framework_package/Agreement). While an inbox is not connected, its messages
+    It subscribes to ``NAMESPACE/agreement`` and publishes on the inboxes of the robots to which it
+    sends messages (gspn_framework_package/Agreement). While an inbox is not connected, its messages
     go on the agreement topic.
     """
 
@@ -332,7 +330,7 @@ class TopicLink(Link):
         peer = self._peers.get(name)
         inbox = self._inboxes.pop(_inbox_of(peer.namespace), None) if peer is not None else None
         if inbox is not None:
-            self._pool.submit(lambda: _unregister(inbox))  # it asks the master
+            self._pool.submit(lambda: _unregister(inbox))  # it calls the master
         super()._forget(name)
 
 

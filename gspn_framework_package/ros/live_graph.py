@@ -1,4 +1,4 @@
-"""What is live on a ROS master: topics and services with their types."""
+"""Reads the topics and services of a ROS master with their types."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gspn_framework_package.ros.transport.service_call import service_type
 __all__ = ["MASTER_ERRORS", "live_graph"]
 
 HIDDEN = ("/get_loggers", "/set_logger_level", "/set_parameters")
-"""Ends of the names of services that every node has."""
+"""Suffixes of the names of services that every node has."""
 
 
 def live_graph(timeout: float = 2.0) -> Tuple[Dict[str, str], Dict[str, str]]:
-    """Return topic -> type and service -> type. The type of a service comes from its node; it is ""
-    where the time does not suffice to ask all.
+    """Return topic -> type and service -> type. The type of a service is queried from its node; it
+    is "" if there was not enough time to ask all nodes.
 
-    :param timeout: seconds for each of both.
+    :param timeout: seconds for each of the two.
     :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
     topics = topic_types(timeout)

@@ -1,4 +1,5 @@
-"""Messages of any type: their classes, their fields as JSON values, and how plans fill them."""
+"""Handles messages of any type: finds their classes, converts their fields to JSON values, and
+fills them for plans."""
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ _MISFITS = (genpy.MessageException, genpy.SerializationError, TypeError, ValueEr
 
 
 class UnknownTypeError(PlanError):
-    """This workspace does not have a type."""
+    """This workspace does not have the type."""
 
 
 def message_class(name: str, kind: str = "message") -> type:
     """The class of a message type.
 
-    :param kind: what it is called in errors.
+    :param kind: what error messages call it.
     :raises UnknownTypeError: this workspace does not have it.
     """
     return _class_of(kind, name, roslib.message.get_message_class)
@@ -57,11 +58,11 @@ def _class_of(kind: str, name: str, find: Callable[[str], Optional[type]]) -> ty
 
 
 def fill_message(message: genpy.Message, fields: Mapping[str, Any], what: str) -> None:
-    """Set fields of a message. Empty time stamps stay empty ("the latest"); the word ``now`` in
-    place of a stamp means the present time.
+    """Set fields of a message. Empty time stamps stay empty ("the latest"); the word ``now`` for a
+    stamp means the present time.
 
     :param message: a new message.
-    :param fields: the fields that are not to have their default, nested maps and lists.
+    :param fields: the fields with other values than their default, as nested maps and lists.
     :param what: what the message is in the plan, for the error: "goal", "request", "message".
     :raises PlanError: the fields do not fit the type of the message.
     """
@@ -78,7 +79,8 @@ def fill_message(message: genpy.Message, fields: Mapping[str, Any], what: str) -
 
 
 def _unknown(owner: Any, fields: Mapping[str, Any], path: str = "") -> str:
-    """The first field that the messages of a class do not have, in words; "" if there is none."""
+    """Describe the first field that the messages of a class do not have, in words; "" if there is
+    none."""
     types = dict(zip(owner.__slots__, getattr(owner, "_slot_types", ())))
     for name, value in fields.items():
         if name not in types:
@@ -101,7 +103,7 @@ def _unknown(owner: Any, fields: Mapping[str, Any], path: str = "") -> str:
 
 
 def _misfit(message: genpy.Message, error: Exception) -> str:
-    """What does not fit, in the words that name the field if there are any."""
+    """Describe what does not fit, by the name of the field if possible."""
     try:
         message._check_types()
     except genpy.SerializationError as named:
@@ -112,8 +114,8 @@ def _misfit(message: genpy.Message, error: Exception) -> str:
 
 
 def check_fields(message: genpy.Message, fields: Mapping[str, Any], what: str) -> None:
-    """Check whether fields of a plan fit a message, as far as that is known before the run:
-    references to data stand for values that fit.
+    """Check whether fields of a plan fit a message, as far as that can be known before the run:
+    references to data are assumed to fit.
 
     :param message: a new message; it is changed.
     :param fields: see :func:`fill_message`.
@@ -125,7 +127,7 @@ def check_fields(message: genpy.Message, fields: Mapping[str, Any], what: str) -
 
 
 def _without_references(owner: Any, fields: Mapping[str, Any]) -> Dict[str, Any]:
-    """The fields with a value that fits in place of each reference."""
+    """The fields with each reference replaced by a value that fits."""
     types = dict(zip(owner.__slots__, getattr(owner, "_slot_types", ())))
     return {
         name: _plain(types[name], value) if name in types else value
@@ -157,7 +159,7 @@ def check_field(owner: type, path: _Path) -> str:
     :param owner: the class.
     :param path: its steps, as in ``MessageCondition.fields``.
     :returns: the type of the field, e.g. ``string`` or ``geometry_msgs/Pose[]``; "" for a constant.
-    :raises ExpressionError: they do not have it.
+    :raises ExpressionError: the messages do not have the field.
     """
     name = owner._type  # type: ignore[attr-defined]
     there: Any = owner
@@ -184,7 +186,7 @@ def check_field(owner: type, path: _Path) -> str:
 
 
 def _is_constant(owner: Any, name: str) -> bool:
-    """Whether a name stands for a constant of a class of messages."""
+    """Whether a name is a constant of a message class."""
     return (
         name not in getattr(owner, "__slots__", (name,))
         and not name.startswith("_")
@@ -204,13 +206,13 @@ def check_condition(owner: type, condition: MessageCondition) -> None:
     try:
         condition.holds(_sample(owner, max(numbers, default=0) + 1))
     except ExpressionError as error:
-        if isinstance(error.__context__, TypeError):  # all else depends on the values
+        if isinstance(error.__context__, TypeError):  # everything else depends on the values
             raise
 
 
 def _sample(owner: Any, elements: int) -> Any:
-    """A message in which each array that may be of any length has that many elements (in arrays of
-    messages: none), to try a condition on."""
+    """A sample message for evaluating a condition, in which each variable-length array has a given
+    number of elements (arrays of messages have none)."""
     found = owner()
     for name, field_type in zip(owner.__slots__, owner._slot_types):
         base, is_array, length = genmsg.msgs.parse_type(field_type)
@@ -233,7 +235,7 @@ def _full_type(name: str) -> str:
 
 def message_to_json(value: Any) -> Any:
     """A message, or the value of a field, as a JSON value: times as ``{"secs", "nsecs"}``, bytes as
-    lists of numbers, floats that are no numbers as None. :func:`fill_message` takes it back."""
+    lists of numbers, non-finite floats as None. :func:`fill_message` is the inverse."""
     if isinstance(value, genpy.Message):
         return {name: message_to_json(getattr(value, name)) for name in value.__slots__}
     if isinstance(value, genpy.TVal):
@@ -249,17 +251,18 @@ def message_to_json(value: Any) -> Any:
     return value
 
 
-# -- for forms -------------------------------------------------------------------------------------
+# -- for forms in the editor
+# -------------------------------------------------------------------------------------
 
 
 def action_fields(kind: str, name: str) -> Dict[str, Optional[List[Dict[str, Any]]]]:
-    """What an action of a plan sends and receives, for a form.
+    """The messages that an action of a plan sends and receives, for a form.
 
     :param kind: the key of the action: "server", "service", "publish" or "wait_for".
     :param name: its type.
-    :returns: ``sent`` and ``received``: the fields as of :func:`field_tree`; None where there is no
+    :returns: ``sent`` and ``received``: the fields, as in :func:`field_tree`; None if there is no
         message.
-    :raises PlanError: there is no such type here, or it is not one of an action.
+    :raises PlanError: the type does not exist here, or does not belong to an action.
     """
     sent: Any = None
     received: Any = None
@@ -284,11 +287,11 @@ def action_fields(kind: str, name: str) -> Dict[str, Optional[List[Dict[str, Any
 
 
 def field_tree(owner: Any) -> List[Dict[str, Any]]:
-    """The fields of a class of messages, with those inside them.
+    """The fields of a message class, recursively.
 
     :returns: for each field ``name``, ``type`` (without brackets), ``array`` (whether it is one),
-        ``length`` (of an array of fixed length, else None), and ``fields`` if it holds messages,
-        else ``default``.
+        ``length`` (of a fixed-length array, otherwise None), and ``fields`` if it holds messages,
+        otherwise ``default``.
     """
     tree = []
     for name, written in zip(owner.__slots__, owner._slot_types):
@@ -306,7 +309,7 @@ def field_tree(owner: Any) -> List[Dict[str, Any]]:
 
 def installed_types() -> Dict[str, List[str]]:
     """The types that this workspace has, by the kind of action that uses them, as in
-    :func:`action_fields`. Nothing is imported."""
+    :func:`action_fields`. Imports nothing."""
     names: Dict[str, Set[str]] = {"msg": set(), "srv": set()}
     for folder, found in names.items():
         for entry in sys.path:

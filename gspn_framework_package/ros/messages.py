@@ -24,8 +24,8 @@ def fired_message(fields: Dict[str, Any]) -> FiredTransition:
 def stamped_message(kind: Callable[[], Any], **fields: Any) -> Any:
     """A message of the class ``kind`` with these fields, and the present time in its header.
 
-    A message that is made with its fields looks each of them up in a list; that takes eight times
-    as long, and robots send thousands a second.
+    Passing the fields to the constructor would search a list for each of them, which takes eight
+    times as long, and robots send thousands of messages a second.
     """
     message = kind()
     for name, value in fields.items():

@@ -1,5 +1,5 @@
-"""Entry points of the node scripts: one robot's execution node, those of a whole team, or only
-place servers."""
+"""Entry points of the node scripts: the execution node of one robot, of a whole team, or only place
+servers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ def run_team() -> int:
     """Run the execution nodes of a whole team, each in a process forked from this one; returns the
     largest of their exit codes. This process is not a node itself."""
     name = rospy.names.get_mappings().get("__name", "gspn_team")
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the team is forked
+    # signals are handled here until the team is forked
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         await_master(Ending())
         return _fork(read_options_of(rospy.names.ns_join(_own_namespace(), name)))
@@ -72,13 +73,13 @@ def run_team() -> int:
 
 
 def run_place_servers() -> int:
-    """Run a node that only serves the places of a robot; returns the exit code of the process."""
+    """Run a node with only the place servers of a robot; returns the exit code of the process."""
     return run_node("gspn_place_servers", lambda ending: _serve(read_options(), ending))
 
 
 def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
-    """The plan with the team that begins the run, and the name of the robot that the options
-    select.
+    """The plan with the team at the start of the run, and the name of the robot selected by the
+    options.
 
     :raises UsageError: no robot was named, or the plan does not have it.
     """
@@ -98,13 +99,14 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
         raise UsageError(
             "the plan has no robot '%s'" % options.robot,
             element="~robot",
-            hint="it has: %s; a robot that joins the running team needs ~place" % ", ".join(names),
+            hint="robots of the plan: %s; a robot that joins the running team needs ~place"
+            % ", ".join(names),
         )
     return plan, options.robot
 
 
 def refuse_taken(namespaces: List[str]) -> None:
-    """Refuse to start if a robot is at work in one of the namespaces: node names are unique, so ROS
+    """Refuse to start if a robot is running in one of the namespaces: node names are unique, so ROS
     would silently end its node. A namespace where no node answers, or where the run is over, is
     free.
 
@@ -117,18 +119,19 @@ def refuse_taken(namespaces: List[str]) -> None:
         status = status_in(namespace)
         if status is not None and status["ended"] is None:
             raise ExecutionError(
-                "%s is taken: %s of run '%s' is at work there"
+                "%s is taken: %s of run '%s' is running there"
                 % (namespace, status["robot"], status["run"]),
-                hint="give this team another namespace (prefix:=, ns:=), or end that run: gspn "
-                "stop --run %s" % status["run"],
+                hint="choose another namespace for this team (prefix:=, ns:=), or end that run: "
+                "gspn stop --run %s" % status["run"],
             )
 
 
 def await_servers(targets: Sequence[ActionTarget], seconds: float, ending: Ending) -> None:
-    """Wait until the master knows the action servers of all these goals, or the process should end.
+    """Wait until the master knows the action servers of all these goals, or until the process
+    should end.
 
     :param seconds: how long to wait.
-    :raises ExecutionError: a server was not there in time, or is of another type.
+    :raises ExecutionError: a server did not appear in time, or has another type.
     """
     missing = {target.server for target in targets}
     if not missing:
@@ -136,7 +139,7 @@ def await_servers(targets: Sequence[ActionTarget], seconds: float, ending: Endin
     rospy.loginfo("waits for the action servers %s", ", ".join(sorted(missing)))
     deadline = time.monotonic() + seconds
     while not ending.is_set():
-        with contextlib.suppress(*MASTER_ERRORS):  # the loop tries again
+        with contextlib.suppress(*MASTER_ERRORS):  # retried by the loop
             published = published_topics()
             for clash in filter(None, (target.clash(published) for target in targets)):
                 raise ExecutionError(clash)
@@ -149,18 +152,18 @@ def await_servers(targets: Sequence[ActionTarget], seconds: float, ending: Endin
             return
         if time.monotonic() > deadline:
             raise ExecutionError(
-                "no such action server: %s" % ", ".join(sorted(missing)),
-                hint="waited %g s; ~server_timeout says for how long" % seconds,
+                "there is no action server %s" % ", ".join(sorted(missing)),
+                hint="waited %g s; set ~server_timeout to change that" % seconds,
             )
         ending.wait(0.2)
 
 
 def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
-    """Wait until what actions need is there, or the process should end.
+    """Wait until everything that actions need exists, or until the process should end.
 
     :param jobs: the actions.
     :param seconds: how long to wait.
-    :raises ExecutionError: something was not there in time, or is of another type.
+    :raises ExecutionError: something did not appear in time, or has another type.
     """
     deadline = time.monotonic() + seconds
     told = False
@@ -174,7 +177,7 @@ def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
         if time.monotonic() > deadline:
             raise ExecutionError(
                 "; ".join(missing),
-                hint="waited %g s; ~server_timeout says for how long" % seconds,
+                hint="waited %g s; set ~server_timeout to change that" % seconds,
             )
         ending.wait(0.2)
     if told:
@@ -183,7 +186,7 @@ def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
 
 
 def _launched_plan(options: NodeOptions) -> Plan:
-    """Allow the modules that the options name to plans; return the plan."""
+    """Allow plans to use the modules named by the options, and return the plan."""
     allow_modules(names_of(options.modules))
     return read_plan(launched_file(options.plan, "~plan"))
 
@@ -201,7 +204,7 @@ def _host(options: NodeOptions, ending: Ending) -> int:
 
 
 def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
-    """The plan with the team that begins the run, and the namespaces of its robots by name."""
+    """The plan with the team at the start of the run, and the namespaces of its robots by name."""
     plan = _launched_plan(options)
     if options.robots:
         plan = plan.for_robots(options.robots)
@@ -216,7 +219,7 @@ def _fork(options: NodeOptions) -> int:
     options = options.for_plan(plan)
     if options.check:
         check_plan(plan, lambda text: print("warning: " + text, file=sys.stderr))
-    # import and compute what all members need once, before they are forked
+    # import and compute everything that all members need once, before forking
     from gspn_framework_package.ros import execution_node, service_line  # noqa: F401
     from gspn_framework_package.ros.transport import master_watch  # noqa: F401
 
@@ -275,7 +278,7 @@ def _run_robots(
     """Execute a plan for some robots, each with its own replica, until the run is over for all of
     them.
 
-    :param plan: the plan, with the team that begins the run.
+    :param plan: the plan, with the team at the start of the run.
     :param namespaces: robot -> its absolute namespace.
     :param checked: whether the plan has already been checked.
     :returns: the largest of their exit codes.

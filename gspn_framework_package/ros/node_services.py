@@ -36,9 +36,9 @@ from gspn_framework_package.team.worker import Worker
 class NodeServices:
     """Serves, in the robot's namespace:
 
-    - ``get_place`` (gspn_framework_package/GetPlace): where this robot is,
-    - ``get_state`` (GetState): what it does, and the marking that it knows,
-    - ``set_place`` (SetPlace): an operator's order to put a robot into a place,
+    - ``get_place`` (gspn_framework_package/GetPlace): this robot's place,
+    - ``get_state`` (GetState): its phase, and the marking that it knows,
+    - ``set_place`` (SetPlace): an operator's order to move a robot to a place,
     - ``command`` (Command): an operator's other orders, and ``status``.
 
     The first three carry the protocol of partial synchronisation when a peer calls them.
@@ -116,7 +116,9 @@ class NodeServices:
             return SetPlaceResponse(False, other, "")
         robot = request.robot or self._worker.robot
         if not request.place:
-            return SetPlaceResponse(False, "nothing to do: no place was given for %s" % robot, "")
+            return SetPlaceResponse(
+                False, "nothing was done: no place was given for %s" % robot, ""
+            )
         asked = OperatorRequest("set_place", robot, request.place, request.run)
         answer = self._obey(asked, request)
         return SetPlaceResponse(answer.success, answer.message, "")
@@ -126,7 +128,7 @@ class NodeServices:
         return CommandResponse(*self._obey(asked, request))
 
     def _obey(self, asked: OperatorRequest, request: genpy.Message) -> OperatorAnswer:
-        """Answer an operator, if this robot takes what he asks."""
+        """Answer an operator, unless this robot refuses the request."""
         try:
             asked, operator = self._inbound.order(asked, request._connection_header)
         except RefusedError as error:
@@ -139,7 +141,7 @@ class NodeServices:
     def _protocol(self, request: genpy.Message, claimed: str = "") -> str:
         """The reply to a peer's call.
 
-        :param claimed: the robot that is said to call, if the request says so.
+        :param claimed: the supposed caller, if the request names one.
         """
         message = self._inbound.read(request.agreement, request._connection_header, ASKED, claimed)
         if message is None:
@@ -157,7 +159,7 @@ class NodeServices:
 
 @contextlib.contextmanager
 def _as_failed_call() -> Iterator[None]:
-    """Have the service call fail if the worker is too busy to answer."""
+    """Make the service call fail if the worker is too busy to answer."""
     try:
         yield
     except ExecutionError as error:

@@ -29,9 +29,9 @@ class NodeOptions(NamedTuple):
     number: int = 0
     """Instead of ``robot``: the number of the robot in the plan, from 1."""
     robots: int = 0
-    """Size of the team; 0: as in the plan."""
+    """Size of the team; 0 for the plan's."""
     place: str = ""
-    """The place in which a robot that is not in the plan joins the running team."""
+    """The place where a robot that is not in the plan joins the running team."""
     prefix: str = "robot_"
     """For a whole team: the prefix of the robots' namespaces; the robot's number follows it."""
     run: str = "run"
@@ -51,27 +51,27 @@ class NodeOptions(NamedTuple):
     allow_commands: bool = False
     """Whether the plan may run programs on this computer (actions with ``command``)."""
     modules: str = ""
-    """Installed modules, packages or folders whose functions plans may name, beside those in their
-    own folders, separated by commas."""
+    """Installed modules, packages or folders whose functions plans may name in addition to those in
+    their own folders, separated by commas."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
     room_plan: str = ""
-    """The plan to take instead while there is a room: while the parameter ``/room`` names one."""
+    """The plan to use instead if there is a room, that is, if the parameter ``/room`` names one."""
     transport: str = ""
-    """What carries the messages between the robots: ``ros``, or ``zenoh`` (see ``router``); "": as
-    the plan says (see :meth:`for_plan`)."""
+    """What carries the messages between the robots: ``ros``, or ``zenoh`` (see ``router``); "" for
+    the plan's choice (see :meth:`for_plan`)."""
     router: str = ""
     """With ``zenoh``: endpoints of routers, or of robots that listen, separated by spaces."""
     keys: str = ""
-    """With ``zenoh``: the folder of this robot's keys, or one that has it under the robot's name;
-    "": the team has none."""
+    """With ``zenoh``: the folder of this robot's keys, or its parent folder; "" if the team has
+    none."""
     team_key_file: str = ""
-    """With ``ros``: a file with the key that the robots and operators of the team share; "": the
+    """With ``ros``: a file with the key that the robots and operators of the team share; "" if the
     team has none."""
     stay: bool = False
-    """Whether the node keeps running, and answers, when the run is over."""
+    """Whether the node keeps running and answering after the end of the run."""
     max_connections: int = 32
-    """Maximum number of action servers that are connected at the same time."""
+    """Maximum number of action servers connected at the same time."""
     server_timeout: float = DEFAULT_PATIENCE.server
     """Seconds until an action server that does not answer is reported."""
     acknowledgement_timeout: float = DEFAULT_PATIENCE.acknowledgement
@@ -92,10 +92,11 @@ class NodeOptions(NamedTuple):
         )
 
     def for_plan(self, plan: Plan) -> NodeOptions:
-        """These options with the transport of the plan, unless they name one, and with the path of
-        the keys.
+        """These options, with the plan's transport unless they name one, and with the path of the
+        keys.
 
-        :raises UsageError: a router or keys are missing, or something is given that says nothing.
+        :raises UsageError: a router or keys are missing, or an option does not apply to the
+            transport.
         """
         transport = self.transport or plan.transport.value
         if transport == Transport.ZENOH.value and not self.router:
@@ -104,15 +105,15 @@ class NodeOptions(NamedTuple):
             )
         if transport == Transport.ROS.value and (self.router or self.keys):
             raise UsageError(
-                "a router and keys say nothing with the transport ros",
+                "a router and keys cannot be used with the transport ros",
                 element="~transport",
                 hint="transport:=zenoh, or 'transport': 'zenoh' in the plan",
             )
         if transport == Transport.ZENOH.value and self.team_key_file:
             raise UsageError(
-                "a team key says nothing with the transport zenoh",
+                "a team key cannot be used with the transport zenoh",
                 element="~team_key_file",
-                hint="a folder of keys, from 'gspn keys team'",
+                hint="use a folder of keys, from 'gspn keys team'",
             )
         keys = launched_file(self.keys, "~keys") if self.keys else ""
         key_file = self.team_key_file and launched_file(self.team_key_file, "~team_key_file")
@@ -158,8 +159,8 @@ def launched_file(given: str, parameter: str) -> str:
     roslaunch runs nodes in a different folder.
 
     :param given: the value of the parameter.
-    :param parameter: the name of the parameter, for messages.
-    :raises UsageError: it is in neither folder.
+    :param parameter: the name of the parameter, for messages. :raises UsageError: the file is in
+    neither folder.
     """
     path = os.path.expanduser(given)
     shell = os.environ.get("PWD", "")
@@ -175,7 +176,7 @@ def launched_file(given: str, parameter: str) -> str:
 
 
 def options_from(given: Dict[str, Any], room: bool = False) -> NodeOptions:
-    """The options in a map of parameters.
+    """Read the options from a map of parameters.
 
     :param room: whether there is a room, so that ``room_plan`` is the plan.
     :raises UsageError: see :func:`read_options`.
@@ -184,9 +185,9 @@ def options_from(given: Dict[str, Any], room: bool = False) -> NodeOptions:
     for key, value in given.items():
         if key not in NodeOptions._fields:
             raise UsageError(
-                "there is no such parameter",
+                "unknown parameter",
                 element="~" + key,
-                hint="there are: %s" % ", ".join(NodeOptions._fields),
+                hint="known parameters: %s" % ", ".join(NodeOptions._fields),
             )
         wanted = type(NodeOptions._field_defaults[key])
         if wanted is float and isinstance(value, int) and not isinstance(value, bool):
@@ -200,13 +201,13 @@ def options_from(given: Dict[str, Any], room: bool = False) -> NodeOptions:
     if room and options.room_plan:
         options = options._replace(plan=options.room_plan)
     if not options.plan:
-        raise UsageError("no plan was given", element="~plan", hint="its folder, or its file")
+        raise UsageError("no plan was given", element="~plan", hint="name its folder or its file")
     check_run_name(options.run, "~run")
     transports = [transport.value for transport in Transport]
     if options.transport and options.transport not in transports:
         raise UsageError(
-            "there is no transport '%s'" % options.transport,
+            "unknown transport '%s'" % options.transport,
             element="~transport",
-            hint="there are: %s" % ", ".join(transports),
+            hint="known transports: %s" % ", ".join(transports),
         )
     return options

@@ -46,12 +46,12 @@ TRACEBACK_LIMIT = 10_000
 have any length."""
 
 NO_RESULT = ActionResult("", {})
-"""What an action that failed returned."""
+"""The result of a failed action."""
 
 
 class PlaceServers:
-    """Serves the Python actions of a plan for one robot, all in this process. Each is a plain
-    action server with its own name; they share one pool of threads and one timer.
+    """Serves the Python actions of a plan for one robot, all in this process. Each is an ordinary
+    action server with its own name; they share a thread pool and a timer.
 
     A robot does one thing at a time: a newer goal (a later incarnation, visit or attempt) cancels
     the robot's older goals on all these servers. A goal is also cancelled when the node that sent
@@ -73,15 +73,15 @@ class PlaceServers:
         self._running: Dict[str, _RunningGoal] = {}
         self._namespace = namespace
         self.servers: Dict[str, PlaceServer] = {}
-        """The servers by their absolute names. A change makes a new map."""
+        """The servers by their absolute names. Changes replace the map."""
         for name, by_place in self._load(plan).items():
             self.servers[name] = PlaceServer(self, name, by_place)
         self._timer: Optional[threading.Thread] = None
         self._stopping = threading.Event()
 
     def prepare(self, plan: Plan) -> None:
-        """Load the functions of another plan, and start the servers that it needs besides the
-        present ones. May be called from any thread.
+        """Load the functions of another plan, and start the additional servers that it needs. May
+        be called from any thread.
 
         :raises PlanError: a function does not exist, or is not an action.
         """
@@ -93,7 +93,7 @@ class PlaceServers:
                 self.servers = {**self.servers, name: server}
 
     def follow(self, plan: Plan) -> None:
-        """From now on serve the functions of another plan. Actions that run go on.
+        """Serve the functions of another plan from now on. Running actions continue.
 
         :raises PlanError: a function does not exist, or is not an action.
         """
@@ -117,7 +117,7 @@ class PlaceServers:
         return list(self.servers)
 
     def start(self) -> None:
-        """Register the servers and take goals."""
+        """Register the servers and accept goals."""
         with registered_together():
             for server in self.servers.values():
                 server.start()
@@ -125,9 +125,10 @@ class PlaceServers:
         self._timer.start()
 
     def stop(self) -> None:
-        """Cancel the running actions, and take no more goals. No results are published: nobody
-        asked to end these goals, and a robot whose servers end just before it does must not
-        mistake that for a failed action. A robot that goes on notices that the server is gone."""
+        """Cancel the running actions, and accept no more goals. No results are published: the goals
+        were not cancelled by their clients, and a robot whose servers end just before it must not
+        mistake that for a failed action. A robot that keeps running notices that the server is
+        gone."""
         self._stopping.set()
         with self._lock:
             running = list(self._running.values())
@@ -141,8 +142,8 @@ class PlaceServers:
     def accept(
         self, server: PlaceServer, handle: ServerGoalHandle, caller: str, given: GoalData
     ) -> None:
-        """Take or reject a goal for ``server`` that the node ``caller`` sent ("": this node), with
-        what its action may read."""
+        """Accept or reject a goal for ``server`` from the node ``caller`` ("" for this node), with
+        the data that its action may read."""
         if self._stopping.is_set():
             return
         place = handle.get_goal().place
@@ -162,7 +163,7 @@ class PlaceServers:
         self._pool.submit(lambda: self._run(goal_id, goal))
 
     def cancel(self, handle: ServerGoalHandle) -> None:
-        """Cancel the action of a goal, if it runs."""
+        """Cancel the action of a goal if it is running."""
         with self._lock:
             goal = self._running.get(handle.get_goal_id().id)
         if goal is not None:
@@ -196,7 +197,7 @@ class PlaceServers:
         finally:
             with self._lock:
                 self._running.pop(goal_id, None)
-        # it was cancelled because the node ends, see stop()
+        # cancelled because the node ends, see stop()
         if self._stopping.is_set() or rospy.is_shutdown():
             return
         try:
@@ -226,7 +227,7 @@ class PlaceServers:
                 running = list(self._running.values())
             for goal in running:
                 if goal.is_orphan():
-                    rospy.logwarn("%s: %s is gone; its goal is cancelled", goal.place, goal.caller)
+                    rospy.logwarn("%s: %s is gone; cancelling its goal", goal.place, goal.caller)
                     goal.cancellation.cancel()
 
 
@@ -268,11 +269,11 @@ class _RunningGoal:
 
 
 class PlaceServer(ActionServer):
-    """An action server that has no thread and does not query the master; its goals may also come
-    from its own process.
+    """An action server without a thread of its own that does not query the master; its goals may
+    also come from its own process.
 
     The library's ``initialize`` calls the master six times and starts a timer for each server; with
-    13 robots of 7 places, that dominates the start-up time.
+    13 robots and 7 places, that dominates the start-up time.
 
     :param owner: runs the actions.
     :param name: absolute name of the server.
@@ -297,7 +298,7 @@ class PlaceServer(ActionServer):
         return self._actions.get(place)
 
     def serve(self, actions: Dict[str, PythonAction]) -> None:
-        """From now on run these actions, by place."""
+        """Run these actions, by place, from now on."""
         self._actions = actions
 
     def initialize(self) -> None:
@@ -321,7 +322,7 @@ class PlaceServer(ActionServer):
         )
 
     def stop(self) -> None:
-        """Take no more goals, and unregister from the topics."""
+        """Accept no more goals, and unregister from the topics."""
         with self.lock:
             if not self.started:
                 return
@@ -338,7 +339,7 @@ class PlaceServer(ActionServer):
     def take(
         self, goal: ExecGSPNActionGoal, told: Callable[[GoalNews, GoalStatus, genpy.Message], None]
     ) -> None:
-        """Take a goal from this process.
+        """Accept a goal from this process.
 
         :param told: receives (FEEDBACK or RESULT, status, message) of the goal, in addition to the
             topics.
@@ -353,7 +354,7 @@ class PlaceServer(ActionServer):
         self.internal_cancel_callback(GoalID(id=goal_id))
 
     def internal_goal_callback(self, goal: ExecGSPNActionGoal) -> None:
-        """Take a goal from the topic."""
+        """Accept a goal from the topic."""
         with self.lock:
             self._caller = goal._connection_header.get("callerid", "")
             self._given = read_goal_text(goal.header.frame_id)
@@ -384,8 +385,8 @@ class PlaceServer(ActionServer):
                 super().publish_status()
 
     def publish_status(self) -> None:
-        """Publish the status of all goals, but only the last :data:`KEPT_ENDED` ended ones. Where
-        nobody listens, a goal of this process, which hears of it directly, can wait for
+        """Publish the status of all goals, but only the last :data:`KEPT_ENDED` ended ones. If
+        there are no subscribers, goals of this process, which are notified directly, can wait for
         :meth:`send_status`: the library takes longer for a status than a replica for a firing."""
         with self.lock:
             self._forget_ended()

@@ -1,7 +1,7 @@
-"""The messages that a run would have published, made of its event logs.
+"""Reconstructs the messages that a run would have published from its event logs.
 
-One log holds everything that the team agreed on. The robot's own log also shows when exactly
-its own phases began, so with several logs of a run each robot's activity comes from its own.
+Any log holds everything that the team agreed on. A robot's own log also shows exactly when its
+phases began, so if several logs of a run are given, each robot's activity is taken from its own.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FIRED = "/fired_transitions"
 
 class RecordedMessage(NamedTuple):
     """A message of a run: when it would have been published (s since 1970), its topic, the name of
-    its type in this package, and its fields but for the header."""
+    its type in this package, and its fields except the header."""
 
     time: float
     topic: str
@@ -38,8 +38,8 @@ class RecordedMessage(NamedTuple):
 def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
     """Yield the messages of one or more runs, in the order of their times.
 
-    :param logs: event logs; those of one run each speak for their own robot. The largest log of a
-        run also speaks for the team, and for the robots whose logs are not there.
+    :param logs: event logs; each log of a run supplies the messages of its own robot. The largest
+        log of a run also supplies those of the team, and of robots whose logs are missing.
     :raises LogError: a log cannot be followed.
     """
     runs: Dict[str, List[LogFile]] = {}
@@ -54,10 +54,10 @@ def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
 
 
 def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[RecordedMessage]:
-    """The messages that one log yields.
+    """The messages from one log.
 
-    :param whole: report the team and all robots, but for ``others``, whose logs do; otherwise
-        of the robot that keeps the log.
+    :param whole: whether to report the team and all robots except ``others``, which have logs of
+        their own; otherwise only the robot that keeps the log is reported.
     """
     reader = _LogReader(log)
     told: Dict[str, MessageFields] = {}
@@ -87,9 +87,9 @@ class _LogReader:
         self._replayer = Replayer(TokenGame(log.plan, agents=bool(log.header.get("agents"))))
 
     def messages(self, record: Record, number: int) -> List[RecordedMessage]:
-        """The messages that follow from a record, unchanged ones included.
+        """The messages that follow from a record, including unchanged ones.
 
-        :param number: of its line.
+        :param number: the number of its line.
         """
         try:
             now = self._time(record)
@@ -109,8 +109,8 @@ class _LogReader:
             raise error.located(file=self._log.path, line=number) from None
 
     def _time(self, record: Record) -> float:
-        """Seconds since 1970 on a clock that does not jump: the wall clock of the first record, and
-        what has gone since."""
+        """Seconds since 1970 on a clock that does not jump: the wall clock of the first record,
+        plus the time elapsed since."""
         if self._clock is None:
             self._clock = LogClock(0.0)
             self._began = float(record.get("wall") or 0.0)

@@ -35,16 +35,16 @@ _ALLOW = "~allow_commands, allow_commands:=true"
 class RobotActions:
     """The action side of a robot's host (see :class:`ActionSide`).
 
-    :param plan: the plan with which the robot begins.
+    :param plan: the plan with which the robot starts.
     :param namespace: absolute namespace of the robot.
     :param options: see :class:`NodeOptions`.
-    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
-    :param ended: receives the end of each attempt, once.
+    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
+    :param ended: called once when an attempt ends.
     :param progress: receives the feedback of the running action: its ``time_passed``.
     :param warn: prints a warning.
     :raises GspnError: the actions cannot be used.
 
-    :ivar jobs: the robot's actions that are no action servers, by place.
+    :ivar jobs: the robot's actions other than action servers, by place.
     :ivar foreign_servers: the robot's goals for action servers that this process does not serve.
     """
 
@@ -61,7 +61,8 @@ class RobotActions:
     ) -> None:
         self._robot, self._namespace, self._options = robot, namespace, options
         self._told_end, self._progress = ended, progress
-        self._witness = robot in plan.witness  # votes, but has no token and runs no actions
+        # a witness votes, but has no token and runs no actions
+        self._witness = robot in plan.witness
         targets = {} if self._witness else action_targets(plan, robot, namespace)
         serves = options.place_servers and not self._witness
         self._servers = PlaceServers(plan, robot, namespace) if serves else None
@@ -136,7 +137,7 @@ class RobotActions:
         self._runner.close()
 
     def why_not(self, plan: Plan, present: Plan) -> str:
-        """See :class:`ActionSide`. Servers for functions of the plan are started."""
+        """See :class:`ActionSide`. Starts servers for functions of the plan."""
         targets = action_targets(plan, self._robot, self._namespace)
         if self._options.check:
             published = action_kinds.live_types(published_topics)
@@ -149,7 +150,9 @@ class RobotActions:
         new = sorted(_functions(plan, self._robot) - _functions(present, self._robot))
         if not new:
             return ""
-        return "'%s' runs in place servers of another process, which keep to their plan" % new[0][1]
+        return (
+            "'%s' runs in place servers of another process, which cannot switch plans" % new[0][1]
+        )
 
     def follow(self, plan: Plan) -> None:
         """See :class:`ActionSide`."""
@@ -176,9 +179,9 @@ class RobotActions:
 
 
 def jobs_of(plan: Plan, robot: str, namespace: str, options: NodeOptions) -> Dict[str, Job]:
-    """The actions of a robot that are no action servers, by place.
+    """The actions of a robot other than action servers, by place.
 
-    :raises GspnError: one does not fit its type, or the ROS graph, or is not allowed.
+    :raises GspnError: an action does not fit its type or the ROS graph, or is not allowed.
     """
     if not options.allow_commands:
         refuse_commands(plan, _ALLOW)
@@ -192,7 +195,7 @@ def jobs_of(plan: Plan, robot: str, namespace: str, options: NodeOptions) -> Dic
 
 
 def open_jobs(jobs: Mapping[str, Job]) -> None:
-    """Register with the master what jobs need before they begin.
+    """Register the topics that jobs need with the master, before they start.
 
     :raises ExecutionError: a topic has two types in this process.
     """

@@ -1,4 +1,5 @@
-"""ROS time as a clock that never goes back: a simulator that is reset starts its time anew."""
+"""ROS time as a clock that never goes back, although a simulator that is reset restarts its
+time."""
 
 from __future__ import annotations
 
@@ -10,12 +11,12 @@ import rospy
 from gspn_framework_package.team.clock import Clock
 
 LOOK_EVERY = 0.05
-"""Seconds between two looks at simulated time, which may pass at any rate."""
+"""Seconds between two readings of simulated time, which may pass at any rate."""
 
 
 class RosClock(Clock):
-    """The ROS time that has passed: slower, faster or not at all where time is simulated, and never
-    back. It has to be read now and then, as a jump between two reads is seen by the second."""
+    """The elapsed ROS time. Simulated time may pass slower, faster or not at all, but this clock
+    never goes back. Read it regularly: a jump is detected at the next reading."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -27,7 +28,7 @@ class RosClock(Clock):
             return time.monotonic()
         with self._lock:
             now = rospy.get_time()
-            step = now - self._last if self._last else 0.0  # 0: there has been no /clock yet
+            step = now - self._last if self._last else 0.0  # 0 before the first /clock
             if step < 0.0:
                 self.times_back += 1
                 self.back_by = -step

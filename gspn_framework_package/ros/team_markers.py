@@ -1,4 +1,4 @@
-"""A team in a map, as markers for rviz and Foxglove: places, robots, names and goals."""
+"""Draws a team in a map, as markers for rviz and Foxglove: places, robots, names and goals."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.msg import RobotActivity
 
 PLACE_WIDTH, ROBOT_WIDTH, TEXT_HEIGHT = 0.3, 0.24, 0.14
-"""Sizes of what is drawn, in metres."""
+"""Sizes of the markers, in metres."""
 
 GREY, GREEN, INK = "#9aa4b2", "#15803d", "#1b2430"
 
 
 class Spot(NamedTuple):
-    """Where the robots of one or several places work.
+    """The location of one or several places.
 
     :ivar frame: the frame of the pose.
     :ivar pose: position and orientation (metres, quaternion).
-    :ivar places: the places of the net that are there.
+    :ivar places: the places of the net at this location.
     """
 
     frame: str
@@ -35,8 +35,8 @@ class Spot(NamedTuple):
 
 
 def spots_of_goals(plan: Plan) -> Dict[str, Spot]:
-    """Place -> where its goal sends robots, for goals with a stamped pose that the plan itself
-    gives. Poses that come from data are known only when the robot is there."""
+    """Place -> the pose to which its goal sends robots, for goals with a stamped pose in the plan
+    itself. Poses from data are known only when the robot is in the place."""
     found: Dict[str, Spot] = {}
     for place, action in plan.bindings():
         stamped = _stamped_pose(action.goal) if isinstance(action, ServerAction) else None
@@ -46,8 +46,8 @@ def spots_of_goals(plan: Plan) -> Dict[str, Spot]:
 
 
 def spots_of_room(room: Mapping[str, Any], frame: str, places: Iterable[str]) -> Dict[str, Spot]:
-    """Place -> where it is in a simulated room. A location has the places whose names contain its
-    name as a word, such as ``Wait_L1`` for ``L1``.
+    """Place -> its location in a simulated room. A location belongs to the places whose names
+    contain its name as a word, such as ``Wait_L1`` for ``L1``.
 
     :param room: the object on ``/world/room``.
     """
@@ -76,7 +76,7 @@ def _stamped_pose(goal: Any) -> Optional[Tuple[str, Pose]]:
 
 
 def _numbers(fields: Any, names: str) -> Optional[List[float]]:
-    """The numbers of a map, 0 for what it leaves out; None if it is not one of numbers."""
+    """The numbers of a map, 0 for missing keys; None if a value is not a number."""
     if not isinstance(fields, Mapping):
         return None
     values = [fields.get(name, 0.0) for name in names]
@@ -86,7 +86,7 @@ def _numbers(fields: Any, names: str) -> Optional[List[float]]:
 
 
 class TeamMarkers:
-    """Draws a team, and removes what has gone.
+    """Draws a team, and removes obsolete markers.
 
     :param robot_frame: the frame of a robot, with ``{robot}`` for its name and ``{namespace}`` for
         its namespace.
@@ -105,8 +105,8 @@ class TeamMarkers:
     ) -> MarkerArray:
         """Draw all.
 
-        :param spots: place -> where it is.
-        :param robots: namespace -> what its robot does.
+        :param spots: place -> its location.
+        :param robots: namespace -> the activity of its robot.
         :param tokens: place -> number of tokens.
         """
         markers: List[Marker] = []
@@ -147,7 +147,7 @@ class TeamMarkers:
         lines = [robot.robot, "%s %s" % (robot.state_name, robot.place)]
         text = self._text("robot_names", robot.robot, frame, lines)
         text.pose.position.z = ROBOT_WIDTH + 2 * TEXT_HEIGHT
-        body.frame_locked = text.frame_locked = True  # they move with the robot
+        body.frame_locked = text.frame_locked = True  # moves with the robot
         if spot is None or robot.state != RobotActivity.DOING:
             return [body, text]
         goal = self._marker("goals", robot.robot, spot.frame, Marker.ARROW, colour, 0.8)
@@ -164,7 +164,7 @@ class TeamMarkers:
     def _marker(
         self, kind: str, name: str, frame: str, shape: int, colour: str, alpha: float = 1.0
     ) -> Marker:
-        """A marker at the origin of a frame; time 0 is the latest that is known of the frame."""
+        """A marker at the origin of a frame; time 0 means the latest known pose of the frame."""
         marker = Marker(ns=kind, type=shape, action=Marker.ADD)
         marker.id = self._numbers.setdefault(name, len(self._numbers))
         marker.header.frame_id, marker.header.stamp = frame, rospy.Time(0)

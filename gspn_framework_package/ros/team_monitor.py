@@ -1,4 +1,4 @@
-"""Observes a team from outside: where the robots are, what fires, and how often."""
+"""Observes a team from outside: the places of the robots, the firings and their rate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ACTIVITY_FIELDS = {"run", "place", "state", "visit", "waits_for", "ended", "fau
 
 
 class Doing(NamedTuple):
-    """What a robot does, according to its last message."""
+    """The activity of a robot, according to its last message."""
 
     place: str
     state: str
@@ -27,15 +27,16 @@ class Doing(NamedTuple):
 
 
 class TeamMonitor:
-    """Listens to a team; its methods may be called from any thread.
+    """Observes a team; its methods may be called from any thread.
 
     It subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, for each
-    robot, ``NAMESPACE/activity`` (std_msgs/String). The robots do not know of it or wait for it.
+    robot, ``NAMESPACE/activity`` (std_msgs/String). The robots neither know about it nor wait for
+    it.
 
     :param robots: (name, namespace, initial place) of each robot.
     :param run: name of the run; other runs are ignored.
 
-    :ivar ended: why the run is over, according to its robots; "" while it goes on.
+    :ivar ended: why the run is over, according to its robots; "" while it is running.
     :ivar fault: whether it ended because of a fault.
     """
 
@@ -96,11 +97,11 @@ class TeamMonitor:
 
     def recent(self, since: float) -> List[Tuple[float, str]]:
         """The firings after the monotonic time ``since`` (at most the last 1,000): (time, the
-        transition and what moved where)."""
+        transition and the moves)."""
         with self._lock:
             return [item for item in self._recent if item[0] > since]
 
     def snapshot(self) -> Dict[str, Doing]:
-        """What each robot does, by name."""
+        """The activity of each robot, by name."""
         with self._lock:
             return dict(self.doing)

@@ -5,12 +5,12 @@ While somebody subscribes, it publishes once a second
 - ``gspn_markers`` (visualization_msgs/MarkerArray): places, robots, their names and their goals;
 - ``gspn_net/compressed`` (sensor_msgs/CompressedImage, PNG): the net with its current marking.
 
-Where a place is comes from the goal of its action, or from the room of the simulated world
-(``/world/room``). A robot is drawn at the origin of its frame, so tf moves it. When the team
-goes on under another plan, the node asks a robot for it and draws that one. No robot waits for this
-node, and it gives no orders.
+The location of a place is taken from the goal of its action, or from the room of the simulated
+world (``/world/room``). A robot is drawn at the origin of its frame, so tf moves it. When the team
+adopts another plan, the node asks a robot for it and draws that plan. No robot waits for this node,
+and it gives no orders.
 
-Private parameters: ``plan`` (file or folder), ``robots`` (size of the team; 0: as in the plan),
+Private parameters: ``plan`` (file or folder), ``robots`` (size of the team; 0 for the plan's),
 ``run`` (name of the run; "" takes the first one of this plan), ``robot_frame`` (frame of a robot,
 with ``{robot}`` and ``{namespace}``), ``map_frame`` (frame of the simulated room).
 """
@@ -53,7 +53,7 @@ SCAN_PERIODS = 2
 """How many periods lie between two searches for robots."""
 
 DRAWING_TIME = 20.0
-"""Longest time for Graphviz, in seconds."""
+"""Time limit for Graphviz, in seconds."""
 
 _ACTIVITY, MARKING = "/robot_activity", "/marking"
 
@@ -76,7 +76,7 @@ def _show(ending: Ending) -> int:
         frame.format(robot="", namespace="")
     except (KeyError, IndexError, ValueError):
         raise UsageError(
-            "'%s' has braces around other words than robot and namespace" % frame,
+            "'%s' has braces around words other than robot and namespace" % frame,
             element="parameter ~robot_frame",
         ) from None
     view = TeamView(
@@ -91,7 +91,7 @@ def _show(ending: Ending) -> int:
 
 
 class TeamView:
-    """What is known of a team, and its two pictures; see the module.
+    """Publishes the two pictures of a team; see the module.
 
     :param plan: the plan of the team.
     :param run: the run to show; "" takes the first one of this plan.
@@ -124,7 +124,7 @@ class TeamView:
         return self._plan
 
     def publish(self) -> None:
-        """Publish what somebody subscribes; called once a second."""
+        """Publish the topics that have subscribers; called once a second."""
         markers = bool(self._marker_topic.get_num_connections())
         image = bool(self._image_topic.get_num_connections())
         if self._turn % SCAN_PERIODS == 0:
@@ -138,7 +138,7 @@ class TeamView:
             self._publish_image()
 
     def _look_around(self, watched: bool) -> None:
-        """Follow the robots that there are, and the marking of one of them while it is shown."""
+        """Follow the existing robots, and the marking of one of them while it is shown."""
         try:
             found = {topic for topic in published_topics() if topic.endswith(_ACTIVITY)}
         except MASTER_ERRORS:
@@ -158,7 +158,7 @@ class TeamView:
         self._follow_plan()
 
     def _follow_marking(self, namespaces: List[str]) -> None:
-        """Follow the marking as one of these robots knows it."""
+        """Follow the marking published by one of these robots."""
         if self._teller and self._teller[0] not in namespaces:
             self._teller[1].unregister()
             self._teller = None
@@ -195,7 +195,7 @@ class TeamView:
             self._spots = spots_of_goals(self._plan)
         if self._room_text:
             self._place_in_room(self._room_text)
-        rospy.loginfo("the team goes on under the plan '%s'", self._plan.name)
+        rospy.loginfo("the team has adopted the plan '%s'", self._plan.name)
 
     def _on_activity(self, message: RobotActivity, namespace: str) -> None:
         with self._lock:
@@ -223,11 +223,11 @@ class TeamView:
             rospy.logwarn_throttle(60.0, "/world/room cannot be read (%r)" % error)
             return
         with self._lock:
-            if plan is self._plan:  # else another plan came meanwhile, and its places are found
+            if plan is self._plan:  # otherwise another plan arrived in the meantime
                 self._spots = {**found, **spots_of_goals(plan)}
 
     def _tokens(self) -> Dict[str, int]:
-        """Place -> tokens, as far as the team has reported; before, as the plan begins."""
+        """Place -> tokens, as reported by the team; before that, the plan's initial tokens."""
         with self._lock:
             told = self._marking
         if told is None:

@@ -1,5 +1,5 @@
-"""The node ``thesis_interface``: gives a team the ROS names of the thesis (4.3.3), for programs
-written for it.
+"""The node ``thesis_interface``: offers a team's interface under the ROS names of the thesis
+(4.3.3), for programs written for them.
 
 It publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N
 in its namespace, ``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N``

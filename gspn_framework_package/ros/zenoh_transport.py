@@ -1,4 +1,5 @@
-"""A robot with ROS whose team is reached over Zenoh: its own master need not know the others."""
+"""The carrier of a ROS robot whose team communicates over Zenoh, so that its master need not know
+the others."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from gspn_framework_package.team.zenoh_session import TeamAccess
 class PublishedOnRos(RosFacts):
     """A carrier whose facts are published on ROS as well (see :class:`Carrier`).
 
-    :param carrier: carries the messages, and publishes the facts for the others.
+    :param carrier: carries the messages, and publishes the facts over Zenoh.
     :param namespace: absolute namespace of the robot.
     """
 
@@ -61,11 +62,11 @@ class PublishedOnRos(RosFacts):
 def zenoh_transport(
     host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions
 ) -> PublishedOnRos:
-    """The carrier of a robot with ``transport`` zenoh.
+    """Create the carrier of a robot with ``transport`` zenoh.
 
-    :param plan: the plan with which the robot begins.
+    :param plan: the plan with which the robot starts.
     :param namespace: absolute namespace of the robot.
-    :raises GspnError: the keys cannot be used, or nobody can be reached.
+    :raises GspnError: the keys cannot be used, or no other process can be reached.
     """
     keys = keys_of_robot(options.keys, host.robot) if options.keys else None
     access = TeamAccess(tuple(options.router.split()), (), keys)

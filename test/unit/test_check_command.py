@@ -34,7 +34,7 @@ SOURCES = {
     "from os import *\n": None,
     "def gone():\n    go = 1\n": "there is no 'go' in",
     "class Other:\n    def go(self):\n        pass\n": "there is no 'go' in",
-    "def go(:\n": "line 1: it cannot be read",
+    "def go(:\n": "line 1: cannot be read",
     "raise SystemExit(5)\ndef go():\n    pass\n": None,  # it is not run
 }
 
@@ -142,7 +142,7 @@ def test_a_simulated_log_is_valid_and_never_overwrites(tmp_path, capsys):
     log = str(tmp_path / "run.jsonl")
     command = ["simulate", str(tmp_path), "--log", log, "--seed", "4", "--json"]
     assert main(command) == 2
-    assert "how long is the run?" in capsys.readouterr().err
+    assert "the length of the run is not given" in capsys.readouterr().err
     assert main([*command, "--time", "101"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["firings"] == {"T": 50, "U": 50}

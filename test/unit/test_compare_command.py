@@ -131,7 +131,7 @@ def test_a_slower_robot_is_named_and_the_exit_code_is_1(folder: Path, call: Any)
     assert alarm["change"] == pytest.approx(0.4, abs=0.15)
     code, out, err = call(folder, path, *FEW)
     assert code == 1 and "Work, r2: slower than planned" in out
-    assert "the run departs from the plan" in out
+    assert "the run deviates from the plan" in out
 
 
 def test_several_runs_are_compared_together(folder: Path, call: Any) -> None:
@@ -207,8 +207,8 @@ def test_what_the_observer_adds_up_is_what_the_run_did(folder: Path) -> None:
         (["plan", "log", "--alarm-every", "0d"], "is not a time"),
         (["plan", "log", "--alarm-every", "nan"], "is not a time"),
         (["plan", "empty.jsonl"], "is empty"),
-        (["plan", "head.jsonl"], "shows no run"),
-        (["other", "log"], "another net"),
+        (["plan", "head.jsonl"], "contains no run"),
+        (["other", "log"], "its net differs"),
         (["log", "log"], "plan"),
     ],
 )

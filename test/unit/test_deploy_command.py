@@ -113,7 +113,7 @@ def test_a_patrol_gets_a_computed_policy_and_then_a_fifth_location(tmp_path, sta
     run.send_signal(2)
     assert run.wait(30) == 130
     assert main(["deploy", five, "--standalone"]) == 1
-    assert "there is no run" in capsys.readouterr().err
+    assert "no run found" in capsys.readouterr().err
     recorded = read_log(log)
     assert verify([recorded]).violation is None
     steps = (step.state.adopted for step in replay(recorded))
@@ -175,7 +175,7 @@ def test_which_run_is_meant():
     assert chosen_run(runs, "/b", "") is runs[1] is chosen_run(runs, "/a", "2")
     with pytest.raises(ExecutionError, match="several: process 1 runs /a; process 2 runs /b"):
         chosen_run(runs, "/a", "")
-    with pytest.raises(ExecutionError, match="no run of /c in process 2"):
+    with pytest.raises(ExecutionError, match="no run found of /c in process 2"):
         chosen_run(runs, "/c", "2")
 
 
@@ -190,11 +190,11 @@ def test_what_a_killed_run_left_is_removed(own_folder):
 def test_a_folder_that_others_may_enter_is_not_used(own_folder):
     own_folder.mkdir(0o700)
     own_folder.chmod(0o755)
-    with pytest.raises(ExecutionError, match="only you may enter"):
+    with pytest.raises(ExecutionError, match="only you may access"):
         ControlSocket(dict, lambda request: "")
     own_folder.rmdir()
     own_folder.symlink_to("/tmp")
-    with pytest.raises(ExecutionError, match="only you may enter"):
+    with pytest.raises(ExecutionError, match="only you may access"):
         running_plans()
 
 

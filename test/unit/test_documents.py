@@ -385,7 +385,7 @@ def test_teams_anywhere_typed_in_terminals(sandbox, tmp_path):
             else:
                 router = terminal()
                 router.begin(line)
-                router.shows("listens at")
+                router.shows("listening at")
             if words[1] == "stop":
                 for robot in robots:
                     code, text = robot.end()

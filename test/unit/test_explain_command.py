@@ -41,4 +41,4 @@ def test_the_text_has_a_line_for_each_firing(capsys):
     assert lines[0] == "at the start: p1 1" and lines[1].split() == ["1", "t1:", "p2", "1"]
     assert lines[-1].startswith("then enabled: ")
     assert main(["explain", str(PLANS / "tokens")]) == 0
-    assert "nothing that has a firing sequence" in capsys.readouterr().out
+    assert "no finding of the check has a firing sequence" in capsys.readouterr().out

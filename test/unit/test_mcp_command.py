@@ -120,7 +120,9 @@ def test_a_draft_is_checked_and_nothing_is_written(tools, plans):
     assert drafted["check"]["accepted"] and drafted["written_to"] is None
     assert "plan.json" in drafted["files"]
     document = json.loads((plans / "tokens" / "instant.json").read_text())
-    assert "is one" in refused(tools, "draft_plan", document=document)  # it names its net's file
+    assert "must not name files" in refused(
+        tools, "draft_plan", document=document
+    )  # it names its net's file
     assert "--allow-write" in refused(tools, "draft_plan", template="patrol", output="new")
     assert "--allow-write" in refused(
         tools, "optimise", plan="rendezvous", reward=["Fetched=1"], output="better.json"

@@ -30,7 +30,7 @@ def test_the_new_plan_is_written_and_reported(tmp_path, capsys):
     assert len(plan.robots) == 2
     assert main(["check", str(target)]) == 0
     assert main(["optimise", PATROL, *QUICK, *CHECKS, "-o", str(target)]) == 2
-    assert "it exists already" in capsys.readouterr().err
+    assert "the file exists already" in capsys.readouterr().err
 
 
 def test_without_a_name_nothing_is_written(tmp_path, capsys, monkeypatch):

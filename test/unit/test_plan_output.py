@@ -71,7 +71,7 @@ def test_a_folder_gets_all_that_the_plan_needs(plan, tmp_path, capsys):
     (tmp_path / "new" / "helpers.py").write_text("other = 1")
     assert optimise(plan, tmp_path / "new") == 0
     said = capsys.readouterr().err
-    assert "helpers.py is another file than in %s" % plan in said
+    assert "helpers.py differs from the file in %s" % plan in said
     assert (tmp_path / "new" / "helpers.py").read_text() == "other = 1"
 
 

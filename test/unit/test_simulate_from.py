@@ -53,8 +53,8 @@ def test_what_follows_is_recorded_as_a_log_of_its_own(recorded: str, tmp_path: P
     ("slot", "options", "text"),
     [
         ("@9999", ["--time", "5"], "the run has no slot 9999"),
-        ("@17", [], "how long is a run?"),
-        ("@17", ["--time", "5", "--robots", "3"], "a recorded run has no --robots"),
+        ("@17", [], "the length of a run"),
+        ("@17", ["--time", "5", "--robots", "3"], "--robots does not apply to a recorded run"),
     ],
 )
 def test_what_cannot_go_on_is_reported(

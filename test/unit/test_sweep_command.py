@@ -68,7 +68,7 @@ def test_a_file_that_is_no_store_is_refused_and_stays(sweep, line):
     sweep.store.write_text('{"gspn_sweep": 1}\n%s\n' % line)
     before = sweep.store.read_bytes()
     err, rows = sweep("--vary", "robots=1..2", code=2)
-    assert SUFFIX + ":2: this is no point of a sweep" in err
+    assert SUFFIX + ":2: this is not a point of a sweep" in err
     assert not rows
     assert sweep.store.read_bytes() == before
 

@@ -1,7 +1,7 @@
 """The history checker: whether the logs of a run are consistent and valid.
 
 :func:`verify` uses only the logs. It checks the invariants of ``docs/agreement.md`` and the
-protocol's own rules, and shares no code with the token game or the protocol.
+protocol's own rules, and shares no code with the token game or the protocol implementation.
 
 Modules: ``cargo``, ``logged_team``, ``merge``, ``robots``, ``slot_check``, ``stages``, ``votes``.
 """
@@ -34,11 +34,11 @@ class Verdict(NamedTuple):
     """The result of a check.
 
     :ivar violation: the first violation; None if there is none.
-    :ivar slots: how many slots of the agreed log were found.
-    :ivar firings: how many firings they hold.
-    :ivar robots: how many robots there are at the end, including lost ones.
-    :ivar logs: how many logs were read.
-    :ivar notes: remarks that are not violations.
+    :ivar slots: number of slots found in the agreed log.
+    :ivar firings: number of firings in them.
+    :ivar robots: number of robots at the end, including lost ones.
+    :ivar logs: number of logs read.
+    :ivar notes: remarks other than violations.
     """
 
     violation: Optional[Violation]
@@ -59,12 +59,13 @@ class Verdict(NamedTuple):
 def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = True) -> Verdict:
     """Check the logs of one run.
 
-    :param logs: the logs of the robots, in any robot order; include the old log of a robot that
-        lost it, before its newer one.
-    :param settled: whether the team was left alone until nothing was pending. Then a proposal that
-        is not in the log, or an action that was not started, is also a violation (rules 8 and 9).
-    :param complete: whether all logs of the run are here; otherwise votes cannot be counted.
-    :raises LogError: there are no logs, they are of different runs or plans, or a record is
+    :param logs: the logs of the robots, in any order of robots; if a robot has an older log that it
+        lost, include it before its newer one.
+    :param settled: whether the team was left undisturbed until nothing was pending. If so, a
+        proposal that is not in the log and an action that was not started are also violations
+        (rules 8 and 9).
+    :param complete: whether all logs of the run are given; otherwise votes cannot be counted.
+    :raises LogError: there are no logs, they belong to different runs or plans, or a record is
         damaged.
     """
     if not logs:
@@ -72,7 +73,9 @@ def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = 
     for key in ("run", "plan_hash"):
         values = {str(log.header[key]) for log in logs}
         if len(values) > 1:
-            raise LogError("the logs are of different %ss: %s" % (key, ", ".join(sorted(values))))
+            raise LogError(
+                "the logs belong to different %ss: %s" % (key, ", ".join(sorted(values)))
+            )
     notes: List[str] = []
     state = _Check(logs, settled, complete, notes)
     violation = None
@@ -107,9 +110,7 @@ class _Check:
                 if "damaged" in r
             ]
         if self.length < len(merged.slots):
-            self.notes.append(
-                "no log has slot %d: what is after it cannot be checked" % self.length
-            )
+            self.notes.append("no log has slot %d, so later slots cannot be checked" % self.length)
         plan = self.logs[0].plan
         replay = SlotCheck(plan, bool(self.logs[0].header.get("agents")))
         situations, members, markings, plans = [], [], [], []
@@ -172,8 +173,8 @@ class _Check:
             )
 
     def _check_presence(self, merged: Merged, replay: SlotCheck) -> None:
-        """Check that no log is missing of a robot that did anything; robots that were never
-        switched on have none. Rule 9."""
+        """Check that every robot that did anything has a log; robots that were never switched on
+        have none. Rule 9."""
         here = {log.robot for log in self.logs}
         said = {
             origin[0]
@@ -186,5 +187,5 @@ class _Check:
         if missing:
             raise BrokenRuleError(
                 9,
-                "the log of %s is missing; where it is lost, say --incomplete" % ", ".join(missing),
+                "the log of %s is missing; if it is lost, use --incomplete" % ", ".join(missing),
             )

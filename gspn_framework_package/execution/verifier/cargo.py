@@ -1,4 +1,4 @@
-"""The tasks of a run according to its log: which came, and where each of them is.
+"""The tasks of a run according to its log: which ones arrived, and where they are.
 
 This was written independently of the token game and shares no code with it (see
 :mod:`.slot_check`).
@@ -15,17 +15,17 @@ from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.model.plan import Plan
 
 REMEMBERED_TASKS = 10_000
-"""Of each transition, so many ids of tasks count as known."""
+"""Number of task ids per transition that count as known."""
 
 MOST_OUTSIDE = 10_000
-"""So many tasks wait for one transition; one more does not count."""
+"""Maximum number of tasks waiting for a transition; further tasks do not count."""
 
 TaskMoves = List[Tuple[str, str, str]]
 """(id, from where, to where), as a firing records them."""
 
 
 class LoggedTask:
-    """A task, or a token of a queue that came without one (``id`` "")."""
+    """A task, or a token of a queue without a task (``id`` "")."""
 
     def __init__(self, task_id: str = "", data: Optional[Mapping[str, Any]] = None) -> None:
         self.id = task_id
@@ -36,7 +36,7 @@ class Cargo:
     """The tasks of a team: outside, in queues, with robots.
 
     :param inputs: transition -> place -> weight.
-    :param outputs: the same.
+    :param outputs: likewise.
     """
 
     def __init__(
@@ -57,7 +57,8 @@ class Cargo:
         self.carried: Dict[str, LoggedTask] = {}
         """Robot -> its task."""
         self.outside: List[Tuple[str, LoggedTask]] = []
-        """(transition, task) of those that came and are not in yet, the oldest first."""
+        """(transition, task) of tasks that arrived and still wait outside the net, the oldest
+        first."""
         self._known: Dict[str, List[str]] = {}
         self._known_set: Set[Tuple[str, str]] = set()
 
@@ -70,11 +71,12 @@ class Cargo:
         heirs: Sequence[Tuple[str, str]],
         marking: Mapping[str, int],
     ) -> None:
-        """Go on under another plan.
+        """Switch to another plan.
 
-        :param called: name of a place or transition before -> its name in this plan, if it differs.
-        :param heirs: (resource place before, the one that takes its tokens over).
-        :param marking: the marking before.
+        :param called: previous name of a place or transition -> its name in this plan, if it
+            differs.
+        :param heirs: (previous resource place, the one that takes over its tokens).
+        :param marking: the previous marking.
         """
         queues = self.queues
         self._inputs, self._outputs = inputs, outputs
@@ -100,10 +102,10 @@ class Cargo:
     # -- entries -----------------------------------------------------------------------------------
 
     def comes(self, entry: log_entries.Submit, gone: Sequence[str] = ()) -> None:
-        """A task comes; one that came before does not count, but for one that comes again while a
-        robot that carries it is gone.
+        """Handle an arriving task. A task that arrived before does not count, unless it was
+        submitted again after its robot was gone.
 
-        :param gone: the names of those robots.
+        :param gone: the names of robots that are gone.
         """
         key = entry.transition, entry.id
         comes_again = False
@@ -131,7 +133,7 @@ class Cargo:
             self._known_set.discard((entry.transition, ids.pop(0)))
 
     def returned(self, robot: str, place: str, tokens: int) -> None:
-        """A robot that is gone gives back tokens of a queue: the first of them is its task."""
+        """Return tokens of a queue from a robot that is gone; the first of them is its task."""
         if place in self.queues:
             task = self.carried.pop(robot, None) or LoggedTask()
             fillers = [LoggedTask() for _ in range(tokens - 1)]
@@ -140,7 +142,7 @@ class Cargo:
     # -- firings -----------------------------------------------------------------------------------
 
     def enter(self, t: str) -> Optional[LoggedTask]:
-        """Take the oldest task that waits outside for ``t``."""
+        """Take the oldest task waiting for ``t``."""
         for number, (transition, task) in enumerate(self.outside):
             if transition == t:
                 del self.outside[number]
@@ -150,10 +152,10 @@ class Cargo:
     def pass_on(
         self, t: str, movers: Sequence[Tuple[str, bool]], incoming: Optional[LoggedTask]
     ) -> TaskMoves:
-        """Carry out what a firing does with tasks; returns how it should be recorded.
+        """Move the tasks of a firing; returns how the firing should record it.
 
         :param movers: (robot, whether it stays in the net), in the order of the record.
-        :param incoming: the task that comes in with it.
+        :param incoming: the task that arrives with it.
         """
         if not self.queues and incoming is None:
             return []
@@ -197,11 +199,11 @@ class Cargo:
 
 
 def recorded_moves(firing: Record) -> TaskMoves:
-    """What a firing records of tasks."""
+    """The task movements that a firing records."""
     return [(str(i), str(a), str(b)) for i, a, b in firing.get("tasks", ())]
 
 
 def digest(data: Mapping[str, Any]) -> str:
-    """A short text for data that an action reads (full name -> value)."""
+    """A digest of the data that an action reads (full name -> value)."""
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

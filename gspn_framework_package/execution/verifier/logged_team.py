@@ -17,14 +17,14 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
 
 MOST_NAMES = 1_000
-"""Names of data of one robot, task, or team."""
+"""Maximum number of data names of a robot, task or team."""
 
 Values = Mapping[str, Any]
 
 
 class KnownData(NamedTuple):
-    """What an action of a robot may read: the data of the robot, the team and its task, the visit
-    that this one continues, and the visits (by place) that later ones may."""
+    """The values that an action of a robot may read: the data of the robot, the team and its task,
+    the visit that this one continues, and the visits (by place) that later ones may continue."""
 
     own: Values
     team: Values
@@ -52,8 +52,8 @@ class Situation(NamedTuple):
 
 
 class Direct(NamedTuple):
-    """A firing that an entry brings about at once: of the environment, or an event that interrupts
-    ``robot`` for this cause."""
+    """A firing that an entry causes directly: of the environment, or by an event that interrupts
+    ``robot`` with this cause."""
 
     transition: str
     robot: str = ""
@@ -71,15 +71,15 @@ class LoggedRobot:
     attempt: int = 1
     phase: Phase = Phase.DOING
     asks: Optional[str] = None
-    """The transition that it asks for; None: the policy decides."""
+    """The transition that it asks for; None to let the policy decide."""
     may_ask: Optional[str] = None
-    """A transition that it asks for instead if its draw needed a robot that was lost."""
+    """A transition that it asks for instead if its draw needed a robot that is now lost."""
     order: int = 0
     failures: int = 0
     paused: bool = False
     data: Values = field(default_factory=dict)
     held: Dict[str, Values] = field(default_factory=dict)
-    """The events that interrupt it as soon as they can, in order, with their causes."""
+    """The held events, which interrupt it as soon as they can, in order, with their causes."""
     interrupted: Mapping[str, int] = field(default_factory=dict)
     """Place -> the visit there that the next one continues."""
     resumed_from: int = 0
@@ -112,7 +112,7 @@ class LoggedTeam:
         self.perhaps_ended = False
         self.orders = 0
         self.last_change = (-1, -1)
-        """The last firing that changed the marking, as slot and number in it."""
+        """The last firing that changed the marking, as slot and index."""
         self.moved: Dict[str, Tuple[int, int]] = {}
         """Robot -> the last firing that moved it."""
         self.data: Values = {}
@@ -124,7 +124,7 @@ class LoggedTeam:
         self.cargo = Cargo(plan, self.inputs, self.outputs)
 
     def _take_rules(self, plan: Plan) -> None:
-        """From now on the rules of this plan apply."""
+        """Apply the rules of this plan from now on."""
         self.plan = plan
         net, agents = plan.net, self.agents
         self.resources = set(plan.resource_places)
@@ -158,7 +158,7 @@ class LoggedTeam:
             parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
         )
 
-    # -- questions ---------------------------------------------------------------------------------
+    # -- queries ---------------------------------------------------------------------------------
 
     def members(self) -> List[str]:
         """The names of the voters in the next slot."""
@@ -173,7 +173,7 @@ class LoggedTeam:
 
     def _memory(self, robot: LoggedRobot) -> KnownData:
         task = self.cargo.carried.get(robot.name)
-        # a change replaces these maps, so they may be kept
+        # changes replace these maps, so sharing them is safe
         return KnownData(
             robot.data,
             self.data,
@@ -219,8 +219,8 @@ class LoggedTeam:
     # -- entries -----------------------------------------------------------------------------------
 
     def _apply(self, entry: log_entries.Entry) -> Optional[Direct]:
-        """Apply an entry. Returns the firing that a valid ``Fire`` or ``Interrupt`` brings about at
-        once."""
+        """Apply an entry. Returns the firing that a valid ``Fire`` or ``Interrupt`` causes
+        directly."""
         entry = self.stages.in_present_names(entry)
         if isinstance(entry, log_entries.Start):
             self._start(entry)
@@ -278,10 +278,10 @@ class LoggedTeam:
             self.stages.apply(entry, self.robots.get(getattr(entry, "robot", "")), self.witnesses)
         return None
 
-    # -- another plan ------------------------------------------------------------------------------
+    # -- plan changes ------------------------------------------------------------------------------
 
     def _adopt(self, entry: log_entries.Adopt) -> None:
-        """Go on under the staged plan, if the rules allow it."""
+        """Switch to the staged plan if the rules allow it."""
         found = self.stages.adopted(entry, self)
         if found is None:
             return
@@ -314,7 +314,7 @@ class LoggedTeam:
                 self._done(robot, wish)
 
     def _move_over(self, robot: LoggedRobot, old: Plan, called: Mapping[str, str]) -> None:
-        """The place and the events of a robot, as the new plan calls them."""
+        """Convert the place and the events of a robot to the new plan."""
         place = called.get(robot.place, robot.place)
         if robot.here:
             self.marking[place] += 1
@@ -395,7 +395,8 @@ class LoggedTeam:
             self._failed(robot)
 
     def _write(self, robot: LoggedRobot, data: Values) -> bool:
-        """Write what an action returned, all of it or nothing; returns whether it is possible."""
+        """Write the data that an action returned, all or nothing; returns whether that is
+        possible."""
         by_scope: Dict[str, Dict[str, Any]] = {"robot": {}, "team": {}, "task": {}}
         for name, value in data.items():
             scope, _, short = name.rpartition(".")
@@ -446,14 +447,14 @@ class LoggedTeam:
                 robot.visit += 1
                 gave_back = self.plan.on_evict.get(robot.place)  # an empty map gives nothing back
                 if gave_back and entry.place in self.plan.action_places:
-                    robot.place = entry.place  # what it held there was given back
+                    robot.place = entry.place  # its resources there were given back
                 self.marking[robot.place] += 1
                 self._enter(robot)
             elif robot.phase is Phase.DOING:
                 robot.attempt += 1
 
     def _puts_task_down(self, robot: LoggedRobot, place: str) -> None:
-        """The task of a robot returns, unless it is put where robots have one."""
+        """Return the task of a robot, unless it is moved to a place where robots carry one."""
         here, there = (
             {q: n for q, n in self.plan.on_evict.get(p, {}).items() if q in self.cargo.queues}
             for p in (robot.place, place)

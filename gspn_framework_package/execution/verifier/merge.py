@@ -14,10 +14,10 @@ COMPARED = ("entries", "origins", "firings", "hash")
 
 
 class Memory(NamedTuple):
-    """Records ``begin`` to ``end`` (exclusive) of log ``number``, a stretch in which its robot
-    forgot nothing. ``forgotten``: whether it reset or lost its log afterwards. ``took_part``:
-    whether the team let it in meanwhile. ``left``: whether it was out of the team again at the end.
-    ``time``: the time of the newest of these records (s)."""
+    """Records ``begin`` to ``end`` (exclusive) of log ``number``, in which its robot forgot
+    nothing. ``forgotten``: whether it reset or lost its log afterwards. ``took_part``: whether the
+    team let it in meanwhile. ``left``: whether it was out of the team again at the end. ``time``:
+    the time of the newest of these records (s)."""
 
     number: int
     begin: int
@@ -35,7 +35,7 @@ class Merged:
     :raises BrokenRuleError: a log contradicts the others or itself (rule 1).
 
     :ivar slots: slot -> its record, from the first log that has it.
-    :ivar heard: slot -> when the first replica had it (s, monotonic clock of the host).
+    :ivar heard: slot -> when a replica first had it (s, monotonic clock of the host).
     :ivar void: (index of the log, index of the record) of slots that the operator gave up by an
         eviction by force, or that the team lost with the power supply and only a robot outside the
         team has.
@@ -100,7 +100,7 @@ class Merged:
                 slot = record["slot"]
                 if slot != length:
                     raise BrokenRuleError(
-                        1, "%s has slot %d where slot %d should be" % (log.robot, slot, length)
+                        1, "%s has slot %d instead of slot %d" % (log.robot, slot, length)
                     )
                 self._check_origins(log, record)
                 chain = _link(chain, record)
@@ -142,7 +142,7 @@ class Merged:
         if log.robot and (len(entries) != len(origins) or any(len(o) != 4 for o in origins)):
             raise BrokenRuleError(
                 1,
-                "slot %s of %s does not say of each entry who put it in"
+                "slot %s of %s does not name the origin of each entry"
                 % (record["slot"], log.robot),
             )
 

@@ -26,8 +26,8 @@ class LoggedProposals:
     """The position of each entry in the agreed log, by its origin; rule 4.
 
     :param merged: the agreed log.
-    :param length: the number of slots to look at.
-    :raises BrokenRuleError: an entry is there twice, the entries of a robot are out of order, or a
+    :param length: the number of slots to check.
+    :raises BrokenRuleError: an entry occurs twice, the entries of a robot are out of order, or a
         robot begins a visit twice.
     """
 
@@ -51,7 +51,9 @@ class LoggedProposals:
                     )
                 if newest.get(key[0], (-1, -1)) >= key[1:3]:
                     raise BrokenRuleError(
-                        4, "%s is in slot %d, after a newer one of that robot" % (_name(key), slot)
+                        4,
+                        "%s is in slot %d, after a newer proposal of that robot"
+                        % (_name(key), slot),
                     )
                 if entry["entry"] == "submit":
                     self.tasks.add((entry["transition"], entry["id"]))
@@ -78,15 +80,15 @@ class LoggedProposals:
         return self._newest.get(key[0], (-1, -1)) >= key[1:3]
 
     def fired(self, slot: int, firing: Record) -> bool:
-        """Whether the robot made that firing, as far as it goes for it, in a slot."""
+        """Whether a slot contains that firing of the robot, as far as it concerns the robot."""
         return (firing["robot"], firing["visit"], firing["transition"]) in self._fired[slot]
 
 
 def check_real_time(
     merged: Merged, proposals: LoggedProposals, invoked: Mapping[LoggedOrigin, float]
 ) -> None:
-    """Check that every slot known before a proposal was made precedes it in the log; rule 5. Use
-    this only for logs of one host, which share a clock.
+    """Check that every slot known when a proposal was made precedes it in the log; rule 5. Use this
+    only for logs of one host, which share a clock.
 
     :param merged: the agreed log.
     :param proposals: the positions of the entries in it.
@@ -106,7 +108,7 @@ def check_real_time(
         if at and latest[at - 1] >= where[0]:
             raise BrokenRuleError(
                 5,
-                "%s came up after slot %d was known, but is in slot %d"
+                "%s was proposed after slot %d was known, but is in slot %d"
                 % (_name(key), latest[at - 1], where[0]),
             )
 
@@ -157,11 +159,11 @@ class RobotCheck:
         self._ahead: OrderedDict[LoggedOrigin, Tuple[Record, Record]] = OrderedDict()
         """Local transitions that are not in the agreed log yet: entry, firing."""
         self._from: Optional[_Position] = None
-        """Where the robot was before them."""
+        """The robot's position before them."""
         self._at: Optional[_Position] = None
-        """Where it is with them."""
+        """The robot's position after them."""
         self._astray = True
-        """Whether this has to be worked out anew."""
+        """Whether these positions must be recomputed."""
         self._entered: Counter[str] = Counter()
         """How often they led it to each place."""
         self._goals: Set[Tuple[int, int, int]] = set()
@@ -170,7 +172,7 @@ class RobotCheck:
         self._offered: Set[Tuple[str, str]] = set()
         """(transition, id) of the tasks that reached the robot."""
         self._givers: Set[Tuple[str, str]] = set()
-        """Who has given this robot an order: name and proof."""
+        """The operators that gave this robot an order: name and proof."""
 
     def check(self) -> None:
         """Check the log. :raises BrokenRuleError: a rule is broken."""
@@ -181,7 +183,7 @@ class RobotCheck:
             kind = record["kind"]
             given_up = (given_up or i in differs) and kind != "reset"
             if kind in ("invoked", "private") and _origin(record) in known:
-                raise BrokenRuleError(4, "%s came up twice" % _name(_origin(record)))
+                raise BrokenRuleError(4, "%s was proposed twice" % _name(_origin(record)))
             if kind in ("invoked", "private"):
                 known[_origin(record)] = record
                 self._ordered(_origin(record), record["entry"])
@@ -230,11 +232,12 @@ class RobotCheck:
             self._goal(record)
 
     def _ordered(self, origin: LoggedOrigin, entry: Record) -> None:
-        """Check that whoever a proposal names as its giver had given this robot an order."""
+        """Check that the operator named by a proposal had given this robot an order."""
         by = entry.get("by")
         if by is not None and tuple(by) not in self._givers:
             raise BrokenRuleError(
-                4, "%s names '%s', who had given %s no order" % (_name(origin), by[0], self.robot)
+                4,
+                "%s names '%s', who had not given %s an order" % (_name(origin), by[0], self.robot),
             )
 
     @property
@@ -253,7 +256,7 @@ class RobotCheck:
         if not over and at is not None and not at[4].gone:
             raise BrokenRuleError(
                 10,
-                "the local transition %s was taken back, though the robot was never lost"
+                "the local transition %s was withdrawn, although the robot was never lost"
                 % _name(origin),
             )
 
@@ -267,13 +270,13 @@ class RobotCheck:
             private = record["kind"] == "private"
             if private and origin not in self._void and self.proposals.newest_before(origin):
                 raise BrokenRuleError(
-                    4, "%s was acknowledged, but was passed over in the log" % _name(origin)
+                    4, "%s was acknowledged, but skipped in the log" % _name(origin)
                 )
             if origin not in self._void and not self.proposals.overtaken(origin):
                 self.open.append(origin)
         elif where[1] != record["entry"]:
             raise BrokenRuleError(
-                4, "%s is in slot %d as something else" % (_name(origin), where[0])
+                4, "slot %d contains a different entry in place of %s" % (_name(origin), where[0])
             )
         elif record["kind"] == "private":
             self._merged_transition(origin, record, where[0])
@@ -289,8 +292,8 @@ class RobotCheck:
         return None if at is None else at[:5]
 
     def _follow(self) -> None:
-        """The log has grown. Where it has the first of the local transitions as they were made, the
-        robot stays where it is."""
+        """Process an extension of the log. If it contains the first local transitions as they were
+        made, the robot's position is unchanged."""
         while self._ahead and self._in_log(next(iter(self._ahead))):
             _, (entry, firing) = self._ahead.popitem(last=False)
             target = firing["moves"][0][2]
@@ -312,7 +315,7 @@ class RobotCheck:
         return self._at
 
     def _step(self, entry: Record, firing: Record) -> None:
-        """The robot has made a local transition."""
+        """Process a local transition of the robot."""
         target = firing["moves"][0][2]
         self._entered[target] += 1
         if self._at is None:
@@ -352,7 +355,7 @@ class RobotCheck:
         return {p: n for p, n in marking.items() if n}
 
     def _check_local(self, what: str, place: str, firing: Record) -> None:
-        """Check that the transition moves this robot from its place and touches nothing else."""
+        """Check that the transition moves this robot from its place and changes nothing else."""
         arcs = [a for a in self._plan.net.arcs if firing["transition"] in (a.source, a.target)]
         inputs = [a for a in arcs if a.target == firing["transition"]]
         outputs = [a for a in arcs if a.source == firing["transition"]]
@@ -376,7 +379,7 @@ class RobotCheck:
         before = self.situations[slot - 1].get(self.robot) if slot else None
         after = self.situations[slot].get(self.robot)
         if origin in self._void or (before and before.phase.gone) or (after and after.phase.gone):
-            return  # void: it got into the log after the robot was lost
+            return  # void, because it entered the log after the robot was lost
         if self._lost:
             return
         mine = record["firing"]
@@ -397,24 +400,24 @@ class RobotCheck:
         if (record["place"], *key) != at[:4]:
             raise BrokenRuleError(
                 8,
-                "%s in %s, but it is in %s at visit %d, attempt %d"
+                "%s in %s, but the robot is in %s at visit %d, attempt %d"
                 % (what, record["place"], at[0], at[2], at[3]),
             )
         if key in self._goals:
-            raise BrokenRuleError(8, "%s went out twice" % what)
+            raise BrokenRuleError(8, "%s was sent twice" % what)
         self._memory(record, what, at[0])
         self._goals.add(key)
         self._last_goal = key
 
     def _memory(self, record: Record, what: str, place: str) -> None:
-        """Check that the action reads what the log had before it, and continues the visit that it
-        should; rule 11."""
+        """Check that the action reads the data that the log had before it, and continues the right
+        visit; rule 11."""
         if not self._plan.events and "reads" not in record:
-            return  # a log of a version before data
+            return  # a log of a version without data
         memory = self.situations[self._length - 1][self.robot].memory
         data = memory.data()
         if record.get("reads", "") != (digest(data) if data else ""):
-            raise BrokenRuleError(11, "%s reads other data than is in the log before it" % what)
+            raise BrokenRuleError(11, "%s reads data that differs from the log before it" % what)
         if not self._ahead:
             expected = memory.resumed_from
         else:
@@ -423,9 +426,9 @@ class RobotCheck:
             raise BrokenRuleError(11, "%s does not continue visit %d" % (what, expected))
 
     def check_tasks_at_end(self, stages: LoggedStages) -> None:
-        """Check that every task that reached the robot is in the agreed log; rule 9. A plan that
-        the team adopted may take no more tasks by a transition: those that were on their way are
-        refused then. Call this only for robots whose nodes are up and take part."""
+        """Check that every task that reached the robot is in the agreed log; rule 9. Under an
+        adopted plan, a transition may take no more tasks; pending ones are then refused. Call this
+        only for robots whose nodes are up and take part."""
         there = {(stages.present_name(t), task) for t, task in self.proposals.tasks}
         offered = {
             (stages.present_name(t), task) for t, task in self._offered if t not in stages.closed
@@ -433,12 +436,12 @@ class RobotCheck:
         missing = [task for _, task in sorted(offered - there)]
         if missing:
             raise BrokenRuleError(
-                9, "task %s reached %s, and is not in the log" % (missing[0], self.robot)
+                9, "task %s reached %s, but is not in the log" % (missing[0], self.robot)
             )
 
     def check_goal_at_end(self) -> None:
-        """Check that the robot runs the action that it should, if its log has all slots; rule 8.
-        Call this only for robots whose nodes are up and take part."""
+        """Check that the robot runs the right action, if its log has all slots; rule 8. Call this
+        only for robots whose nodes are up and take part."""
         at = self._position()
         if self._length != len(self.situations) or at is None or at[4] is not Phase.DOING:
             return

@@ -1,7 +1,7 @@
 """A second implementation of the rules: checks on the net whether the firings of a log are
 possible.
 
-It shares no code with the token game: it does not compute what must happen, but checks whether the
+It shares no code with the token game. Instead of computing what must happen, it checks whether the
 rules (``docs/semantics.md``) allow what the log records.
 """
 
@@ -23,7 +23,7 @@ from gspn_framework_package.model.plan import Plan
 NO_EVENT = EventSource()
 
 CYCLE = 10_000
-"""This many firings after one entry end the run (a timeless cycle)."""
+"""Number of firings after one entry that ends the run (a timeless cycle)."""
 
 
 class BrokenRuleError(Exception):
@@ -77,7 +77,7 @@ class SlotCheck(LoggedTeam):
                 break
             direct = self._apply(entry)
             since = 0
-            of_entry = int(direct is not None)  # its own firing does not count
+            of_entry = int(direct is not None)  # excluding the firing of the entry itself
             while at < len(firings) and since < CYCLE + of_entry:
                 if self.ended is None and not (direct and since == 0):
                     self._look_at_until()
@@ -92,11 +92,11 @@ class SlotCheck(LoggedTeam):
                 since += 1
             if direct and not since and not self.perhaps_ended:
                 raise BrokenRuleError(
-                    7, "slot %d: %s is due, and does not fire" % (slot, direct.transition)
+                    7, "slot %d: %s is due, but does not fire" % (slot, direct.transition)
                 )
             self._settled(slot, since - of_entry, firings[at] if at < len(firings) else None)
         if at < len(firings):
-            why = self._why_not(firings[at], None) or "no entry of the slot leads to it"
+            why = self._why_not(firings[at], None) or "no entry of the slot causes it"
             raise BrokenRuleError(
                 2,
                 "slot %d, firing %d: %s fires, but %s"
@@ -108,7 +108,7 @@ class SlotCheck(LoggedTeam):
         """Check that no firing that was due is missing, and note whether the run is over.
 
         :param fired: the number of firings after the entry.
-        :param following: the next recorded firing, which was not possible here; None if there is
+        :param following: the next recorded firing, which is not possible here; None if there is
             none.
         """
         if self.ended is None:
@@ -127,7 +127,7 @@ class SlotCheck(LoggedTeam):
                 )
             if due:
                 raise BrokenRuleError(
-                    7, "slot %d: %s is due, and does not fire" % (slot, " and ".join(due))
+                    7, "slot %d: %s is due, but does not fire" % (slot, " and ".join(due))
                 )
         here = [r for r in self.robots.values() if r.here]
         if self.ended is None and here and all(r.phase is Phase.INACTIVE for r in here):
@@ -140,8 +140,8 @@ class SlotCheck(LoggedTeam):
                 self.ended = "until"
 
     def _due(self) -> List[str]:
-        """Transitions that should have fired: immediate ones with only resource inputs, those that
-        robots named, and else events that are held, and else tasks that wait."""
+        """Transitions that should have fired: immediate ones with only resource inputs and those
+        that robots named; if there are none, held events; if there are none, waiting tasks."""
         due = [t for t in self.spontaneous if self._has_concession(t)]
         for robot in self._waiting():
             if robot.asks is not None and self._may_fire(robot.asks):
@@ -149,13 +149,13 @@ class SlotCheck(LoggedTeam):
         return due or self._held() or self._waiting_tasks()[:1]
 
     def _held(self) -> List[str]:
-        """The events that are held and can interrupt a robot."""
+        """The held events that can interrupt a robot."""
         return [
             t for r in self.robots.values() if r.here for t in r.held if self._may_interrupt(r, t)
         ]
 
     def _waiting_tasks(self) -> List[str]:
-        """The transitions by which a task can come in, that of the oldest first."""
+        """The transitions through which a waiting task can arrive, that of the oldest first."""
         return [t for t, _ in self.cargo.outside if self._has_concession(t)]
 
     def _conserved(self, slot: int) -> None:
@@ -178,7 +178,7 @@ class SlotCheck(LoggedTeam):
 
     def _why_not(self, firing: Record, direct: Optional[Direct]) -> str:
         """Why a firing is not possible now; "" if it is. ``direct``: the firing that the preceding
-        entry brings about."""
+        entry causes."""
         t = firing.get("transition", "")
         if t not in self.kind:
             return "the net has no transition '%s'" % t
@@ -194,20 +194,20 @@ class SlotCheck(LoggedTeam):
                 return self._why_not_event(firing, t, name, direct.cause)
             return self._why_not_moved(firing, t)
         if t not in self.spontaneous and any(self._has_concession(s) for s in self.spontaneous):
-            return "an immediate transition of resources goes first"
+            return "an immediate transition of resources takes precedence"
         robot = self.robots.get(name)
         if robot is not None and self._is_held(robot, t):
             if self._asked():
-                return "a robot that is done goes before an event that is held"
+                return "a robot that is done takes precedence over a held event"
             return self._why_not_event(firing, t, name, robot.held[t])
         if firing.get("cause"):
-            return "no event of this cause came"
+            return "no event with this cause occurred"
         if not name and t not in self.spontaneous:
             return self._why_not_task(firing, t)
         return self._why_not_robots(firing, t, name)
 
     def _is_held(self, robot: LoggedRobot, t: str) -> bool:
-        """Whether ``t`` takes the robot along because its event is held."""
+        """Whether ``t`` interrupts the robot because its event is held."""
         asks = robot.phase is Phase.DONE and t in (robot.asks, robot.may_ask)
         return t in robot.held and not (asks and not robot.paused)
 
@@ -216,24 +216,24 @@ class SlotCheck(LoggedTeam):
         return any(r.asks is not None and self._may_fire(r.asks) for r in self._waiting())
 
     def _why_not_task(self, firing: Record, t: str) -> str:
-        """Why no task comes in by ``t`` now."""
+        """Why no task arrives through ``t`` now."""
         tasks = self._waiting_tasks()
         if t not in tasks:
-            return "no robot asked for it, and no task waits for it"
+            return "no robot asked for it, and no task is waiting for it"
         if tasks[0] != t:
             return "an older task waits for %s" % tasks[0]
         if self._asked() or self._held():
-            return "robots go before a task that comes in"
+            return "robots take precedence over an arriving task"
         return self._why_not_moved(firing, t)
 
     def _why_not_moved(self, firing: Record, t: str) -> str:
         return self._why_not_robots(firing, t, "")
 
     def _why_not_event(self, firing: Record, t: str, name: str, cause: Mapping[str, Any]) -> str:
-        """Why the event of ``t`` does not take this robot along, for this cause."""
+        """Why the event of ``t`` does not interrupt this robot with this cause."""
         robot = self.robots.get(name)
         if robot is None or not robot.here or robot.place not in self.inputs[t]:
-            return "%s is not where its event is" % name
+            return "%s is not in the place of the event" % name
         if robot.paused:
             return "%s is paused" % name
         if (firing["incarnation"], firing["visit"]) != (robot.incarnation, robot.visit):
@@ -242,7 +242,7 @@ class SlotCheck(LoggedTeam):
         if firing.get("cause", {}) != cause:
             return "its cause is %s" % dict(cause)
         if movers != [(name, robot.place, robot.visit + 1)]:
-            return "the event moves %s alone" % name
+            return "the event moves only %s" % name
         return self._why_not_targets(firing, t)
 
     def _why_not_robots(self, firing: Record, t: str, requester: str) -> str:
@@ -266,12 +266,12 @@ class SlotCheck(LoggedTeam):
             if len(movers) != n:
                 return "it takes %d robots of %s, not %d" % (len(movers), place, n)
             if any(r not in free for r in movers):
-                return "a robot of %s asked for something else" % place
+                return "a robot in %s asked for something else" % place
             first = free[:n]
             if any(r.name == requester for r in free[n:]) and requester:
                 first = [*free[: n - 1], self.robots[requester]]
             if {r.name for r in movers} != {r.name for r in first}:
-                return "robots that were done earlier in %s are passed over" % place
+                return "robots that were done earlier in %s are skipped" % place
         if taken:
             return "it takes robots of %s" % ", ".join(taken)
         return self._why_not_targets(firing, t) or self._why_not_requester(firing, t, requester)
@@ -308,7 +308,7 @@ class SlotCheck(LoggedTeam):
     def _why_not_policy(self, firing: Record, t: str, robot: LoggedRobot) -> str:
         choices = self._choices(robot)
         if not choices:
-            return "the policy gives %s nothing to do" % robot.name
+            return "the policy makes %s wait" % robot.name
         drawn = firing.get("drawn")
         if not drawn:
             return "no draw is recorded"
@@ -321,9 +321,9 @@ class SlotCheck(LoggedTeam):
         return "" if chosen == t else "the policy's draw is %s" % chosen
 
     def _choices(self, robot: LoggedRobot) -> List[Tuple[str, float]]:
-        """The choices that the policy gives the robot: those of the most specific matching row with
-        a transition that leaves its place, or without any (then the robot waits); if no row matches
-        and the plan is not strict, the weights."""
+        """The choices that the policy gives the robot: those of the most specific matching row that
+        has a transition leaving its place or has none at all (then the robot waits); if no row
+        matches and the plan is not strict, the weights."""
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
         best: Optional[Tuple[int, int, List[Tuple[str, float]]]] = None
         matches = False
@@ -381,7 +381,7 @@ class SlotCheck(LoggedTeam):
                 continue
             if source is None:
                 if not self.agents or name in self.robots:
-                    raise BrokenRuleError(3, "%s brings %s into being" % (where, name))
+                    raise BrokenRuleError(3, "%s creates %s" % (where, name))
                 self.robots[name] = LoggedRobot(name, target, 0)
             robot = self.robots[name]
             robot.place, robot.visit, robot.may_ask = target, visit, None
@@ -390,7 +390,7 @@ class SlotCheck(LoggedTeam):
             self._enter(robot)
 
     def _note_interrupt(self, firing: Record, direct: Optional[Direct]) -> None:
-        """Note the visit that an event interrupts, where a later one may continue it."""
+        """Note the visit that an event interrupts, if a later one may continue it."""
         t, robot = firing["transition"], self.robots.get(firing.get("robot", ""))
         if robot is None or not self.plan.events.get(t, NO_EVENT).resume:
             return
@@ -398,7 +398,7 @@ class SlotCheck(LoggedTeam):
             robot.interrupted = {**robot.interrupted, robot.place: robot.visit}
 
     def _pass_tasks(self, slot: int, index: int, firing: Record, direct: Optional[Direct]) -> None:
-        """Move the tasks as the firing says; rule 11."""
+        """Move the tasks as the firing records; rule 11."""
         t, cargo = firing["transition"], self.cargo
         robots = [
             (name, target is not None) for name, source, target, _ in firing["moves"] if source
@@ -410,7 +410,7 @@ class SlotCheck(LoggedTeam):
         if sorted(expected) != sorted(recorded):
             raise BrokenRuleError(
                 11,
-                "slot %d, firing %d (%s) passes the tasks on as %s, not as %s"
+                "slot %d, firing %d (%s) moves the tasks as %s, not as %s"
                 % (slot, index, t, recorded, expected),
             )
 

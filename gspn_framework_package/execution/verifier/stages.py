@@ -22,7 +22,7 @@ _read: Kept[str, Plan] = Kept(8)
 
 
 class Speaker(Protocol):
-    """What is needed of a robot whose vote may count."""
+    """The interface of a robot whose vote may count."""
 
     incarnation: int
 
@@ -32,7 +32,7 @@ class Speaker(Protocol):
 
 
 class DeployedTeam(Protocol):
-    """What is needed of a team that may adopt another plan."""
+    """The interface of a team that may adopt another plan."""
 
     plan: Plan
     marking: Dict[str, int]
@@ -47,7 +47,7 @@ class DeployedTeam(Protocol):
 
 
 def starting_place(plan: Plan, robot: str) -> str:
-    """Where a robot of that name starts under a plan."""
+    """The place where a robot of this name starts under a plan."""
     for spec in plan.robots:
         if spec.name == robot:
             return spec.place
@@ -55,9 +55,9 @@ def starting_place(plan: Plan, robot: str) -> str:
 
 
 class LoggedStages:
-    """The staged plan of a run, the votes on it, and the names that plans changed.
+    """The staged plan of a run, the votes on it, and the names changed by plans.
 
-    :param agents: whether this is a standalone run, in which the executor ("") alone votes.
+    :param agents: whether this is a standalone run, in which only the executor ("") votes.
     """
 
     def __init__(self, agents: bool) -> None:
@@ -68,17 +68,17 @@ class LoggedStages:
         self._called: Dict[str, str] = {}
         """Name in an earlier plan -> name in the present one, if the latter has no such node."""
         self.closed: Set[str] = set()
-        """The transitions by which tasks came in under a plan, and no more under the next, by all
-        names that they had."""
+        """The transitions that took tasks under a plan but not under the next, by all their
+        names."""
         self.plans: List[Plan] = []
         """The plans that were adopted, in order."""
 
     def present_name(self, node: str) -> str:
-        """What a place or transition of this or an earlier plan is called now."""
+        """The present name of a place or transition of this or an earlier plan."""
         return self._called.get(node, node)
 
     def in_present_names(self, entry: log_entries.Entry) -> log_entries.Entry:
-        """The entry with the names of the present plan: what was under way when it was adopted used
+        """The entry with the names of the present plan: entries pending when it was adopted use
         those of an earlier one."""
         if not self._called:
             return entry
@@ -97,7 +97,7 @@ class LoggedStages:
         robot: Optional[Speaker],
         witnesses: Sequence[str],
     ) -> None:
-        """Take in what an entry says about staged plans.
+        """Process an entry about staged plans.
 
         :param robot: the robot that it names.
         """
@@ -117,15 +117,16 @@ class LoggedStages:
                 self._votes[entry.robot] = (entry.incarnation, entry.why)
 
     def joins(self, robot: str, witnesses: Sequence[str]) -> None:
-        """A robot or witness joins: what a witness said in an earlier life does not count."""
+        """Handle a join of a robot or witness: a witness's vote in an earlier incarnation does not
+        count."""
         if robot in witnesses:
             self._votes.pop(robot, None)
 
     def adopted(
         self, entry: log_entries.Adopt, team: DeployedTeam
     ) -> Optional[Tuple[Plan, Mapping[str, str]]]:
-        """The plan that the team goes on with, and what the names of the old one are called in it;
-        None where the rules do not allow it."""
+        """The plan that the team adopts, and the new names for those of the old plan; None if the
+        rules do not allow it."""
         staged = self._staged
         if staged is None or entry.stage != self._count or not self._all_agree(team):
             return None
@@ -140,7 +141,7 @@ class LoggedStages:
         self._called = {
             a: b for a, b in {**chain, **staged.mapping}.items() if a not in nodes and b
         }
-        # of a dropped place nothing is left, not even under its old name
+        # a dropped place is gone, even under its old name
         called = {a: b or "\0" for a, b in staged.mapping.items()}
         self._staged, self._votes = None, {}
         self.plans.append(new)
@@ -167,7 +168,7 @@ class LoggedStages:
 
 
 def _fits(team: DeployedTeam, new: Plan, mapping: Mapping[str, str]) -> bool:
-    """Whether a team may go on under a plan from where it is."""
+    """Whether the state of a team fits a plan."""
     old = team.plan
 
     def fixed(plan: Plan) -> Tuple[object, ...]:

@@ -27,8 +27,8 @@ class Vote(NamedTuple):
 
 
 Lost = Tuple[str, int, float]
-"""A robot whose machine lost power, its open slot then, and the one from which on it has all of its
-votes again: those in between may have been lost."""
+"""A robot whose machine lost power, its open slot at that time, and the slot from which on its
+votes are complete again: votes in between may have been lost."""
 
 
 Off = Tuple[str, Optional[int]]
@@ -47,7 +47,7 @@ def check_votes(
     :param merged: the agreed log.
     :param members: for each slot, the names of its voters.
     :param situations: for each slot, the situations of the robots after it.
-    :param complete: whether every vote is there, because no log is missing or incomplete.
+    :param complete: whether every vote is recorded, because no log is missing or incomplete.
     :raises BrokenRuleError: an acceptor broke a promise, a robot without a vote voted, or a slot
         was decided without a quorum.
     """
@@ -61,7 +61,7 @@ def check_votes(
             known = voters.setdefault((vote_slot, log.robot), (number, memory))
             if known != (number, memory):
                 raise BrokenRuleError(
-                    1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot)
+                    1, "%s votes in slot %d from two memories" % (log.robot, vote_slot)
                 )
         asserted.append((log.robot, _asserted(log)))
         lost += _lost(log)
@@ -159,8 +159,8 @@ def _ballot(value: Any) -> _Ballot:
 
 
 def _given_up(number: int, at: int, log: EventLog, merged: Merged) -> bool:
-    """Whether the operator gave up a vote: the log diverged from the agreed one before it, without
-    a reset in between."""
+    """Whether the operator gave up a vote: the log diverged from the agreed log earlier, without a
+    reset in between."""
     anew = (
         max((i for i in range(at) if log.records[i]["kind"] == "reset"), default=-1)
         if merged.void
@@ -190,7 +190,7 @@ def _quorum(
 ) -> None:
     record = merged.slots[slot]
     if "ballot" not in record:
-        raise BrokenRuleError(1, "slot %d does not say under which ballot it was decided" % slot)
+        raise BrokenRuleError(1, "slot %d does not record the ballot that decided it" % slot)
     if not complete:
         return
     evicted = {e["robot"] for e in record["entries"] if e["entry"] == "evict" and e.get("forced")}
@@ -218,7 +218,7 @@ def _quorum(
                 chosen.add(ballot)
         perhaps = perhaps or decides
     if not chosen and perhaps:
-        return  # by votes that were lost with the power supply
+        return  # decided by votes that were lost in a power loss
     if not chosen:
         raise BrokenRuleError(
             1,
@@ -226,16 +226,16 @@ def _quorum(
             % (slot, ", ".join(members), ", ".join(sorted(by_robot)) or "none"),
         )
     first = min(chosen)
-    # whoever knew that a quorum is off did not have to ask it
+    # a robot that knew that a quorum is off did not have to ask it
     misled = {r for r, those in assertions if not _is_quorum(set(members) - those, members)}
     for robot, votes in by_robot.items():
         if robot in evicted:
-            continue  # it was off, and its vote may be one for an attempt that was lost
+            continue  # it was off, and its vote may be for an attempt that was lost
         for ballot, batch, _ in votes:
             if ballot > first and ballot[1] not in misled and not _leads_to(batch, record):
                 raise BrokenRuleError(
                     1,
-                    "%s accepted another batch for slot %d under ballot %s, after one was chosen "
+                    "%s accepted another batch for slot %d under ballot %s after one was chosen "
                     "under %s" % (robot, slot, list(ballot), list(first)),
                 )
 
@@ -250,9 +250,9 @@ def _leads_to(batch: str, record: Record) -> bool:
 
 
 def _may_decide(voters: Set[str], members: Sequence[str], off: Sequence[Set[str]]) -> bool:
-    """Whether the voters can decide: they are a quorum, or they include all remaining members where
-    the robots that were asserted to be off (in one of the logs), and that the slot evicts by force,
-    leave no quorum."""
+    """Whether the voters can decide: they are a quorum, or, if the robots that were asserted to be
+    off (in one of the logs) and that the slot evicts by force leave no quorum, they include all
+    remaining members."""
     if _is_quorum(voters, members):
         return True
     return any(

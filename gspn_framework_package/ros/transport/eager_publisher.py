@@ -14,7 +14,7 @@ from rospy.topics import _PublisherImpl
 from gspn_framework_package.ros.transport.registration import registered_together
 
 QUEUE_LIMIT = 1000
-"""Maximum number of messages that wait for a stuck subscriber; then the oldest is dropped."""
+"""Maximum number of messages queued for a stuck subscriber; beyond it, the oldest is dropped."""
 
 
 def eager_publisher(name: str, data_class: Any) -> Any:
@@ -27,7 +27,7 @@ def eager_publisher(name: str, data_class: Any) -> Any:
     :param name: the name of the topic; no other publisher of this node may use it.
     :param data_class: the class of its messages.
     """
-    with registered_together():  # nobody connects before the end of the block
+    with registered_together():  # no subscriber connects before the end of the block
         publisher = rospy.Publisher(name, data_class, queue_size=QUEUE_LIMIT)
         implementation = publisher.impl
         implementation.queue_size = None

@@ -14,7 +14,7 @@ class Ending:
     """A signal-safe ``threading.Event``.
 
     ``threading.Event`` can deadlock when a handler calls ``set()`` during another ``set()``. A main
-    thread that waits for it may also sleep on when two signals reach two threads at once, as
+    thread that waits for it may also fail to wake up when two signals reach two threads at once, as
     roslaunch and ``gspn_team`` send them (this happened in 13 of 60 processes that got SIGINT and
     SIGTERM together). This class therefore uses a flag and a pipe: the C signal handler itself
     writes to the pipe, in whichever thread it runs.
@@ -40,7 +40,7 @@ class Ending:
         self.set()
 
     def set(self) -> None:
-        """Say that the process should end. May be called at any time, from any thread."""
+        """Request that the process ends. May be called at any time, from any thread."""
         self._set = True
         with contextlib.suppress(BlockingIOError):  # the pipe is full, which also wakes up waiters
             os.write(self._writer, b"\0")
@@ -50,7 +50,7 @@ class Ending:
         return self._set
 
     def wait(self, timeout: Optional[float] = None) -> bool:
-        """Wait at most ``timeout`` seconds until the process should end; returns whether it
+        """Wait up to ``timeout`` seconds until the process should end; returns whether it
         should."""
         deadline = None if timeout is None else time.monotonic() + timeout
         poll = select.poll()

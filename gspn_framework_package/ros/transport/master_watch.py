@@ -17,12 +17,12 @@ from gspn_framework_package.ros.transport.registration import (
 
 
 class MasterWatch:
-    """Asks the master for its process id every ``period`` seconds. A new master has no
-    registrations, and rospy does not register again by itself. Connected topics and persistent
-    service calls keep working meanwhile.
+    """Queries the master's process id every ``period`` seconds. A new master has no registrations,
+    and rospy does not register again by itself. Connected topics and persistent service calls keep
+    working in the meantime.
 
     :param period: seconds between two checks.
-    :ivar present: whether the master answered last time.
+    :ivar present: whether the master answered the last time.
     """
 
     def __init__(self, period: float = 2.0) -> None:
@@ -51,7 +51,7 @@ class MasterWatch:
             answer: Any = master_proxy().getPid(rospy.get_name())
         except MASTER_ERRORS:
             if self.present:
-                rospy.logwarn("the ROS master does not answer; what is connected goes on")
+                rospy.logwarn("the ROS master does not answer; existing connections keep working")
             self.present = False
             return
         pid = answer[2]
@@ -62,7 +62,7 @@ class MasterWatch:
             elif not self.present:
                 rospy.loginfo("the ROS master answers again")
         except MASTER_ERRORS as error:
-            rospy.logwarn("registering again failed (%s); will try once more", error)
+            rospy.logwarn("registering again failed (%s); will retry", error)
             return
         self._pid = pid
         self.present = True

@@ -3,7 +3,7 @@ one line."""
 
 from __future__ import annotations
 
-# rospy imports some of these when a node starts: the nodes of a team share what is imported before
+# rospy imports some of these when a node starts; imported here, the nodes of a team share them
 import configparser  # noqa: F401
 import contextlib
 import encodings.ascii  # noqa: F401
@@ -35,8 +35,7 @@ ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
 """The exceptions that may end a node; they are reported in one line."""
 
 SHUTDOWN_TIME = 5.0
-"""Seconds that the node has to unregister at its end; it does not wait longer for a master that
-does not answer."""
+"""Seconds that the node has to unregister at its end, even if the master does not answer."""
 
 
 def run_node(
@@ -45,10 +44,10 @@ def run_node(
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
 
     :param name: the default name of the node.
-    :param body: the node's work; its argument says when the node should end. Its :data:`ERRORS` are
-      reported in one line.
-    :param before: called when the master answers, before the node registers its name, which would
-      end another node with that name.
+    :param body: the node's work; its argument signals when the node should end. Its :data:`ERRORS`
+      are reported in one line.
+    :param before: called once the master answers, before the node registers its name, which would
+        end another node of that name.
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
     """
     raise_descriptor_limit()
@@ -81,9 +80,9 @@ def run_node(
 
 
 def _await_shutdown() -> None:
-    """Wait until another thread has shut down the node, if one is doing so. After ``rosnode kill``,
-    rospy unregisters the node on a thread that dies with the process; without this wait, the master
-    could list the node indefinitely."""
+    """If another thread is shutting down the node, wait until it has finished. After ``rosnode
+    kill``, rospy unregisters the node on a thread that dies with the process; without this wait,
+    the master could list the node indefinitely."""
     if rospy.core._shutdown_lock.acquire(timeout=SHUTDOWN_TIME):
         rospy.core._shutdown_lock.release()
 
@@ -130,8 +129,8 @@ def be_node(name: str, namespace: str) -> None:
 
 def connect_once() -> None:
     """Let a node connect to a publisher of a topic once. When others start at the same time, the
-    master tells of a publisher several times in a moment; rospy then connects as often, and cuts
-    off all but the last, at which the publisher complains of an inbound connection that failed."""
+    master announces a publisher several times in a moment; rospy then connects several times and
+    drops all but the last connection, and the publisher logs a failed inbound connection."""
     connect: Callable[[ROSHandler, str, str], Any] = ROSHandler._connect_topic
     connecting: MutableMapping[Tuple[str, str], Any] = weakref.WeakValueDictionary()
     mutex = threading.Lock()
@@ -172,7 +171,7 @@ def await_master(ending: Ending) -> None:
         except MASTER_ERRORS as error:
             if not told:
                 print(
-                    "waits for the ROS master at %s (%s)" % (rosgraph.get_master_uri(), error),
+                    "waiting for the ROS master at %s (%s)" % (rosgraph.get_master_uri(), error),
                     file=sys.stderr,
                 )
             told = True
@@ -229,8 +228,8 @@ def publish_log_lines_on_a_thread() -> None:
 
 
 def accept_many_connections() -> None:
-    """Let a whole team connect to this node at once. rospy lets only five connections wait; it
-    drops the sixth, and that robot tries again after a second, or three."""
+    """Let a whole team connect to this node at once. rospy queues only five pending connections; it
+    drops the sixth, and that robot retries after one to three seconds."""
     tcpros_base.start_tcpros_server()
     tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(1024)
 

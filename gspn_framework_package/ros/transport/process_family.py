@@ -1,5 +1,4 @@
-"""Processes that are forked from one parent, which has imported everything, and that end with
-it."""
+"""Processes forked from one parent, which has imported everything, and ended with it."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ import time
 import traceback
 from typing import Callable, Dict, List, NamedTuple, NoReturn, Optional
 
-if __name__ != "__main__":  # the program that only waits has none of the package
+if __name__ != "__main__":  # the waiting program must not import the package
     from gspn_framework_package.execution.parent_death import end_with_parent
 
 ENDING_PATIENCE = 10.0
@@ -40,9 +39,9 @@ def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     process is killed, they also get SIGTERM.
 
     The parent must have no other thread: a fork does not copy other threads, only the locks that
-    they hold. Unless it has to restart processes, it becomes another program with the same process
-    id that only waits for them: it would keep its own copy of all memory that they have changed.
-    It does not return then, but exits with the code.
+    they hold. Unless it has to restart processes, the parent replaces itself with a program of the
+    same process id that only waits for them; otherwise it would keep its own copy of all memory
+    that they change. In that case it does not return, but exits with the code.
 
     :param members: the processes to start.
     :param respawn: whether a process is restarted when it ends, for whatever reason.
@@ -52,7 +51,7 @@ def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     if threading.active_count() > 1:
         raise RuntimeError("cannot fork: there are %d threads" % threading.active_count())
     gc.collect()
-    gc.freeze()  # objects that exist now are shared: no collection should write to their pages
+    gc.freeze()  # existing objects are shared: garbage collection should not write to their pages
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
     try:
         return _Parent(members, ENDING_PATIENCE, respawn, mask).run()
@@ -83,8 +82,8 @@ class _Parent:
         return self.wait()
 
     def _become_small(self) -> None:
-        """Go on in a program without the modules of the processes: :func:`_wait_for`. The signals
-        are blocked there too, and what arrives meanwhile is pending."""
+        """Continue in a program without the modules of the processes: :func:`_wait_for`. The
+        signals remain blocked there, and those that arrive in the meantime stay pending."""
         names = json.dumps({pid: member.name for pid, member in self._running.items()})
         program = [
             sys.executable,
@@ -96,8 +95,8 @@ class _Parent:
         ]
         sys.stdout.flush()
         sys.stderr.flush()
-        with contextlib.suppress(OSError):  # then this process waits itself
-            os.execv(sys.executable, program + sys.argv)  # the words are for those who read 'ps'
+        with contextlib.suppress(OSError):  # on failure, this process waits itself
+            os.execv(sys.executable, program + sys.argv)  # extra words for the output of 'ps'
 
     def wait(self) -> int:
         """Wait until all processes have ended; returns the exit code of the family."""
@@ -136,7 +135,7 @@ class _Parent:
         try:
             family = end_with_parent(parent, signal.SIGTERM)
             signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)  # type: ignore[arg-type]
-            if family:  # otherwise it died before the call above took effect
+            if family:  # otherwise the parent died before the call above took effect
                 code = member.body()
         except BaseException:  # no code of the parent may run in the child
             traceback.print_exc()

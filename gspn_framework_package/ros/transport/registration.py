@@ -1,7 +1,7 @@
 """Registers topics and services with the ROS master together, instead of with one call for each.
 
 rospy calls the master once for every publisher, subscriber and service. A robot with a thousand
-action servers has five thousand of them; one after the other, they took over a minute.
+action servers has five thousand of them; one by one, they took over a minute.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rospy.impl.registration import (
 from gspn_framework_package.model.errors import ExecutionError
 
 CALLS = 500
-"""Maximum number of registrations in one request, so that the master can answer others between two
+"""Maximum number of registrations in one request, so that the master can serve others between two
 requests."""
 
 RETRY_AFTER = 0.2
@@ -75,7 +75,7 @@ def require_master(timeout: float = 2.0) -> None:
 
 
 def published_topics(timeout: float = 2.0) -> Dict[str, str]:
-    """Topic -> type, for the topics that somebody publishes; rospy's own function has no limit.
+    """Topic -> type, for published topics; rospy's own function has no time limit.
 
     :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
@@ -85,8 +85,8 @@ def published_topics(timeout: float = 2.0) -> Dict[str, str]:
 
 
 def topic_types(timeout: float = 2.0) -> Dict[str, str]:
-    """Topic -> type, for the topics that somebody publishes or subscribes. (The master remembers
-    the types of others as well.)
+    """Topic -> type, for topics with a publisher or subscriber. (The master also remembers the
+    types of others.)
 
     :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
@@ -108,7 +108,7 @@ def service_names(timeout: float = 2.0) -> List[str]:
 
 
 def subscribers(topic: str, timeout: float = 2.0) -> List[str]:
-    """The nodes that subscribe a topic.
+    """The nodes that subscribe to a topic.
 
     :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
@@ -118,8 +118,8 @@ def subscribers(topic: str, timeout: float = 2.0) -> List[str]:
 
 
 def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
-    """The parameter with this name that is nearest to this node; ``default`` if there is none or no
-    master answers."""
+    """The parameter with this name found by searching upwards from this node; ``default`` if there
+    is none or no master answers."""
     try:
         return nearest_parameter(name, rospy.get_name(), default, timeout)
     except MASTER_ERRORS:
@@ -127,7 +127,8 @@ def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
 
 
 def nearest_parameter(name: str, node: str, default: Any, timeout: float = 2.0) -> Any:
-    """The parameter with this name that is nearest to a node; ``default`` if there is none.
+    """The parameter with this name found by searching upwards from a node; ``default`` if there is
+    none.
 
     :param node: absolute name of the node.
     :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
@@ -142,8 +143,8 @@ def nearest_parameter(name: str, node: str, default: Any, timeout: float = 2.0) 
 
 @contextlib.contextmanager
 def registered_together() -> Iterator[None]:
-    """Register all topics and services made inside the ``with`` block at its end, with as few calls
-    as possible. Like rospy's own registrations, this waits until the master answers."""
+    """At the end of the ``with`` block, register all topics and services created inside it, with as
+    few calls as possible. Like rospy's own registrations, this waits until the master answers."""
     listeners = get_registration_listeners()
     collected = _Collected()
     with listeners.lock:

@@ -1,4 +1,4 @@
-"""One call of a ROS service that can be broken off, and a question for the type of a service."""
+"""A ROS service call that can be aborted, and a query of a service's type."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 
 RESPONSE_LIMIT = 1_000_000_000
-"""Most bytes of a response."""
+"""Maximum size of a response, in bytes."""
 
 
 class ServiceFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
@@ -30,8 +30,8 @@ class ServiceFailed(Exception):  # noqa: N818  # what it says, not a fault of th
 
 
 class ServiceCall:
-    """One call of a service. (rospy's ``ServiceProxy`` cannot be interrupted, and waits for a dead
-    host or a dead master for ever.)
+    """One call of a service. (rospy's ``ServiceProxy`` cannot be interrupted, and waits
+    indefinitely for a dead host or master.)
 
     :param name: absolute name of the service.
     """
@@ -47,15 +47,15 @@ class ServiceCall:
 
         :param uri: its address, ``rosrpc://host:port``.
         :param timeout: seconds that this may take.
-        :raises OSError: nobody answers there.
-        :raises ServiceFailed: the service is of another type.
+        :raises OSError: there is no answer.
+        :raises ServiceFailed: the service has another type.
         """
         connection = _connect(uri, timeout)
         with self._lock:
             self._socket = connection
             if self._closed:
                 connection.close()
-                raise OSError("the call was broken off")
+                raise OSError("the call was aborted")
         header = {"md5sum": self._class._md5sum, "type": self._class._type}
         answer = _shake_hands(connection, self._name, header)
         if "error" in answer:
@@ -65,7 +65,7 @@ class ServiceCall:
     def ask(self, request: genpy.Message) -> Any:
         """Send the request, and wait for the response; call :meth:`connect` first.
 
-        :raises ServiceFailed: the service raised an error, died, or answered what is no response.
+        :raises ServiceFailed: the service raised an error, died, or sent an invalid response.
         """
         buffer = io.BytesIO()
         request.serialize(buffer)
@@ -87,11 +87,11 @@ class ServiceCall:
         try:
             return self._class._response_class().deserialize(data)
         except genpy.DeserializationError as error:
-            text = "%s answered what is no response: %s" % (self._name, error)
+            text = "%s sent an invalid response: %s" % (self._name, error)
             raise ServiceFailed(Outcome.ABORTED, text) from None
 
     def close(self) -> None:
-        """Abandon the call, from any thread. The service may go on: it does not learn of it."""
+        """Abandon the call, from any thread. The service does not learn of it and may continue."""
         with self._lock:
             self._closed = True
             if self._socket is not None:
@@ -129,7 +129,7 @@ class ServiceType(NamedTuple):
 
 
 def service_type(name: str, timeout: float = 2.0) -> Optional[ServiceType]:
-    """The type of a service; None if nobody answers."""
+    """The type of a service; None if there is no answer."""
     uri = service_uri(name, timeout)
     if uri is None:
         return None
@@ -147,7 +147,7 @@ def _connect(uri: str, timeout: float) -> socket.socket:
         connection = socket.create_connection((address.hostname or "", address.port or 0), timeout)
     except ValueError as error:  # not a port
         raise OSError(str(error)) from None
-    # so that a host that has vanished is noticed, within half a minute
+    # detects a vanished host within half a minute
     for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3)):
         if hasattr(socket, option):
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
@@ -157,7 +157,8 @@ def _connect(uri: str, timeout: float) -> socket.socket:
 
 
 def _shake_hands(connection: socket.socket, name: str, header: Dict[str, str]) -> Dict[str, str]:
-    """Exchange the headers of the service protocol. :raises OSError: the other side does not."""
+    """Exchange the headers of the service protocol. :raises OSError: the other side does not answer
+    properly."""
     header = {"service": name, "callerid": rospy.get_name(), **header}
     try:
         rosgraph.network.write_ros_handshake_header(connection, header)

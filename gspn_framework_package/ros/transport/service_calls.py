@@ -1,4 +1,4 @@
-"""Service calls to other robots that end at a deadline, whatever the other side does."""
+"""Service calls to other robots that end by a deadline, whatever the other side does."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ServiceCalls:
     ) -> bool:
         """Call a service.
 
-        :param peer: name of the robot; each has its own threads.
+        :param peer: name of the robot; each robot has its own threads.
         :param uri: the address of its services, ``rosrpc://host:port``.
         :param service: absolute name of the service.
         :param answered: receives the response, on another thread; not called if the call fails.
@@ -83,7 +83,7 @@ class ServiceCalls:
 
 
 class _Line:
-    """A thread with persistent connections to the services of one peer, one call at a time."""
+    """A thread with persistent connections to the services of one peer, for one call at a time."""
 
     def __init__(self, owner: ServiceCalls, peer: str) -> None:
         self.busy = False

@@ -151,7 +151,7 @@ class FailuresTest(RobotTestCase):
         )
         robot = team.start()["robot_1"]
         self.assertEqual(robot.exit_code(), 1)
-        self.assertIn("no such action server: /robot_1/nobody_serves_this", robot.said())
+        self.assertIn("there is no action server /robot_1/nobody_serves_this", robot.said())
         self.assertNotIn("Traceback", robot.said())
 
     def test_12_servers_in_a_node_of_their_own_may_die_and_come_back(self):
@@ -229,7 +229,7 @@ class FailuresTest(RobotTestCase):
         )
         robot = team.start()["robot_1"]
         self.assertEqual(robot.exit_code(), 2)
-        self.assertIn("~server_timout: there is no such parameter", robot.said())
+        self.assertIn("~server_timout: unknown parameter", robot.said())
 
 
 if __name__ == "__main__":

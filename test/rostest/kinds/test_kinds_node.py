@@ -401,7 +401,7 @@ class KindsTest(RobotTestCase):
         started = []
         for action, words in (
             ({"command": ["true"]}, ["commands are not allowed", "allow_commands:=true"]),
-            ({"service": "nobody", "type": TRIGGER}, ["no such service: ", "/nobody"]),
+            ({"service": "nobody", "type": TRIGGER}, ["there is no service ", "/nobody"]),
             ({"service": "door", "type": TRIGGER}, ["is of type std_srvs/SetBool", "Trigger"]),
         ):
             plan = {

@@ -178,7 +178,7 @@ class ServicesTest(RobotTestCase):
             other = others.start()["robot_1"]
             self.assertEqual(other.exit_code(), 1)
             self.assertIn(
-                "/robot_1 is taken: robot_1 of run '%s' is at work there" % team.run, other.said()
+                "/robot_1 is taken: robot_1 of run '%s' is running there" % team.run, other.said()
             )
             self.assertTrue(robot_1.status()["active"])
 

@@ -95,7 +95,7 @@ def test_nominal_rates_of_an_ordinary_simulation(plans, capsys):
         ([], "there is no aim"),
         ([*TRIPS, "--timing", "net"], "as they run"),
         ([*TRIPS, "--batches", "5"], "--batches and --against exclude each other"),
-        ([*TRIPS, "--until", "trips >= 2"], "there is another one"),
+        ([*TRIPS, "--until", "trips >= 2"], "another aim is given"),
         (["--reward", "nowhere=1"], "'nowhere'"),
         (["--mean-time-to", "trips >"], "trips >"),
     ],
@@ -114,6 +114,6 @@ def test_what_is_no_comparison_is_refused(plans, tmp_path, capsys):
     if not net.exists():
         net = next((Path(__file__).parents[3] / "plans").rglob("*.xml"))
     assert main(["simulate", str(net), "--rates", "nominal", "--time", "5"]) == 2
-    assert "are for plans" in capsys.readouterr().err
+    assert "apply only to plans" in capsys.readouterr().err
     assert compare((str(net), plans[1]), *TRIPS) == 2
     assert "this is a net" in capsys.readouterr().err

@@ -237,7 +237,7 @@ def test_a_counter_that_nothing_feeds_does_not_keep_a_plan_from_its_beginning(ru
     plan["actions"] = {"A": None, "B": None, "Never": None}
     (tmp_path / "plan.json").write_text(json.dumps(plan))
     code, out, _ = run("analyse", tmp_path, "--no-structure", "--no-time")
-    assert code == 0 and "left out, because only written: Count" in out
+    assert code == 0 and "left out, because never read: Count" in out
     assert "reversible: yes" in out
 
 
@@ -269,7 +269,7 @@ def test_a_reason_is_reported_once_with_what_it_concerns(run):
         "transient",
         "mean_time_to.deadlock",
     ]
-    assert lines[-1].startswith("gspn simulate estimates")
+    assert lines[-1].startswith("gspn simulate can estimate")
     assert (
         "gspn simulate"
         not in run("analyse", PLANS / "patrol", "--limit", 100, "--no-structure", "--no-time")[1]
@@ -297,12 +297,12 @@ def test_conservative_says_what_is_counted(run):
         (["--reach", "nowhere > 0"], "there is no place 'nowhere'"),
         (["--reach", "free1 >"], "was expected at the end"),
         (["--mean-time-to", "free1"], "is a number, not a condition"),
-        (["--cover", "free1"], "NAME=NUMBER was expected"),
-        (["--cover", "free1=0.5"], "whole and not negative"),
+        (["--cover", "free1"], "expected NAME=NUMBER"),
+        (["--cover", "free1=0.5"], "must be a non-negative integer"),
         (["--cover", "nowhere=1"], "there is no place 'nowhere'"),
         (["--reward", "nowhere=1"], "there is no transition 'nowhere'"),
         (["--at", "-1"], "at least 0"),
-        (["--limit", "0"], "--limit 0: a limit is a number above 0"),
+        (["--limit", "0"], "--limit 0: a limit must be greater than 0"),
         (["--time-to-steady-state", "2"], "tolerance of 2"),
         (["--robots", "2"], "for plans"),
     ],

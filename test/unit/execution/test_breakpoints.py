@@ -228,8 +228,8 @@ def test_a_file_that_does_not_fit_changes_nothing_and_is_reported_once(tmp_path:
     "name, why",
     [
         ("Orders", "resource place"),
-        ("Idle", "no action: a robot goes on at once"),
-        ("take", "no action comes before it"),
+        ("Idle", "no action, so a robot leaves at once"),
+        ("take", "no action precedes it"),
         ("order", "moves no robot"),
         ("nothing", "no place or transition"),
     ],

@@ -188,7 +188,10 @@ def test_an_action_that_does_not_end_when_it_is_cancelled_is_reported(tmp_path: 
 
 @pytest.mark.parametrize(
     ("function", "text"),
-    [("broken", "failed: ValueError: no sensor"), ("odd", "failed: it returned 'yes', not True")],
+    [
+        ("broken", "failed: ValueError: no sensor"),
+        ("odd", "failed: the function returned 'yes', not True"),
+    ],
 )
 def test_a_function_that_fails_is_reported_once(tmp_path: Path, function: str, text: str) -> None:
     with Run(guard(tmp_path, function)) as run:
@@ -239,7 +242,7 @@ def test_tasks_are_submitted_once_by_id(tmp_path: Path) -> None:
         assert [r[3]["task.pose"] for r in run.parts.ran] == [1, 3]
         with pytest.raises(UsageError, match="'take' does not take tasks"):
             executor.submit("take")
-        with pytest.raises(DataError, match="'task.pose' is not a name"):
+        with pytest.raises(DataError, match="'task.pose' is not a valid name"):
             executor.submit("order", {"task.pose": 1})
         with pytest.raises(DataError, match="is not JSON"):
             executor.submit("order", {"pose": {1, 2}})

@@ -253,21 +253,21 @@ def test_every_member_has_to_say_yes_and_earlier_lives_and_stages_do_not_count()
     run = Run(_plan(_round("A", "B"), robots=("r1", "r2", "r3")))
     plan = _plan(_round("A", "B", "C"))
     run.stage(plan, votes=["r1", "r2"])
-    assert "r3 has not looked" in run.faults(run.adopt())
+    assert "r3 has not voted" in run.faults(run.adopt())
     run.vote(["r3"], "no such function")
     assert "r3 cannot follow the plan: no such function" in run.faults(run.adopt())
     run.slot(log_entries.Evict("r3", 0))
     run.slot(log_entries.Join("r2", 1, "A", "log2"))
-    assert "r2 has not looked" in run.faults(run.adopt())
+    assert "r2 has not voted" in run.faults(run.adopt())
     run.slot(log_entries.Staged("r2", 0, 1))  # what its earlier life had on the way
-    assert "r2 has not looked" in run.faults(run.adopt())
+    assert "r2 has not voted" in run.faults(run.adopt())
     run.slot(log_entries.Join("r4", 0, "A", "log4"))
     run.vote(["r2"])
-    assert "r4 has not looked" in run.faults(run.adopt())
+    assert "r4 has not voted" in run.faults(run.adopt())
     run.vote(["r4"])
     run.stage(plan, votes=["r1"])  # a newer stage: all start anew
     run.slot(log_entries.Staged("r2", 1, 1))
-    assert "r2 has not looked" in run.faults(run.adopt())
+    assert "r2 has not voted" in run.faults(run.adopt())
     assert "stage 1 is over" in run.faults(run.slot(log_entries.Adopt(1)))
     run.slot(log_entries.Unstage(2))
     assert "no plan is staged" in run.faults(run.adopt())
@@ -353,10 +353,10 @@ def test_what_a_running_team_cannot_change(change, text) -> None:
     "mapping, text",
     [
         ({"Z": "A"}, "no such place"),
-        ({"A": "Z"}, "does not have as a place"),
+        ({"A": "Z"}, "is not a place of the new net"),
         ({"A": ""}, "cannot be dropped"),
-        ({"A": "A_B"}, "does not have as a place"),
-        ({"A_B": "A"}, "does not have as a transition"),
+        ({"A": "A_B"}, "is not a place of the new net"),
+        ({"A_B": "A"}, "is not a transition of the new net"),
         ({"A_B": "B_A"}, "another 'A_B'"),
         ({"A": "tool"}, "is an action place"),
     ],
@@ -380,7 +380,7 @@ def test_in_a_standalone_run_the_executor_alone_looks_at_the_plan() -> None:
     run = Run(_plan(_round("A", "B")), agents=True)
     run.slot(plan_change.stage_of(_plan(_round("A", "B", "C")), {}))
     run.vote(["r1", "r2"])
-    assert "the executor has not looked" in run.faults(run.adopt())
+    assert "the executor has not voted" in run.faults(run.adopt())
     run.vote([""])
     assert not run.faults(run.adopt())
     run.check()

@@ -161,7 +161,7 @@ def test_a_folder_is_allowed_by_its_path(folder, capsys):
     assert main(["run", str(folder), "--quiet", "--modules", str(folder.parent / "outside")]) == 0
     assert main(["run", str(folder), "--quiet", "--modules", "./none"]) == 2
     assert "there is no folder './none'" in capsys.readouterr().err
-    with pytest.raises(UsageError, match="not the name of a module"):
+    with pytest.raises(UsageError, match="not a valid module name"):
         allow_modules(["not a module"])
 
 
@@ -188,7 +188,7 @@ def test_a_deployed_plan_cannot_take_any_folder_for_its_own(folder):
     other = folder.parent / "other"
     other.mkdir()
     for place in (STDLIB, str(folder.parent / "outside"), str(other)):
-        with pytest.raises(PlanError, match="not that of a plan"):
+        with pytest.raises(PlanError, match="does not contain a plan"):
             with_folder(plan, place, plan)
     (other / "better.json").write_text(json.dumps(plan_of("actions.go")))
     assert with_folder(plan, str(other), plan).folder == str(other)

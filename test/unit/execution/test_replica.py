@@ -682,7 +682,7 @@ def test_when_those_for_whom_the_policy_lets_others_wait_die_the_rows_of_the_res
         assert robots["r3"]["state"] == "Waiting"
         return str(robots["r3"]["waits_for"])
 
-    for dead, why in (("r1", "no policy row applies to Gate"), ("r2", "the policy lets it wait")):
+    for dead, why in (("r1", "no policy row applies to Gate"), ("r2", "the policy makes it wait")):
         world.run(world.now + 1.0)
         assert fired() == [] and reason().startswith(why)
         world.nodes[dead].crash()

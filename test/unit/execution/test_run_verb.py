@@ -90,7 +90,10 @@ def test_firings_that_one_event_sets_off_stay_together_and_that_is_said(tmp_path
     plan = write_chain(tmp_path, {"the limit of P4": "actions.fails"})
     assert main(["run", plan, "--firings", "1"]) == 0
     out, err = capsys.readouterr()
-    assert "ended: the limit of 1 firings (3 fired: one event sets off several); 3 firings" in out
+    assert (
+        "ended: the limit of 1 firings (3 fired, because an event may cause several); 3 firings"
+        in out
+    )
     assert "fault" not in err, "the action after the last firing is not begun"
 
 

@@ -232,7 +232,7 @@ def test_a_row_without_choices_makes_robots_wait_until_the_marking_changes() -> 
     run = Run(make_plan(net, ["P1", "R", "P2"], policy=policy, strict=True))
     assert run.done("b", "r") == ["r"] and run.marking() == {"P1": 1, "P2": 2}
     assert run.done("a") == []
-    assert run.why("a") == "the policy lets it wait in this marking"
+    assert run.why("a") == "the policy makes it wait in this marking"
     assert not any(isinstance(c, Fault) for c in run.commands)
     assert run.done("c", "t2") == ["t2", "t1"]  # the action decides, whatever the policy says
 

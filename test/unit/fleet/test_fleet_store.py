@@ -308,7 +308,7 @@ def test_the_verb_ingests_and_reports(
     _, shown, more = capsys.readouterr().out.splitlines()
     assert shown.startswith("A") and "--csv and --json print all" in more
     assert main(["history", "report", "--store", store, "--since", "2020-01-01"]) == 0
-    assert "nothing is in the store for this" in capsys.readouterr().out
+    assert "no matching data in the store" in capsys.readouterr().out
     (tmp_path / "log.jsonl").write_text("no log\n")
     assert main(["history", "ingest", log, "--store", store, "--json"]) == 1
     assert "log.jsonl" in json.loads(capsys.readouterr().out)["logs"][0]["error"]

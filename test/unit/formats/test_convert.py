@@ -80,17 +80,17 @@ def test_standard_output(capfdbinary):
 @pytest.mark.parametrize(
     "words, message",
     [
-        (["-"], "--to is needed"),
+        (["-"], "--to is required"),
         (["-", "--to", "pnml", "--json"], "cannot both go to standard output"),
         (["n.xyz"], "does not show the format"),
         (["n.xml", "--to", "word"], "there is no format 'word'"),
         (["n.xml", "--from", "jani"], "JANI is written, not read"),
-        (["n.xml", "--const", "N"], "NAME=NUMBER was expected"),
-        (["n.xml", "--const", "N=x"], "NAME=NUMBER was expected"),
-        (["n.xml", "--const", "=1"], "NAME=NUMBER was expected"),
+        (["n.xml", "--const", "N"], "expected NAME=NUMBER"),
+        (["n.xml", "--const", "N=x"], "expected NAME=NUMBER"),
+        (["n.xml", "--const", "=1"], "expected NAME=NUMBER"),
         (["n.xml", "--label", "a=b"], "--label is for chains"),
         (["-", "--to", "drn"], "a chain is not written to standard output"),
-        (["n.drn", "--label", "a"], "NAME=CONDITION was expected"),
+        (["n.drn", "--label", "a"], "expected NAME=CONDITION"),
         (["n.drn", "--label", "a=Nowhere > 1"], "Nowhere"),
         (["n.drn", "--label", "init=Busy > 1"], "a label cannot be called 'init'"),
         (["n.drn", "--limit", "1"], "not decided within"),
@@ -189,7 +189,7 @@ def test_an_input_file_of_the_thesis_becomes_a_plan(tmp_path, capsys):
     capsys.readouterr()
 
     assert convert(folder / "input.json", new) == 2  # never over one that is there
-    assert "plan.json: it exists already" in capsys.readouterr().err
+    assert "plan.json: the file exists already" in capsys.readouterr().err
     assert convert(folder / "input.json", tmp_path / "plan.json", "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["notes"][-1] == "work.py belongs beside the plan, in %s" % tmp_path

@@ -148,5 +148,5 @@ def test_the_command_draws(tmp_path, capsys):
 def test_the_command_refuses_other_pictures(tmp_path, capsys):
     write_net(small_net(), tmp_path / "n.xml")
     assert main(["draw", str(tmp_path / "n.xml"), "-o", str(tmp_path / "n.gif")]) == 2
-    assert "end it in .svg" in capsys.readouterr().err
+    assert "use the ending .svg" in capsys.readouterr().err
     assert read_net(tmp_path / "n.xml") == small_net()

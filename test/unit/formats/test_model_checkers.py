@@ -373,7 +373,7 @@ def test_a_label_that_no_state_has_is_reported(tmp_path, capsys):
         )
         == 0
     )
-    assert "no state has the label 'goal'; the file cannot say so" in capsys.readouterr().err
+    assert "no state has the label 'goal'; the file cannot express that" in capsys.readouterr().err
     assert "// no state has the label goal\n" in (tmp_path / "n.drn").read_text()
     assert stormpy.build_model_from_drn(str(tmp_path / "n.drn")).nr_states == 2
     assert (

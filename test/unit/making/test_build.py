@@ -231,7 +231,7 @@ def test_the_command_tells_what_it_made(tmp_path, capsys):
     done = json.loads(capsys.readouterr().out)
     assert done["robots"] == 2 and "plan_ros.json" in done["files"]
     assert main(["build", str(SITE), "--robots", "2", "-o", folder]) == 2
-    assert "it exists already" in capsys.readouterr().err
+    assert "the file exists already" in capsys.readouterr().err
 
 
 LEVELS = {"full": 0.2, "half": 0.2, "low": 0.2}

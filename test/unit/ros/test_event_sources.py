@@ -213,7 +213,7 @@ def _order(order):
     [
         ("{", "its field 'data' is not JSON"),
         ("[1]", "its field 'data' is not a JSON object"),
-        ('{"pose": 1}', "it has no field 'id' and no header"),
+        ('{"pose": 1}', "the message has no field 'id' and no header"),
         ('{"id": true}', "not True"),
         ('{"id": [1]}', "the id of a task is text or a whole number"),
         ('{"id": "%s"}' % ("x" * 201), "the id of a task is longer than 200 characters"),
@@ -230,7 +230,7 @@ def test_a_message_that_is_no_task_is_reported_and_not_taken(text, why):
     assert node.calls == []
     (complaint,) = node.complaints
     assert complaint.startswith(
-        "tasks of 'order' (topic /orders): a message is not taken as a task"
+        "tasks of 'order' (topic /orders): a message cannot be used as a task"
     )
     assert why in complaint
     source.take(std.String('{"id": 3}'))
@@ -408,4 +408,4 @@ def test_a_type_that_is_not_known_here_is_said(tmp_path, capsys):
     assert (code, severity) == (0, "warning")
     assert text.startswith("event 'go': ")
     assert "message type 'no_such/Thing'" in text
-    assert text.endswith("its messages were not looked at")
+    assert text.endswith("its messages were not checked")

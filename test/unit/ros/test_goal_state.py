@@ -166,7 +166,7 @@ def test_a_goal_goes_all_the_way(called):
     assert caller.caller.doing() == "waits for the action server /visit"
     caller.server.ready = caller.server.connected = True
     assert caller.poll(5.1) is GoalState.SENT
-    assert caller.caller.doing() == "waits for /visit to take the goal"
+    assert caller.caller.doing() == "waits for /visit to accept the goal"
     assert caller.hear(GoalNews.ACKNOWLEDGED, "/server") is GoalState.ACTIVE
     assert caller.caller.doing() == ""
     assert caller.hear(GoalNews.ENDED, ("succeeded", "")) is GoalState.RESULT_DUE

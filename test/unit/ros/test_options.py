@@ -40,7 +40,7 @@ def test_numbers_and_names_of_yaml_are_taken_as_meant():
     "given, message",
     [
         ({}, "no plan was given"),
-        ({"plan": "p", "plam": "q"}, "~plam: there is no such parameter .there are: plan, robot"),
+        ({"plan": "p", "plam": "q"}, "~plam: unknown parameter .known parameters: plan, robot"),
         ({"plan": "p", "robots": "three"}, "~robots: 'three' is not of type int"),
         ({"plan": "p", "robots": True}, "~robots: True is not of type int"),
         ({"plan": "p", "check": "no"}, "~check: 'no' is not of type bool"),
@@ -130,13 +130,13 @@ def test_a_file_is_looked_for_where_roslaunch_was_started_too(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"transport": "pigeon"}, "no transport 'pigeon'"),
+        ({"transport": "pigeon"}, "unknown transport 'pigeon'"),
         ({"transport": "zenoh"}, "needs a router"),
-        ({"router": "tcp/x:1"}, "say nothing with the transport ros"),
-        ({"keys": "keys"}, "say nothing with the transport ros"),
+        ({"router": "tcp/x:1"}, "cannot be used with the transport ros"),
+        ({"keys": "keys"}, "cannot be used with the transport ros"),
         (
             {"transport": "zenoh", "router": "tcp/x:1", "team_key_file": "k"},
-            "a team key says nothing with the transport zenoh",
+            "a team key cannot be used with the transport zenoh",
         ),
         ({"team_key_file": "no/such.key"}, "~team_key_file"),
     ],

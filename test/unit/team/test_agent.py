@@ -233,9 +233,9 @@ def test_who_gave_an_order_is_in_every_log_and_shown(write, team):
     status = team.status("robot_1")
     assert [order["operator"] for order in status["orders"]] == 3 * ["ann"]
     assert [line[10:] for line in order_lines([status])] == [
-        "ann (not proved) orders: pause",
-        'ann (not proved) orders: breakpoints ["Look"]',
-        "ann (not proved) orders: retry robot_2",
+        "ann (not authenticated) orders: pause",
+        'ann (not authenticated) orders: breakpoints ["Look"]',
+        "ann (not authenticated) orders: retry robot_2",
     ]
     assert team.ask("robot_1", "stop").success
     assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
@@ -255,16 +255,16 @@ def test_who_gave_an_order_is_in_every_log_and_shown(write, team):
         ordered = [(entry["entry"], entry["by"]) for entry in entries if "by" in entry]
         assert ordered == [("pause", ["ann", ""]), ("stop", ["ann", ""])]
     orders = ["pause", 'breakpoints ["Look"]', "retry robot_2", "stop"]
-    told = ["ann (not proved) orders: " + order for order in orders]
+    told = ["ann (not authenticated) orders: " + order for order in orders]
     assert notes_in(team.log("robot_1")) == told
     assert notes_in(team.log("robot_2")) == [
-        "ann (not proved) orders: pause, asking robot_1",
-        "ann (not proved) orders: stop, asking robot_1",
+        "ann (not authenticated) orders: pause, asking robot_1",
+        "ann (not authenticated) orders: stop, asking robot_1",
     ]
     logs[0].records = [record for record in logs[0].records if record["kind"] != "order"]
     violation = verify(logs).violation
     assert violation.rule == 4
-    assert "names 'ann', who had given robot_1 no order" in violation.text
+    assert "names 'ann', who had not given robot_1 an order" in violation.text
 
 
 def test_a_robot_that_is_started_again_goes_on(write, team):

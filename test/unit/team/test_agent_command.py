@@ -166,7 +166,7 @@ def test_an_operator_has_the_robot_that_is_here_go_on_after_a_loss_of_power(
     assert code == 1 and "gspn trust" in said.out
     code, said = gspn("trust")
     assert code == 2 and "--yes" in said.err
-    assert "Given up: what only these know: robot_2." in said.out
+    assert "Given up: what only these robots know: robot_2." in said.out
     code, said = gspn("trust", "--yes")
     assert code == 0, said
     wait_for(lambda: gspn("status")[0] == 0, 60, "robot_1 to go on")
@@ -289,7 +289,7 @@ def test_a_router_prints_a_configuration_that_zenoh_reads(tmp_path, capsys):
     ("words", "says"),
     [
         (["--robot", "robot_9", "--connect", "tcp/x:1"], "the plan has no robot 'robot_9'"),
-        (["--robot", "robot_1"], "how are the other robots reached?"),
+        (["--robot", "robot_1"], "how can the other robots be reached?"),
         (["--robot", "robot_1", "--connect", "tcp/x:1", "--run", ".."], "a valid name for a run"),
         (["--robot", "robot_1", "--connect", "tcp/x:1", "--keys", "nowhere"], "nowhere"),
     ],
@@ -301,4 +301,4 @@ def test_what_an_agent_cannot_begin_with_is_said(plan, capsys, words, says):
 
 def test_keys_without_a_router_are_a_mistake(capsys):
     assert main(["status", "--keys", "keys"]) == 2
-    assert "--keys says nothing without --connect" in capsys.readouterr().err
+    assert "--keys requires --connect" in capsys.readouterr().err

@@ -62,6 +62,6 @@ def test_data_are_json_or_the_name_of_a_file(tmp_path, monkeypatch, capsys):
             read_data(text)
     path.write_text("[1]")
     assert main(["submit", "order", "--data", str(path)]) == 2
-    assert "%s: is not a JSON object, but [1]\n" % path in capsys.readouterr().err
+    assert "%s: is not a JSON object but [1]\n" % path in capsys.readouterr().err
     assert main(["submit", "order", "--data", '{"id": 1}']) == 2
-    assert "'id' is not a name of a task's data" in capsys.readouterr().err
+    assert "'id' is not a valid name for a task's data" in capsys.readouterr().err

@@ -49,7 +49,7 @@ KEY = "?id=file-four.json"
 
 
 def deploy(client, path, **fields):
-    """How it ended: (state, what is said)."""
+    """How the run ended: (state, what is said)."""
     answer = client.post("/api/deploy" + KEY, {"path": path, **fields})
     if answer.status_code != 200:
         return "refused", answer.get_json()["error"]
@@ -94,12 +94,12 @@ def test_a_run_goes_on_under_the_plan_that_is_deployed(client):
 @pytest.mark.parametrize(
     "path, fields, says",
     [
-        ("renamed.json", {}, "is in 'A', which the new plan does not have as an action place"),
+        ("renamed.json", {}, "is in 'A', which is not an action place of the new plan"),
         ("renamed.json", {"map": {"A": "nowhere"}}, "'A' is mapped to 'nowhere'"),
         ("renamed.json", {"map": ["A"]}, "'map' must be an object"),
         ("broken.json", {}, "none"),
         ("partial.json", {}, "it changes 'synchronisation'"),
-        ("none.json", {}, "there is no such file"),
+        ("none.json", {}, "the file does not exist"),
         ("../four.json", {}, "only files of the served folder"),
         ("renamed.json", {"run": "another"}, "the order is for run 'another'"),
     ],

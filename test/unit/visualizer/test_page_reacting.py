@@ -170,6 +170,6 @@ def test_the_status_command_prints_data_tasks_and_held_events():
         "b robot.note: " + "x" * (SHOWN_LENGTH - 1) + "…",
         "team.door: open",
         "queue Orders: o4, o5, o6",
-        "order: task o7 waits outside",
+        "order: task o7 is waiting outside",
     ]
     assert data_lines({"robots": [{"robot": "a"}]}) == []
