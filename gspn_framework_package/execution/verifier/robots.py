@@ -276,7 +276,7 @@ class RobotCheck:
                 self.open.append(origin)
         elif where[1] != record["entry"]:
             raise BrokenRuleError(
-                4, "slot %d contains a different entry in place of %s" % (_name(origin), where[0])
+                4, "%s is in slot %d as a different entry" % (_name(origin), where[0])
             )
         elif record["kind"] == "private":
             self._merged_transition(origin, record, where[0])
