@@ -1,58 +1,49 @@
-"""The event log of a run: one file of JSON lines that serves as write-ahead log, event log and
-history.
+"""The event log of a run: a file of JSON lines that serves as write-ahead log and history.
 
 The first line is the *header*: format and version, run, robot, the id of this log, and the complete
-plan, so that a run can be replayed and verified from the log alone (a large policy is in a file
-beside the logs, see ``stored_policy``). Every other line is a *record*: a JSON object with its
+plan, so that a run can be replayed and verified from the log alone (a large policy is stored in a
+separate file, see ``stored_policy``). Every other line is a *record*: a JSON object with its
 ``kind``, its fields, the wall clock (``wall``, seconds since 1970) and a monotonic clock (``mono``,
 seconds, comparable between the processes of one host). Kinds:
 
-==============  ====================================================================================
-``slot``        a slot of the agreed log: ``slot``, ``entries``, ``origins`` (the robot that put
-                each in, its incarnation and a sequence number; empty in a local log), the
-                ``firings`` that followed, ``hash`` (of the chain), ``ballot`` if a team agreed on
-                it
-``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
-                ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which
-                it was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
-``reset``       earlier records no longer count (``why``); the robot learns the log from the others,
-                and its log has the id ``log`` from here on; ``keep`` if the slots count,
-                ``damaged`` if the log was, and its whole file is kept elsewhere
-``outage``      the machine lost power, so records may be missing here (``why``); earlier records
-                count, and the log has the id ``log`` from here on
-``synced``      the first ``bytes`` bytes of the file, with ``length`` slots, are on the disk
-``closed``      the process ended in order, and everything before is on the disk
-``active``      this replica takes part from now on
-``life``        the node started: ``incarnation``; ``joining`` if it was not in the first team;
-                ``host`` as in the header; ``fsync``: whether the log is synced to the disk
-``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later; ``torn``
-                where the slot needs the votes of all (robot whose log lost its end -> the id of its
-                log, and of those that it goes on from)
-``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``; ``torn`` as above
-``invoked``     a proposal of this robot for the log: ``entry``, ``origin``
-``offered``     a task reached this robot, and waits to get into the log: ``entry``
-``order``       an operator gave this robot an order: ``command``, ``robot``, ``argument``
-                (shortened), ``operator`` (who it was) and ``proof`` (what shows that)
-``void``        an ``invoked`` proposal can no longer take effect (``why``)
-``private``     partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
-                ``firing``
-``goal``        the goal of an action is sent: ``place``, ``incarnation``, ``visit``, ``attempt``;
-                if the action reads data, ``reads``, a digest of it, and ``resumed_from`` as in
-                :class:`~gspn_framework_package.execution.firing.StartAction`
-``cancel``      the goals of visits up to ``visit`` are void
-``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log); or, with
-                ``torn``, its log lost its end: the ids of the logs that this one goes on from
-``forced``      the operator asserts that these ``robots`` (robot -> incarnation) are off
-``ended``       the run is over: ``reason``, ``finished``
-==============  ====================================================================================
+============== ====================================================================================
+``slot`` a slot of the agreed log: ``slot``, ``entries``, ``origins`` (each entry's robot,
+incarnation and sequence number; empty in a local log), the ``firings`` that followed, ``hash`` (of
+the chain), ``ballot`` if a team agreed on it ``snapshot`` the state after slot ``slot``, taken over
+from a peer or kept as a starting point: ``state``, ``seen`` (origin -> newest entry), ``logs``
+(robot -> the log with which it was admitted), ``cast_out`` (robot -> slot of its eviction by
+force), ``hash`` ``reset`` earlier records no longer count (``why``); the robot gets the log from
+the others, and its log has the id ``log`` from here on; ``keep`` if the slots count, ``damaged`` if
+the log was, and its whole file is kept elsewhere ``outage`` the machine lost power, so records may
+be missing here (``why``); earlier records count, and the log has the id ``log`` from here on
+``synced`` the first ``bytes`` bytes of the file, with ``length`` slots, are on the disk ``closed``
+the process shut down properly, and everything before is on the disk ``active`` this replica takes
+part from now on ``life`` the node started: ``incarnation``; ``joining`` if it was not in the first
+team; ``host`` as in the header; ``fsync``: whether the log is synced to the disk ``promised``
+acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later; ``torn`` if the slot
+needs the votes of all (robot whose log lost its end -> the ids of its log and of those that it
+continues) ``accepted`` acceptor: accepted ``batch`` under ``ballot`` in ``slot``; ``torn`` as above
+``invoked`` a proposal of this robot for the log: ``entry``, ``origin`` ``offered`` a task reached
+this robot and waits to get into the log: ``entry`` ``order`` an operator gave this robot an order:
+``command``, ``robot``, ``argument`` (shortened), ``operator`` (its name) and ``proof`` (how the
+name was authenticated) ``void`` an ``invoked`` proposal can no longer take effect (``why``)
+``private`` partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
+``firing`` ``goal`` the goal of an action is sent: ``place``, ``incarnation``, ``visit``,
+``attempt``; if the action reads data, ``reads``, a digest of it, and ``resumed_from`` as in
+                :class:`~gspn_framework_package.execution.firing.StartAction` ``cancel`` the goals
+of visits up to ``visit`` are void ``peer`` first contact with a robot: ``robot``, ``log`` (the id
+of its log); or, with ``torn``, its log lost its end: the ids of the logs that this one continues
+``forced`` the operator asserts that these ``robots`` (robot -> incarnation) are off ``ended`` the
+run is over: ``reason``, ``finished`` ==============
+====================================================================================
 
-``kill -9`` may truncate the last line. Nothing that depends on that line has left the process, so a
-reader drops it, and a writer that resumes the file first removes it. What is in this file reads
+``kill -9`` may truncate the last line. Nothing that depends on that line has left the process, so
+readers drop it, and a writer that resumes the file removes it first. What is in this file reads
 logs; ``log_writer`` writes them, ``log_damage`` looks for what a loss of power took.
 
 The last field of every line, ``sum``, is a running hash of this line and all lines before it. It
-reveals a line that was changed, dropped or inserted. (Logs of version 1 have none. Version 3 is
-version 2 with the policy in a file of its own.)
+reveals changed, dropped and inserted lines. (Logs of version 1 have none. Version 3 is version 2
+with the policy in a separate file.)
 """
 
 from __future__ import annotations
@@ -94,13 +85,13 @@ POLICY_APART = 3
 """The version whose header has only the hash of the policy."""
 
 ORDER_GIVEN = "order"
-"""The kind of a record of who gave an order. Only the log of the robot that was asked has it; the
-origin of the entry in the agreed log says which robot that is."""
+"""The kind of a record of the giver of an order. Only the robot that received the order has it in
+its log; the origin of the entry in the agreed log identifies that robot."""
 
 Record = Dict[str, Any]
 
 KINDS_WITH_PLANS = ("slot", "snapshot", "accepted", "invoked")
-"""The kinds of records that can hold a plan that was staged."""
+"""The kinds of records that can hold a staged plan."""
 
 
 def header(
@@ -117,8 +108,8 @@ def header(
 
     :param plan: the plan, which the header contains in full.
     :param robot: the robot that keeps the log ("" for a standalone run).
-    :param log_id: unique to this log, e.g. a random hex string. It distinguishes a robot that comes
-        back with its log from one that lost it.
+    :param log_id: unique to this log, e.g. a random hex string. It distinguishes a robot that
+        returns with its log from one that lost it.
     :param agents: whether this is a standalone run, where transitions may create and destroy
         tokens.
     :param host: the host and boot that the monotonic clock belongs to (the writer fills it in).
@@ -176,7 +167,7 @@ def _without_sum(line: bytes) -> Tuple[bytes, str]:
 
 
 class EventLog:
-    """A log that was read.
+    """The content of a log.
 
     :ivar header: its first line.
     :ivar records: all other lines, in order.
@@ -200,7 +191,7 @@ class EventLog:
     @property
     def plan(self) -> Plan:
         """The plan in the header. :raises LogError: it is invalid, its hash differs from the
-        recorded one, or its policy, which is in another file, is missing or was altered."""
+        recorded one, or its separately stored policy is missing or was altered."""
         if self._plan is None:
             data = self.header["plan"]
             name = hash_of(data)
@@ -220,7 +211,7 @@ class EventLog:
 
     @property
     def robot(self) -> str:
-        """The robot that kept the log; "" for a standalone run."""
+        """The robot that wrote the log; "" for a standalone run."""
         return str(self.header["robot"])
 
 
@@ -229,10 +220,10 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
 
     A truncated last line is dropped (``EventLog.cut``).
 
-    :param size: read only that many bytes, to read logs that are still being written as they were
-        at one moment.
+    :param size: read only that many bytes, to read a consistent state of logs that are still being
+        written.
     :raises LogError: the file cannot be read, is not a log of a known version, or has a line that
-        is not a record; the message says which.
+        is not a record, which the message names.
     """
     records: List[Record] = []
     try:
@@ -260,8 +251,8 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
 
 
 class LogPosition(NamedTuple):
-    """Where to go on reading a log: byte ``offset``, at which line ``line`` begins, and the running
-    hash (``sum``) of the lines before it, "" in a log of version 1."""
+    """The position at which to continue reading a log: byte ``offset``, at which line ``line``
+    begins, and the running hash (``sum``) of the lines before it ("" in a log of version 1)."""
 
     offset: int
     line: int
@@ -306,8 +297,8 @@ class LogFile:
     def records(self, file: BinaryIO, offset: int, number: int) -> Iterator[Tuple[Record, int]]:
         """Yield the records from byte ``offset`` on, each with the length of its line in bytes.
 
-        If the log is still being written, only records that were there when it was opened are read.
-        A truncated last line is left out and noted in ``cut``.
+        If the log is still being written, only records that existed when it was opened are read. A
+        truncated last line is left out and noted in ``cut``.
 
         :param file: the file, from :meth:`open`.
         :param offset: the byte at which line ``number`` begins.
@@ -336,15 +327,15 @@ class LogFile:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
 
     def go_on(self, position: Optional[LogPosition]) -> Iterator[Tuple[Record, LogPosition]]:
-        """Yield the records from a position on, each with the position behind it, and compare the
+        """Yield the records from a position on, each with the position after it, and compare the
         running hash of every line with the recorded one.
 
         A log that is still being written and a truncated last line are handled as by
         :meth:`records`.
 
-        :param position: where an earlier reader stopped; None: at the first record.
+        :param position: where an earlier reader stopped; None for the first record.
         :raises LogError: a line is not a record or does not follow from the lines before it, the
-            lines before the position are not those that were read, or the file cannot be read.
+            lines before the position have changed, or the file cannot be read.
         """
         self.cut = False
         with self.open() as file:
@@ -370,7 +361,7 @@ class LogFile:
         return LogPosition(self.begin, 2, chain)
 
     def _has(self, file: BinaryIO, position: LogPosition) -> bool:
-        """Whether the line before a position is the one that was read there."""
+        """Whether the line before a position is unchanged."""
         if position.offset > self.size:
             return False
         file.seek(max(0, position.offset - 64))
@@ -390,9 +381,10 @@ class LogFile:
 
 
 def log_files(paths: Sequence[str]) -> List[str]:
-    """The logs that are meant: files as they are, and the logs (``*.jsonl``) in each folder.
+    """The logs named by files and folders: files as they are, and the logs (``*.jsonl``) in each
+    folder.
 
-    :raises LogError: a folder holds none.
+    :raises LogError: a folder contains no logs.
     """
     found: List[str] = []
     for path in paths:
@@ -428,7 +420,7 @@ def follow_sum(chain: str, line: bytes, path: str, number: int) -> str:
 
 
 def _parsed(line: bytes) -> Any:
-    """The JSON of a line. :raises ValueError: it is none.
+    """Parse the JSON of a line. :raises ValueError: it is not JSON.
     :raises RecursionError: it is nested too deeply."""
     data = json.loads(line.decode())
     if line.count(b"[") + line.count(b"{") > DEEPEST_JSON and is_too_deep(data):
@@ -479,7 +471,7 @@ class LogClock:
     """Seconds on a log's own clock, which never decrease: the host's monotonic clock, continued by
     the wall clock when the host restarts.
 
-    :param t: where to begin (s); by default, at the monotonic time of the first record, so that the
+    :param t: the start time (s); by default the monotonic time of the first record, so that the
         logs of one boot of one host share their times.
     :param mono: the monotonic time of the last record that was read, if any.
     :param wall: the wall time of that record.
@@ -514,7 +506,7 @@ class LogClock:
         return self._t
 
     def to_json(self) -> List[Any]:
-        """The arguments of a clock that goes on from here."""
+        """The arguments for a clock that continues from here."""
         return [self._t, self._mono, self._wall, self._host]
 
 

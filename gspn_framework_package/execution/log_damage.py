@@ -25,8 +25,8 @@ from gspn_framework_package.model.errors import LogError
 
 def end_is_there(event_log: EventLog) -> bool:
     """Whether the log certainly has all records that were written to it, whatever happened to the
-    machine: its process ended in order, it was synced to the disk, or the machine has not restarted
-    since its last node started."""
+    machine: its process shut down properly, the log was synced to the disk, or the machine has not
+    restarted since the last node started."""
     if event_log.records and event_log.records[-1]["kind"] == "closed":
         return True
     newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
@@ -54,10 +54,10 @@ def boot_id() -> str:
 
 
 def drop_torn_end(path: str) -> bool:
-    """Cut off the damaged end that a loss of power may leave in a log: lines beyond what is known
-    to have reached the disk, of an earlier boot of the machine.
+    """Cut off the damaged end that a power loss may leave in a log: lines of an earlier boot of the
+    machine beyond what is known to have reached the disk.
 
-    :returns: whether that was the damage; otherwise nothing changes.
+    :returns: whether the log had such an end; otherwise nothing changes.
     :raises LogError: the file cannot be read or changed.
     """
     try:
@@ -72,19 +72,19 @@ def drop_torn_end(path: str) -> bool:
 
 
 class _Whole(NamedTuple):
-    """What is whole of a log: its first ``size`` bytes."""
+    """The intact part of a log: its first ``size`` bytes."""
 
     size: int
     damaged: int
-    """The number of the line after it; 0 if there is none."""
+    """The number of the next line; 0 if there is none."""
     safe: int = 0
-    """Bytes that are known to have reached the disk."""
+    """Number of bytes known to have reached the disk."""
     earlier_boot: bool = False
     """Whether the machine has restarted since."""
 
 
 def _whole_part(file: BinaryIO, path: str) -> _Whole:
-    """Read a log up to the first damaged line. :raises LogError: it is no log."""
+    """Read a log up to the first damaged line. :raises LogError: it is not a log."""
     first = file.readline(LONGEST_LINE)
     summed = SUM.search(first) is not None
     try:
@@ -98,7 +98,7 @@ def _whole_part(file: BinaryIO, path: str) -> _Whole:
     for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 2):
         try:
             if not line.endswith(b"\n") and not _ENDED.search(line):
-                break  # cut off while it was written
+                break  # cut off while being written
             record = record_of(line, path, number)
             if chain:
                 chain = follow_sum(chain, line, path, number)
@@ -114,8 +114,8 @@ def _whole_part(file: BinaryIO, path: str) -> _Whole:
 
 
 def _safe_beyond(file: BinaryIO, offset: int, path: str) -> int:
-    """How many bytes reached the disk, as records after a damaged line say; 0 where none does. A
-    loss of power leaves none: it takes what was written last.
+    """How many bytes reached the disk, according to records after a damaged line; 0 if there are
+    none. A power loss leaves none, since it destroys what was written last.
 
     :param offset: where these records begin.
     """
@@ -132,15 +132,15 @@ def _safe_beyond(file: BinaryIO, offset: int, path: str) -> int:
 
 
 _ENDED = re.compile(rb',"sum":"[0-9a-f]{16}"}.$', re.DOTALL)
-"""A complete line, but for its end."""
+"""A complete line, without its line break."""
 
 
 def set_damage_aside(path: str) -> Optional[Tuple[int, str]]:
-    """Keep a damaged log under another name, and leave what is whole before the damage.
+    """Save a damaged log under another name, and keep only the intact part before the damage.
 
     :returns: the number of the first damaged line, and the name of the copy; None if no line is
         damaged.
-    :raises LogError: the file is no log, or cannot be read or changed.
+    :raises LogError: the file is not a log, or cannot be read or changed.
     """
     try:
         with open(path, "rb+") as file:
@@ -153,15 +153,15 @@ def set_damage_aside(path: str) -> Optional[Tuple[int, str]]:
             with open(copy, "rb") as kept:
                 os.fsync(kept.fileno())
             sync_folder(os.path.dirname(os.path.abspath(path)))
-            file.truncate(whole.size)  # in place: the file is locked
+            file.truncate(whole.size)  # in place, because the file is locked
             return whole.damaged, copy
     except OSError as error:
         raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
 
 
 def drop_cut_line(path: str) -> Optional[Record]:
-    """Remove a truncated last line; returns the header, or None if there is no file or it has no
-    complete line."""
+    """Remove a truncated last line; returns the header, or None if there is no file or no complete
+    line."""
     if not os.path.exists(path):
         return None
     with open(path, "rb+") as file:

@@ -33,8 +33,8 @@ class EventLogWriter:
     """Appends records to a log. When :meth:`append` returns, every record has reached the operating
     system, so it survives the process.
 
-    :param path: the file; its folder is made if necessary. An existing file is resumed: a partial
-        last line is removed, and the header must be of the same run, robot and plan.
+    :param path: the file; its folder is created if necessary. An existing file is resumed: a
+        partial last line is removed, and the header must belong to the same run, robot and plan.
     :param first: the header for a new file (see :func:`.event_log.header`).
     :param fsync: wait until durable records are on the disk, so that they also survive a power
         failure.
@@ -55,7 +55,7 @@ class EventLogWriter:
         self._fsync = fsync
         self._sum: Optional[str] = ""
         self._host = boot_id()
-        self._lock = threading.Lock()  # another thread may sync
+        self._lock = threading.Lock()  # another thread may be syncing
         self._news = False
         self._slots = self.synced_length = 0
         try:
@@ -90,7 +90,7 @@ class EventLogWriter:
 
         :param durable: if the log is synced (``fsync``), wait until these and all earlier records
             are on the disk.
-        :param synced: wait for that in any case.
+        :param synced: wait for that even without ``fsync``.
         :raises LogError: the file cannot be written.
         """
         with self._lock:
@@ -114,10 +114,10 @@ class EventLogWriter:
             data = data[self._file.write(data) :]
 
     def sync(self) -> None:
-        """Bring what was written to the disk, on any thread, and note in the log how much that is.
-        Nobody who appends waits for it.
+        """Sync everything written so far to the disk, on any thread, and record in the log how much
+        that is. Appending does not wait for it.
 
-        :raises OSError: the disk does not take it.
+        :raises OSError: the disk cannot be written.
         """
         with self._lock:
             if not self._news:
@@ -146,8 +146,8 @@ class EventLogWriter:
         self._file.close()
 
     def close_whole(self) -> None:
-        """Mark the log as whole, on the disk, and close the file: nothing was sent that is not in
-        it. If the mark cannot be written, the log is closed without it."""
+        """Mark the log as complete and synced, and close the file: everything sent is in it. If the
+        mark cannot be written, the log is closed without it."""
         try:
             self.append({"kind": "closed"}, synced=True)
         except LogError:

@@ -14,8 +14,8 @@ from gspn_framework_package.model.errors import LogError, NetError
 
 class Replayed(NamedTuple):
     """A replayed slot of a log. ``state`` is the state after it; replaying the next slot changes it
-    in place. ``commands`` is what it had the robots do, ``adopted`` the plans that the team adopted
-    in it (see :class:`~gspn_framework_package.execution.token_game.Step`).
+    in place. ``commands`` are its commands to the robots, ``adopted`` the plans that the team
+    adopted in it (see :class:`~gspn_framework_package.execution.token_game.Step`).
 
     If the log took over a snapshot instead, ``snapshot`` is true and ``entries`` is empty.
     """
@@ -36,7 +36,7 @@ class Replayer:
     :param game: the rules of the plan in the header.
     :param state: the state to start from; by default, the state before the run.
 
-    :ivar game: the rules of the plan that the team follows now.
+    :ivar game: the rules of the plan that the team now follows.
     """
 
     def __init__(self, game: TokenGame, state: Optional[TeamState] = None) -> None:
@@ -47,9 +47,9 @@ class Replayer:
     def take(self, record: Record) -> Optional[Replayed]:
         """Replay the next record of the log.
 
-        :returns: what it changed; None if it holds no slot or new snapshot.
+        :returns: its effects; None if it contains no slot or new snapshot.
         :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
-          those it recorded; or the record is damaged, or not of this plan.
+          those it recorded; or the record is damaged or does not belong to this plan.
         """
         try:
             return self._take(record)
@@ -60,7 +60,7 @@ class Replayer:
 
     def _take(self, record: Record) -> Optional[Replayed]:
         if record["kind"] == "snapshot":
-            # a snapshot that was kept as a starting point changes nothing
+            # a snapshot stored as a starting point changes nothing
             if record["slot"] != self.state.next_slot - 1:
                 self.state = self._first.state_from_json(record["state"])
                 self.game = self._first.now(self.state)
@@ -77,8 +77,8 @@ class Replayer:
 def replay(event_log: EventLog) -> Iterator[Replayed]:
     """Replay the slots of a log, one by one, with the token game.
 
-    :raises LogError: a record is damaged; or a slot is missing, does not hold entries, or leads to
-        other firings than those it recorded.
+    :raises LogError: a record is damaged; or a slot is missing, does not contain entries, or leads
+        to other firings than it recorded.
     """
     plan = event_log.plan
     replayer = Replayer(TokenGame(plan, agents=bool(event_log.header.get("agents"))))

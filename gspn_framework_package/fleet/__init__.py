@@ -1,5 +1,6 @@
-"""A fleet's history: months of event logs, reduced to tables that are asked in seconds.
+"""A fleet's history: months of event logs, reduced to tables that can be queried in seconds.
 
-``stay_follower`` reduces the records of a run to rows, ``ingest`` reads logs and has it do that,
-``store`` keeps the rows as Parquet files, and ``reports`` asks them through DuckDB (``database``).
+``stay_follower`` reduces the records of a run to rows, ``ingest`` reads logs and passes them to it,
+``store`` stores the rows as Parquet files, and ``reports`` queries them through DuckDB
+(``database``).
 """

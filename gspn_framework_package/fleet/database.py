@@ -1,4 +1,4 @@
-"""DuckDB, which reads and writes the tables of a fleet's history."""
+"""Access to DuckDB, which reads and writes the tables of a fleet's history."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, Dict, Iterator, Sequence, Tuple
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 
 DATABASE_MEMORY = "700MB"
-"""What DuckDB may use; beyond that, it works on the disk."""
+"""Memory limit of DuckDB; beyond it, DuckDB works on the disk."""
 
 OLDEST_FOR_SQL = (1, 2)
-"""The first version of DuckDB that can be kept to some files."""
+"""The first version of DuckDB that can be restricted to some files."""
 
 TABLES: Dict[str, Sequence[Tuple[str, str]]] = {
     "stays": (
@@ -54,8 +54,8 @@ TABLES: Dict[str, Sequence[Tuple[str, str]]] = {
         ("interventions", "BIGINT"),
     ),
 }
-"""Table -> its columns and their types. Each has the column ``day`` too (a date, UTC), by which its
-files are laid out."""
+"""Table -> its columns and their types. Each also has the column ``day`` (a date, UTC), by which
+its files are organised."""
 
 _TOTALS = """
 SELECT run, robot, place,
@@ -80,9 +80,9 @@ GROUP BY run, robot, place ORDER BY robot, place
 
 
 def open_database(temporary: str) -> Any:
-    """A new database in memory, which reads and writes files.
+    """Create a database in memory, which can read and write files.
 
-    :param temporary: the folder for what does not fit into the memory.
+    :param temporary: the folder for data that does not fit into memory.
     :raises InputError: DuckDB is not installed.
     """
     database = duckdb().connect()
@@ -93,13 +93,13 @@ def open_database(temporary: str) -> Any:
 
 
 def duckdb() -> Any:
-    """The module. :raises InputError: DuckDB is not installed."""
+    """The module ``duckdb``. :raises InputError: it is not installed."""
     try:
         import duckdb as module
     except ModuleNotFoundError:
         raise InputError(
             "a fleet's history needs DuckDB, which is not installed",
-            # for Python 3.8, later versions are there as source code only
+            # for Python 3.8, later versions exist only as source code
             hint="pip install duckdb" if sys.version_info >= (3, 9) else 'pip install "duckdb<1.2"',
         ) from None
     return module
@@ -107,9 +107,9 @@ def duckdb() -> Any:
 
 @contextlib.contextmanager
 def explained(folder: str) -> Iterator[None]:
-    """Errors of DuckDB become errors of this package.
+    """Convert errors of DuckDB to errors of this package.
 
-    :param folder: the store that it works on.
+    :param folder: the folder of the store.
     :raises InputError: a file cannot be read or written.
     """
     module = duckdb()
@@ -123,12 +123,12 @@ def explained(folder: str) -> Iterator[None]:
 
 
 def quoted(text: str) -> str:
-    """A text as SQL."""
+    """Quote a text as SQL."""
     return "'%s'" % text.replace("'", "''")
 
 
 def files_sql(table: str, files: Sequence[str]) -> str:
-    """What reads a table from its files, as SQL that a FROM may have."""
+    """SQL that reads a table from its files, for a FROM clause."""
     if not files:
         columns = [*TABLES[table], ("day", "DATE")]
         return "(SELECT %s WHERE false)" % ", ".join(
@@ -140,7 +140,7 @@ def files_sql(table: str, files: Sequence[str]) -> str:
 
 
 def write_table(database: Any, sql: str, path: str) -> None:
-    """Write the answer to a question as a Parquet file."""
+    """Write the result of a query as a Parquet file."""
     database.execute("COPY (%s) TO %s (FORMAT parquet, COMPRESSION zstd)" % (sql, quoted(path)))
 
 
@@ -150,12 +150,12 @@ def totals_sql(stays: str, moments: str) -> str:
 
 
 def one_question(database: Any, sql: str) -> Any:
-    """Ask what a person wrote, which may be one SELECT and nothing that writes.
+    """Run a query written by a person, which must be a single SELECT.
 
-    The database has to be kept to its files before: see :func:`keep_to`.
+    The database must first be restricted to its files: see :func:`keep_to`.
 
-    :returns: the cursor with the answer.
-    :raises UsageError: it is not one SELECT, or DuckDB refuses it; the message says why.
+    :returns: the cursor with the result.
+    :raises UsageError: it is not a single SELECT, or DuckDB refuses it; the message says why.
     :raises LimitError: it needs more memory than it may use.
     """
     module = duckdb()
@@ -177,7 +177,7 @@ def one_question(database: Any, sql: str) -> Any:
 
 
 def keep_to(database: Any, files: Sequence[str], temporary: str) -> None:
-    """From here on the database opens these files and no others, and its settings stay.
+    """From now on let the database open only these files, and lock its settings.
 
     :param temporary: the folder for what does not fit into the memory.
     :raises InputError: this version of DuckDB cannot do that.

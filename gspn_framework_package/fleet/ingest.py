@@ -1,9 +1,9 @@
 """Reads event logs into a store of a fleet's history.
 
-A run is read once, although each robot of a team has its log: a log yields the slots that no
-other one has yielded yet, and its other slots are compared with theirs. How far a log was read is
-kept, so that the next ingest goes on there. Times are those at which the log that yielded a slot
-first heard of it.
+A run is read once, although each robot of a team has its own log: a log supplies the slots that no
+other log has supplied yet, and its other slots are compared with theirs. The position up to which a
+log was read is stored, so that the next ingest continues there. The time of a slot is the one in
+the log that supplied it.
 """
 
 from __future__ import annotations
@@ -26,21 +26,22 @@ from gspn_framework_package.fleet.store import Manifest, RowWriter, Store, file_
 from gspn_framework_package.model.errors import GspnError, LogError
 
 CLOCK_WAS_SET = 2.0
-"""Seconds. If the wall clock of a log differs more from its monotonic clock, it was set."""
+"""Seconds; if a log's wall clock drifts further than this from its monotonic clock, it was set."""
 
 MOST_HASHES = 4096
-"""Slots whose hashes are kept of a run; if there are more, every second one is dropped."""
+"""Maximum number of slot hashes stored for a run; if there are more, every second one is
+dropped."""
 
 _BETWEEN = 2_000
-"""Records between two reports of progress."""
+"""Number of records between two reports of progress."""
 
 
 class IngestedLog(NamedTuple):
-    """What became of a log.
+    """The result of reading a log.
 
     ``slots`` is the number of slots read from it, ``rows`` the number of rows made of them.
-    ``left_out`` says why a sound log was not read, ``error`` what is wrong with a bad one. In both
-    cases the store is unchanged.
+    ``left_out`` says why a valid log was not read, ``error`` what is wrong with an invalid one. In
+    both cases the store is unchanged.
     """
 
     log: str
@@ -52,12 +53,12 @@ class IngestedLog(NamedTuple):
 
 
 class _Reader:
-    """How far one log was read, and its time.
+    """The reading position and time of one log.
 
     :param kept: what :meth:`to_json` returned; None for a log that is new.
 
     :ivar at: the time of the newest record (seconds since 1970).
-    :ivar jumped: no time that was observed passed since the record before it.
+    :ivar jumped: whether no observed time passed since the previous record.
     """
 
     def __init__(self, file: LogFile, kept: Optional[Dict[str, Any]]) -> None:
@@ -72,8 +73,8 @@ class _Reader:
         self.jumped = False
 
     def records(self) -> Iterator[Tuple[int, Record]]:
-        """Yield the further records with their line numbers; the time is then that of the record,
-        ``seconds`` after the one before."""
+        """Yield further records with their line numbers; the time is then that of the record,
+        ``seconds`` after the previous one."""
         for record, position in self.file.go_on(self.position):
             self._read_time(record)
             yield position.line - 1, record
@@ -91,7 +92,7 @@ class _Reader:
         self.at = wall if was_set else going
 
     def to_json(self) -> Dict[str, Any]:
-        """How far the log was read."""
+        """The reading position as JSON."""
         return {
             "path": os.path.abspath(self.file.path),
             "robot": self.file.header["robot"],
@@ -115,10 +116,9 @@ class Ingest:
         self._runs = {run["key"]: run for run in store.runs()}
 
     def read(self, paths: Sequence[str]) -> Iterator[IngestedLog]:
-        """Read logs, and yield what became of each. A log that is given by several names is read
-        once.
+        """Read logs, and yield the result for each. A log given by several names is read once.
 
-        :raises LogError: a folder holds no logs.
+        :raises LogError: a folder contains no logs.
         """
         found = [os.path.realpath(path) for path in log_files(paths)]
         files: List[LogFile] = []
@@ -127,7 +127,7 @@ class Ingest:
                 files.append(LogFile(path))
             except GspnError as error:
                 yield IngestedLog(path, error=str(error))
-        # the logs that hold most come first; the others then only add what those lack
+        # the longest logs come first; the others then only add what those lack
         for file in sorted(files, key=lambda file: -file.size):
             yield self._read_one(file)
 
@@ -145,10 +145,10 @@ class Ingest:
         except GspnError as error:
             return IngestedLog(file.path, str(file.header["run"]), error=str(error))
 
-    # -- which run ---------------------------------------------------------------------------------
+    # -- runs ---------------------------------------------------------------------------------
 
     def _run_of(self, file: LogFile) -> Optional[Manifest]:
-        """The run of a log, perhaps a new one; None if that is not known."""
+        """The run of a log, perhaps a new one; None if unknown."""
         header = file.header
         for run in self._runs.values():
             if _id_of(header) in run["logs"]:
@@ -254,7 +254,7 @@ class Ingest:
 
     @staticmethod
     def _is_new(record: Record, follower: StayFollower, run: Manifest) -> bool:
-        """Whether a slot or snapshot holds what no log has yielded yet.
+        """Whether a slot or snapshot contains something that no log has supplied yet.
 
         :raises LogError: it contradicts another log.
         """
@@ -283,7 +283,7 @@ def _id_of(header: Record) -> str:
 
 
 def new_run(key: str, header: Record) -> Manifest:
-    """A run of which nothing was read yet, as the header of a log describes it."""
+    """A run from which nothing was read yet, as described by the header of a log."""
     return {
         "key": key,
         "run": header["run"],
@@ -305,7 +305,7 @@ def new_run(key: str, header: Record) -> Manifest:
 
 
 def _pass_time(follower: StayFollower, reader: _Reader) -> None:
-    """Let the time pass from the record before."""
+    """Advance the time from the previous record."""
     assert reader.at is not None
     if follower.now is None or reader.jumped:
         follower.go_to(reader.at)
@@ -314,7 +314,7 @@ def _pass_time(follower: StayFollower, reader: _Reader) -> None:
 
 
 def _catch_up(follower: StayFollower, reader: _Reader, gap: bool) -> None:
-    """Go on with another log than before. :param gap: its writer was off before this record."""
+    """Continue with a different log. :param gap: its writer was off before this record."""
     assert reader.at is not None
     if follower.now is None or gap:
         follower.go_to(reader.at)
@@ -323,7 +323,7 @@ def _catch_up(follower: StayFollower, reader: _Reader, gap: bool) -> None:
 
 
 def _note_hash(run: Manifest, record: Record) -> None:
-    """Keep the hash of a slot, if its turn has come."""
+    """Store the hash of a slot if it is due."""
     hashes, slot = run["hashes"], record["slot"]
     if slot % run["every"] == 0:
         hashes[str(slot)] = record.get("hash")

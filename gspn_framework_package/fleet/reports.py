@@ -1,4 +1,4 @@
-"""Questions to a fleet's history: how much robots are used, where they wait, what goes wrong."""
+"""Queries a fleet's history: how much robots are used, where they wait, what goes wrong."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.model.errors import UsageError
 
 REPORT_GROUPS = ("day", "robot", "place", "run")
-"""What a report can be grouped by."""
+"""The possible groupings of a report."""
 
 _SECONDS = tuple(use + "_s" for use in USES)
 _COUNTS = ("failures", "alarms", "interventions")
 
 _MOMENTS = 200  # most of them that are shown
 _AT_ONCE = 1000
-"""Rows that are fetched at a time."""
+"""Number of rows fetched at a time."""
 
 
 class Question(NamedTuple):
-    """What a report is about.
+    """The scope of a report.
 
     ``by`` are some of :data:`REPORT_GROUPS`. ``since`` and ``until`` are the first and the last day
-    (``2026-05-04``, UTC; "" for any). Of ``robots``, ``places`` and ``runs``, none means all.
+    (``2026-05-04``, UTC; "" for any). If ``robots``, ``places`` or ``runs`` is empty, all count.
     """
 
     by: Tuple[str, ...] = ("robot",)
@@ -37,7 +37,7 @@ class Question(NamedTuple):
     runs: Tuple[str, ...] = ()
 
     def check(self) -> None:
-        """:raises UsageError: it makes no sense."""
+        """:raises UsageError: it is invalid."""
         for group in self.by:
             if group not in REPORT_GROUPS:
                 raise UsageError(
@@ -77,10 +77,10 @@ def history_report(store: Store, question: Question) -> List[Dict[str, Any]]:
     """Use, waiting, failures, visits, alarms and interventions, a row for each group.
 
     A row has the names of its groups, ``visits``, the seconds of :data:`_SECONDS`, ``use`` (the
-    share of the time in which actions ran; None if there was no time) and :data:`_COUNTS`. What
-    concerns no robot or place has the name "".
+    share of the time in which actions ran; None if there was no time) and :data:`_COUNTS`. Rows
+    that concern no robot or place have the name "".
 
-    :raises UsageError: the question makes no sense, or names what the store does not have.
+    :raises UsageError: the question is invalid, or names something that is not in the store.
     """
     question.check()
     where, values = question.where()
@@ -123,14 +123,13 @@ def _refuse_unknown(database: Any, question: Question) -> None:
 
 
 def moments(store: Store, question: Question) -> List[Dict[str, Any]]:
-    """What a person may want to look at: failures, alarms and interventions, the newest first, and
-    the longest waits.
+    """Moments worth examining: failures, alarms and interventions, the newest first, and the
+    longest waits.
 
     A row has ``day``, ``happened``, ``run``, ``slot``, ``robot``, ``place``, ``kind`` ("wait" for a
     wait) and ``detail``.
 
-    :param question: its groups do not matter.
-    :raises UsageError: the question makes no sense.
+    :param question: its groups are ignored. :raises UsageError: the question is invalid.
     """
     question.check()
     where, values = question.where()
@@ -170,16 +169,17 @@ def known_names(store: Store) -> Dict[str, List[str]]:
 
 
 class SqlAnswer(NamedTuple):
-    """The answer to a question in SQL: the names of the columns, and the rows, one by one."""
+    """The result of an SQL query: the names of the columns, and an iterator over the rows."""
 
     columns: Sequence[str]
     rows: Iterator[Tuple[Any, ...]]
 
 
 def ask_sql(store: Store, sql: str) -> SqlAnswer:
-    """Ask a question in SQL: one SELECT over the tables of the store, and no other file.
+    """Run an SQL query: a single SELECT over the tables of the store, without access to other
+    files.
 
-    :raises UsageError: it is something else, or wrong.
+    :raises UsageError: it is not a single SELECT, or is wrong.
     """
     runs = store.runs()
     database = store.open_tables(runs=runs)
@@ -205,7 +205,7 @@ def _as_objects(cursor: Any) -> Iterator[Dict[str, Any]]:
 
 
 def plain_cell(value: Any) -> Any:
-    """A value of DuckDB as one that JSON has."""
+    """Convert a value of DuckDB to one of JSON."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, decimal.Decimal):

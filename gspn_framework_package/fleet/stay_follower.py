@@ -1,9 +1,9 @@
-"""What a run shows of a fleet: how long each robot was where, doing what, and what happened.
+"""Reduces a run to rows: how long each robot was where and doing what, and what happened.
 
-The follower replays the slots of a run with the token game and makes rows of two kinds. A *stay* is
-a visit of a robot to a place, or a part of one: stays are cut at midnight (UTC), where time was not
-observed, and at the end of what was read so far. A *moment* is something that a person may want to
-look at: a failure, an alarm, an order of the operator.
+The follower replays the slots of a run with the token game and produces two kinds of rows. A *stay*
+is a visit of a robot to a place, or a part of one: stays are split at midnight (UTC), at gaps in
+the observation, and at the end of what was read so far. A *moment* is an occurrence worth
+examining: a failure, an alarm, an order of the operator.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DAY_SECONDS = 86_400
 """Seconds."""
 
 USES = ("acting", "waiting", "paused", "failed", "resting")
-"""What a robot does in a stay: its action runs; it waits for a transition; it is paused; its action
+"""The uses of time in a stay: its action runs; it waits for a transition; it is paused; its action
 failed for good; it has finished."""
 
 ALARM, _FAILURE, INTERVENTION, INTERRUPT, TASK, JOIN, END = (
@@ -47,7 +47,7 @@ _ORDERS = {
     log_entries.StagePlan: "deploy",
     log_entries.Unstage: "give up a deployment",
 }
-"""The entries that stand for an order of the operator, whatever the run."""
+"""The entries that represent an operator's order in any run."""
 
 _OF_ALL = (
     log_entries.Start,
@@ -56,7 +56,7 @@ _OF_ALL = (
     log_entries.Stop,
     log_entries.Adopt,
 )
-"""The entries that may change what every robot does."""
+"""The entries that may affect all robots."""
 
 
 class Stay(NamedTuple):
@@ -84,7 +84,7 @@ class Stay(NamedTuple):
 
 class Moment(NamedTuple):
     """Something that happened at ``at`` (seconds since 1970) in ``slot``; ``robot`` and ``place``
-    are "" if it concerns the team. ``detail`` says what, in the words of the log."""
+    are "" if it concerns the team. ``detail`` is the description in the log."""
 
     at: float
     robot: str
@@ -95,7 +95,7 @@ class Moment(NamedTuple):
 
 
 class _Open:
-    """A stay that goes on."""
+    """A stay in progress."""
 
     def __init__(self, place: str, visit: int, slot: int, begin: float, arrived: bool) -> None:
         self.place, self.visit, self.slot = place, visit, slot
@@ -105,12 +105,13 @@ class _Open:
         self.spent = [0] * len(USES)
 
     def book(self, now: float) -> None:
-        """Book the time until ``now``. Both ends are rounded, so that parts add up to the whole."""
+        """Account for the time until ``now``. Both ends are rounded, so that parts add up to the
+        whole."""
         self.spent[self.use] += max(0, round(now * 1000) - round(self.since * 1000))
         self.since = now
 
     def to_json(self) -> List[Any]:
-        """The stay, which has no booked time, as a JSON value."""
+        """The stay, which must have no accounted time, as a JSON value."""
         return [self.place, self.visit, self.slot, self.begin, self.arrived, self.use]
 
     @classmethod
@@ -126,10 +127,10 @@ class StayFollower:
 
     :param plan: the plan in the header of its logs.
     :param agents: whether it is a standalone run.
-    :param kept: what :meth:`to_json` returned for what was read before.
+    :param kept: the earlier result of :meth:`to_json`.
 
-    :ivar stays: the stays that have ended, for the caller to take away.
-    :ivar moments: the same for moments.
+    :ivar stays: the stays that have ended, to be removed by the caller.
+    :ivar moments: the moments, likewise.
     :ivar now: the time of the run (seconds since 1970).
     """
 
@@ -150,11 +151,11 @@ class StayFollower:
 
     @property
     def next_slot(self) -> int:
-        """The slot that comes next."""
+        """The next slot."""
         return self._replayer.state.next_slot
 
     def to_json(self) -> Dict[str, Any]:
-        """What the follower knows, as a JSON object. Call :meth:`cut` first."""
+        """The follower's state, as a JSON object. Call :meth:`cut` first."""
         return {
             "state": self._replayer.state.to_json(self._replayer.game.net),
             "now": self.now,
@@ -164,7 +165,7 @@ class StayFollower:
     # -- time --------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Let ``seconds`` pass, in which the robots go on with what they do."""
+        """Advance the time by ``seconds``, in which the robots continue what they do."""
         if self.now is None or seconds <= 0:
             return
         end = self.now + seconds
@@ -177,8 +178,8 @@ class StayFollower:
         self.now = end
 
     def go_to(self, now: float) -> None:
-        """Continue at ``now`` (seconds since 1970), for no time that was observed passed until
-        then: the log begins, its writer was off, or its clock was set."""
+        """Jump to ``now`` (seconds since 1970) without observed time: the log begins, its writer
+        was off, or its clock was set."""
         if self.now is not None and now != self.now:
             self.cut()
         self.now = now
@@ -186,7 +187,7 @@ class StayFollower:
             stay.begin = stay.since = now
 
     def cut(self) -> None:
-        """Make rows of the stays that go on, as far as they have come."""
+        """Make rows of the stays in progress, up to now."""
         for robot, stay in self._open.items():
             self._book(robot, stay, "")
             another = _Open(stay.place, stay.visit, stay.slot, self._at(), False)
@@ -199,16 +200,16 @@ class StayFollower:
     # -- slots -------------------------------------------------------------------------------------
 
     def take(self, record: Record) -> None:
-        """Take in the next slot or a snapshot, at the present time.
+        """Process the next slot or a snapshot, at the present time.
 
-        :raises LogError: it does not follow from those before it, or is damaged.
+        :raises LogError: it does not follow from the previous ones, or is damaged.
         """
         step = self._replayer.take(record)
         if step is not None:
             self._follow(step)
 
     def end(self) -> None:
-        """The run is over, although no slot says so."""
+        """End the run, although no slot says that it is over."""
         for robot in list(self._open):
             self._leave(robot)
 
@@ -251,7 +252,7 @@ class StayFollower:
         if order:
             self._moment(step.slot, robot, INTERVENTION, order)
         elif isinstance(entry, log_entries.Stop):
-            # a run without a team also stops by itself, at a limit
+            # a standalone run also stops by itself, at a limit
             self._moment(step.slot, "", END if self._agents else INTERVENTION, entry.reason)
         elif isinstance(entry, log_entries.Evict) and entry.forced:
             self._moment(step.slot, robot, INTERVENTION, "force-evict")
@@ -263,7 +264,7 @@ class StayFollower:
             self._moment(step.slot, robot, JOIN, "")
 
     def _alarm(self, step: Replayed, fault: Fault) -> None:
-        """A fault that a person has to deal with; not a failure after which the robot goes on."""
+        """Note a fault that needs a person; not a failure after which the robot continues."""
         robot = step.state.robots.get(fault.robot)
         phase = reported_phase(step.state, robot) if robot is not None else Phase.UNHEARD
         if not fault.failed or phase.report.needs_operator or step.state.fault:
@@ -279,7 +280,7 @@ class StayFollower:
     # -- robots ------------------------------------------------------------------------------------
 
     def _look_at(self, name: str, step: Replayed) -> None:
-        """Note where a robot is and what it does after a step."""
+        """Note a robot's place and activity after a step."""
         robot = step.state.robots.get(name)
         if robot is None or robot.phase.gone or step.state.ended is not None:
             self._leave(name)

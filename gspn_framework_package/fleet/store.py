@@ -2,14 +2,13 @@
 
 ::
 
-    history.json                        the format and its version
-    runs/KEY.json                       a run: its logs, how far they were read, its files
-    stays/day=2026-05-04/KEY-3.parquet  rows that the 3rd ingest of the run brought for a day
-    moments/..., totals/...             the other tables
+    history.json the format and its version runs/KEY.json a run: its logs, how far they were read,
+    its files stays/day=2026-05-04/KEY-3.parquet rows from the 3rd ingest of the run for a day
+    moments/..., totals/... the other tables
 
-The file of a run says which table files count. It is replaced at once, after the table files have
-been written, so that an ingest either counts as a whole or not at all: files that no run names are
-left from one that was ended, and are removed by the next.
+The file of a run lists the table files that count. It is replaced atomically after the table files
+have been written, so that an ingest counts completely or not at all. Files that no run lists are
+left over from an interrupted ingest, and are removed by the next one.
 """
 
 from __future__ import annotations
@@ -40,20 +39,19 @@ STORE_FORMAT = "gspn history"
 STORE_VERSION = 1
 
 INCOMING = "incoming"
-"""The folder of what is being written."""
+"""The folder for files being written."""
 
 ROWS_PER_FILE = 1_000_000
-"""Rows that are gathered before they become Parquet files."""
+"""Number of rows gathered before they are written to Parquet files."""
 
 MOST_FILES = 12
-"""Files of a run and a day; if there are more, they are merged into one."""
+"""Maximum number of files for a run and a day; if there are more, they are merged into one."""
 
 Manifest = Dict[str, Any]
-"""The content of a run's file: ``key``, ``run`` (its name), ``plan``, ``plan_hash``,
-``agents`` (it is a standalone run), ``virtual``; ``begin`` and ``end`` (seconds since 1970),
-``rows``; ``logs`` (log -> how far it was read), ``leader`` (the log that the newest slots come
-from), ``hashes`` (slot -> hash) of ``every`` so many slots, ``state``, ``ingests``, and ``files``
-(table -> names)."""
+"""The content of a run's file: ``key``, ``run`` (its name), ``plan``, ``plan_hash``, ``agents`` (it
+is a standalone run), ``virtual``; ``begin`` and ``end`` (seconds since 1970), ``rows``; ``logs``
+(log -> reading position), ``leader`` (the log that supplied the newest slots), ``hashes`` (slot ->
+hash) of one in ``every`` slots, ``state``, ``ingests``, and ``files`` (table -> names)."""
 
 _MANIFEST: Dict[str, Tuple[type, ...]] = {
     "key": (str,),
@@ -77,9 +75,9 @@ _MANIFEST: Dict[str, Tuple[type, ...]] = {
 class Store:
     """A store; see the module.
 
-    :param folder: where it is.
-    :param create: make it if there is none.
-    :raises InputError: the folder is none, or of another version.
+    :param folder: its folder.
+    :param create: create it if it does not exist.
+    :raises InputError: the folder is not a store, or has another version.
     """
 
     def __init__(self, folder: str, create: bool = False) -> None:
@@ -110,7 +108,7 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Nobody else writes in the meantime. :raises InputError: somebody does already."""
+        """Hold the lock for writing. :raises InputError: another process holds it."""
         with open(os.path.join(self.folder, "lock"), "a", encoding="utf-8") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -123,7 +121,7 @@ class Store:
 
     @property
     def temporary(self) -> str:
-        """The folder for what is written for the moment."""
+        """The folder for temporary files."""
         return os.path.join(self.folder, INCOMING)
 
     # -- runs --------------------------------------------------------------------------------------
@@ -165,7 +163,7 @@ class Store:
         return manifest
 
     def commit(self, run: Manifest) -> None:
-        """Let a run count as it is described here, with its files."""
+        """Commit a run as described, with its files."""
         _replace(self._path(run["key"]), run)
 
     # -- tables ------------------------------------------------------------------------------------
@@ -173,7 +171,7 @@ class Store:
     def files(self, table: str, runs: Sequence[Manifest], days: Sequence[str] = ()) -> List[str]:
         """The files of a table.
 
-        :param runs: the runs whose files are meant.
+        :param runs: the runs whose files to list.
         :param days: the first and the last day (``2026-05-04``, "" for any); all, if empty.
         """
         since, until = days if days else ("", "")
@@ -191,7 +189,7 @@ class Store:
         """A database with the tables as views.
 
         :param days: as for :meth:`files`.
-        :param runs: those of the store, if they were read already.
+        :param runs: the runs of the store, if they were already read.
         """
         runs = self.runs() if runs is None else runs
         with explained(self.folder):
@@ -202,7 +200,7 @@ class Store:
         return database
 
     def merge(self, run: Manifest) -> None:
-        """Make one file of many, where a day of a run has too many. Changes the manifest."""
+        """Merge the files of days of a run that have too many. Changes the manifest."""
         for table in TABLES:
             by_day: Dict[str, List[str]] = {}
             for name in run["files"][table]:
@@ -236,12 +234,12 @@ class Store:
 class RowWriter:
     """Writes the rows of one ingest of one run.
 
-    Rows are gathered in two text files, and become Parquet files when there are many, or at the
+    Rows are gathered in two text files, and written to Parquet files when there are many, or at the
     end.
 
-    :param store: where the files go; nobody else writes there.
+    :param store: where the files go; nothing else may write there.
     :param key: the run.
-    :param number: the number of the ingest, which no earlier one of this run has.
+    :param number: the number of the ingest, unique within the run.
 
     :ivar files: table -> the files written so far, relative to the store.
     :ivar rows: table -> the number of rows written.
@@ -264,7 +262,7 @@ class RowWriter:
         self._writers = {table: csv.writer(text) for table, text in self._texts.items()}
 
     def write(self, stays: Sequence[Stay], moments: Sequence[Moment]) -> None:
-        """Take in rows."""
+        """Add rows."""
         for table, rows in (("stays", stays), ("moments", moments)):
             write = self._writers[table].writerow
             for row in rows:
@@ -276,11 +274,11 @@ class RowWriter:
             self._begin()
 
     def close(self) -> None:
-        """Make files of all rows."""
+        """Write all rows to files."""
         self._convert()
 
     def discard(self) -> None:
-        """Remove all that was written."""
+        """Remove all written files."""
         for text in self._texts.values():
             text.close()
         for names in self.files.values():
@@ -326,7 +324,7 @@ class RowWriter:
         self.files[table].append(name)
 
     def _rows_sql(self, table: str, path: str) -> str:
-        """What reads a text file as the rows of a table, with their day."""
+        """SQL that reads a text file as the rows of a table, with their day."""
         columns = [("number_of_day", "BIGINT"), ("ms", "BIGINT")]
         columns += [(name, kind) for name, kind in TABLES[table][2:]]
         return (
@@ -338,7 +336,7 @@ class RowWriter:
                 quoted(self._key),
                 TABLES[table][1][0],
                 quoted(path),
-                quoted("\x01"),  # no text is NULL
+                quoted("\x01"),  # NULL never occurs as text
                 ", ".join("%s: %s" % (quoted(name), quoted(kind)) for name, kind in columns),
             )
         )
@@ -355,12 +353,12 @@ def day_of_file(name: str) -> str:
 
 
 def file_stem(*parts: str) -> str:
-    """A name for files that stands for these parts."""
+    """A file name that identifies these parts."""
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
 def _replace(path: str, data: Any) -> None:
-    """Write a JSON file; whoever reads it meanwhile finds the old one whole."""
+    """Write a JSON file atomically."""
     with open(path + ".new", "w", encoding="utf-8") as file:
         json.dump(data, file, separators=(",", ":"))
         file.flush()

@@ -1,4 +1,5 @@
-"""Readers and writers of net files, which all convert to and from the same model. No ROS.
+"""Readers and writers of net files, which all convert to and from the same model. Nothing here
+imports ROS.
 
 >>> from gspn_framework_package.formats import read_net, write_net  # doctest: +SKIP
 >>> write_net(read_net("patrol.xml"), "patrol.pnpro")  # doctest: +SKIP

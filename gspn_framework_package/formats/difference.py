@@ -1,8 +1,8 @@
-"""The difference of two plans, as edited documents (see ``formats.edited_document``).
+"""Compares two plans, as edited documents (see ``formats.edited_document``).
 
 Nodes are identified by their names, arcs by their ends, robots by their names, rows of the policy
-by what they match. So a renamed node counts as one that is removed and one that is added. A value
-that is left out is the same as its default.
+by what they match. So renaming a node counts as removing one node and adding another. An omitted
+value equals its default.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class DocumentChange(NamedTuple):
     new: Any
 
     def to_json(self) -> Dict[str, Any]:
-        """As a JSON object."""
+        """Convert to a JSON object."""
         data = self._asdict()
         data["from"], data["to"] = data.pop("old"), data.pop("new")
         return dict(data)
@@ -68,12 +68,11 @@ def _text(value: Any) -> str:
 def document_difference(
     old: Mapping[str, Any], new: Mapping[str, Any], positions: bool = True
 ) -> List[DocumentChange]:
-    """Return the changes that make the new document of the old one.
+    """Return the changes that turn the old document into the new one.
 
-    :param old: an edited document. It may be half-drawn: what is not as it should be is compared as
-        a whole.
-    :param new: another one.
-    :param positions: whether a node that is drawn elsewhere counts as changed.
+    :param old: an edited document. It may be incomplete: malformed parts are compared as a whole.
+    :param new: another edited document.
+    :param positions: whether a node that only moved in the drawing counts as changed.
     """
     changes = [
         *_net(_object(old.get("net")), _object(new.get("net")), positions),
@@ -104,7 +103,7 @@ _MISSING = object()
 
 
 def _value(kind: str, name: str, key: str, old: Any, new: Any) -> Iterator[DocumentChange]:
-    """The change of one value, if it has changed; ``_MISSING`` (or None) where there is none."""
+    """The change of one value, if it has changed; ``_MISSING`` (or None) if there is none."""
     before, after = (None if v is _MISSING else v for v in (old, new))
     if _same(before, after):
         return
@@ -146,8 +145,8 @@ def _elements(
 
 
 def _order(plural: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator[DocumentChange]:
-    """The change of the order of what is in both lists, if it has changed. The order of the arcs
-    says which robot goes where, that of the rows which one goes first."""
+    """The change in the order of elements that are in both lists, if any. The order of the arcs
+    determines which robot goes where, that of the rows which one takes precedence."""
     old, new = set(before), set(after)
     was, now = [k for k in before if k in new], [k for k in after if k in old]
     if was != now:
@@ -157,8 +156,7 @@ def _order(plural: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator
 
 
 def _named(kind: str, elements: Any) -> Dict[Tuple[Any, ...], Mapping[str, Any]]:
-    """The elements of a list of the net by what identifies them; of doubles, by their number
-    too."""
+    """The elements of a list of the net by their identity; duplicates are also numbered."""
     found: Dict[Tuple[Any, ...], Mapping[str, Any]] = {}
     for element in elements if isinstance(elements, list) else ():
         if not isinstance(element, Mapping):
@@ -234,7 +232,7 @@ def _robots(old: Any, new: Any) -> Iterator[DocumentChange]:
 
 
 def _team(robots: Any) -> Dict[str, Mapping[str, Any]]:
-    """The robots of a plan by name, in whichever of its two forms it has them."""
+    """The robots of a plan by name, in either of the two forms."""
     if isinstance(robots, Mapping):
         return {str(name): {"place": place} for name, place in robots.items()}
     return {
@@ -271,7 +269,7 @@ def _policy(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[Document
 
 
 def _rows(policy: Mapping[str, Any]) -> Dict[Tuple[Any, ...], Mapping[str, Any]]:
-    """The rows of a policy by what they match, whatever the order of its places."""
+    """The rows of a policy by what they match, regardless of the order of its places."""
     places = policy.get("places")
     names = [str(p) for p in places] if isinstance(places, list) else []
     rows = policy.get("rows")

@@ -26,7 +26,7 @@ _ARROW_LENGTH, _DOT_LENGTH = 7.0, 5.6
 """Lengths of the two kinds of arc heads, in points, at the size used for nets."""
 
 _SHADE = "#5a708c22"
-"""Background of a box; translucent, so that a box in another one is darker."""
+"""Background of a box; translucent, so that nested boxes are darker."""
 
 Attribute = Union[str, int, float]
 
@@ -72,7 +72,7 @@ class Graph:
         self.close(parents)
         self._lines.append("subgraph %s {" % _quote("cluster_%d" % number))
         self._open += 1
-        # a shade and no line: a line would cross names, for which Graphviz makes no room
+        # a shade instead of a line, which could cross names, since Graphviz leaves no room for them
         look = {"label": label, "style": "rounded,filled", "fillcolor": _SHADE, "color": "none"}
         self._lines.append("graph%s;" % _attributes(look))
         self._lines += ["%s;" % _quote(node) for node in nodes]
@@ -112,7 +112,7 @@ def net_graph(
     weights, priorities, capacities and arc weights are shown where they differ from the default.
 
     If all nodes of the net have positions, the drawing uses them; otherwise, and where the net has
-    subnets, whose own drawings would lie upon that of the net around them, Graphviz lays it out.
+    subnets, whose drawings would overlap that of the surrounding net, Graphviz lays it out.
 
     :param marking: the tokens to show, in place order; the initial marking by default.
     :param subnets: the parts of the net to draw a box around.

@@ -1,7 +1,7 @@
-"""The draft that a reader fills while it goes through a file, and that becomes a net at the end.
+"""The draft of a net that a reader fills while it goes through a file.
 
 It implements the rules that all formats share: an element is called by its name, or by its id if
-the name is empty or not unique; an arc refers to its ends by id, or else by name; errors have a
+the name is empty or not unique; an arc refers to its ends by id, otherwise by name; errors have a
 line number."""
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 if TYPE_CHECKING:
     from gspn_framework_package.formats.repetition import FileSample
 
-_MAX_DIGITS = 300  # digits of a whole number that is read exactly; longer ones are not token counts
+_MAX_DIGITS = 300  # maximum number of digits of a whole number; longer ones are not token counts
 
 NO_CONSTANTS: Mapping[str, float] = {}
 
@@ -65,7 +65,7 @@ def one_line(text: Optional[str]) -> str:
     """Return a name or id without line breaks and surrounding space."""
     if not text:
         return ""
-    if text.isprintable():  # no character breaks the line
+    if text.isprintable():  # no line break in the name
         return text.strip()
     return " ".join(part.strip() for part in text.splitlines()).strip()
 

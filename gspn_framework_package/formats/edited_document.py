@@ -2,7 +2,7 @@
 object ``{"plan": ..., "net": ..., "policy": ... or null}``.
 
 ``plan`` is the object of the plan file without the keys ``net`` and ``policy``. A subnet stays a
-reference. A document may be half-drawn: only :func:`plan_of_document` asks for more than that.
+reference. A document may be incomplete; only :func:`plan_of_document` requires a complete one.
 """
 
 from __future__ import annotations

@@ -10,14 +10,14 @@ from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.model.errors import InputError, UsageError
 
 ALL_EXAMPLES = "all"
-"""Stands for all examples where the name of one is asked for."""
+"""Stands for all examples in place of a name."""
 
 
 def plans_folder() -> str:
     """Return the folder of the example plans: in this package if pip has installed it, beside it in
     a checkout, or in its share folder if catkin or Debian has installed it.
 
-    :raises UsageError: there is none.
+    :raises UsageError: the folder does not exist.
     """
     package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     candidates = [
@@ -46,10 +46,10 @@ def copy_example(name: str, folder: str) -> List[str]:
 
     :param name: one of :func:`example_names`, or :data:`ALL_EXAMPLES` for a folder with a
         folder for each.
-    :param folder: the folder to make.
+    :param folder: the folder to create.
     :returns: the names in the folder.
     :raises UsageError: there is no such example, or the folder exists.
-    :raises InputError: it cannot be written; nothing is left behind.
+    :raises InputError: the folder cannot be written; nothing is left behind.
     """
     names = example_names()
     if name not in (*names, ALL_EXAMPLES):

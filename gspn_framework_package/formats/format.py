@@ -23,15 +23,15 @@ Bounds = Mapping[str, int]
 """Place -> the maximum number of tokens it can hold, where that is known."""
 
 Updater = Callable[[bytes, ReadOptions, Net, Net], bytes]
-"""Returns the content of a file with another net in it: (content, how it is read, the net that it
-holds, the net that it is to hold)."""
+"""Returns the content of a file with its net changed. Takes (content, how it is read, the present
+net, the new net)."""
 
 NetAndNotes = Tuple[Net, List[str]]
 """The result of a reader: the net, and notes on what it had to assume or left out."""
 
 
 class CannotHoldError(Exception):
-    """The format cannot hold the net, or the file is written in a way that is not changed."""
+    """The format cannot hold the net, or changing a file written like this is not supported."""
 
 
 class NetFile:
@@ -146,8 +146,9 @@ class Format:
     :ivar reader: how to recognise and read it; None if it can only be written.
     :ivar losses: returns what the writer leaves out of a net or rewrites, in sentences.
     :ivar takes_bounds: whether the writer needs upper bounds on the tokens of places.
-    :ivar update: changes the net in a file and leaves all else as it is; it raises
-        :class:`CannotHoldError` where it cannot. None if files of the format are not changed.
+    :ivar update: changes the net in a file and leaves everything else unchanged; it raises
+        :class:`CannotHoldError` if it cannot. None if changing files of the format is not
+        supported.
     """
 
     name: str

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any, Dict, Sequence, Union
 
 PLOTTED = 12
-"""Most places whose tokens are plotted: more curves cannot be distinguished."""
+"""Maximum number of places to plot; more curves cannot be distinguished."""
 
 Tree = Union[str, Dict[str, Any]]
 
@@ -21,8 +21,8 @@ def foxglove_layout(robots: Sequence[str], places: Sequence[str], namespace: str
 
     :param robots: names of the robots, whose activity is on ``/ROBOT/robot_activity``.
     :param places: names of the places to plot, by their numbers in the net.
-    :param namespace: that of the robot whose ``marking`` and ``team_state`` are shown, with a
-        leading slash; "" for a run without ROS.
+    :param namespace: the namespace of the robot whose ``marking`` and ``team_state`` are shown,
+        with a leading slash; "" for a run without ROS.
     """
     panels: Dict[str, Dict[str, Any]] = {
         "StateTransitions!places": {

@@ -2,11 +2,11 @@
 
 A net becomes a Markov automaton, or a Markov chain if it has no immediate transitions, with one
 integer variable per place. Storm (``storm --jani net.jani --prop ...``) and any other tool that
-reads JANI can then check properties in CSL or LTL. Nothing in a net is lost: the weights of
-immediate transitions that are enabled together are normalised, and guards and rates express
-priorities, inhibitor arcs, capacities and servers. A transition of weight 0 is a nondeterministic
-choice, as in the model. The guards of exponential transitions exclude markings that enable
-immediate ones, so the result does not depend on whether the tool assumes maximal progress."""
+reads JANI can then check properties in CSL or LTL. No information is lost: the weights of immediate
+transitions that are enabled together are normalised, and guards and rates express priorities,
+inhibitor arcs, capacities and servers. A transition of weight 0 is a nondeterministic choice, as in
+the model. The guards of exponential transitions exclude markings that enable immediate ones, so the
+result does not depend on whether the tool assumes maximal progress."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Reading of JSON files, with errors that name file and line; and the text of those that people
-read."""
+"""Reads JSON files, with errors that name file and line, and formats JSON for people."""
 
 from __future__ import annotations
 
@@ -16,10 +15,10 @@ KeyOrIndex = Union[str, int]
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+')
 LINE_WIDTH = 100
-"""Longest value that is written in one line."""
+"""Maximum length of a value written in one line."""
 
 RECORD = 160
-"""Longest item of a list that is written in one line: a node, an arc, a row."""
+"""Maximum length of a list item written in one line: a node, an arc, a row."""
 
 _ENCODE = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
 _UNUSUAL = re.compile(r"[0-9]{300}|[eE]\+?[0-9]{3}")  # a number may be too large
@@ -69,14 +68,14 @@ def json_text(data: Any) -> str:
 def json_layout(
     value: Any, indent: str = "", unit: str = "  ", newline: str = "\n", width: int = LINE_WIDTH
 ) -> str:
-    """The text of a JSON value: in one line if that fits, with lines for its members if not.
+    """Format a JSON value: in one line if it fits, otherwise with a line for each member.
 
-    In a list of objects (nodes, arcs, rows, robots) each has a line of its own, so that a change of
-    one is a difference of one line. Lists of numbers are not broken.
+    In a list of objects (nodes, arcs, rows, robots) each has its own line, so that a change to one
+    gives a diff of one line. Lists of numbers are not split.
 
-    :param indent: the space before the line that the value begins in.
-    :param unit: what members are indented by.
-    :param width: the longest line of a value in one line, with its indentation.
+    :param indent: the indentation of the line in which the value begins.
+    :param unit: the additional indentation of members.
+    :param width: the maximum length of a one-line value, with its indentation.
     """
     flat = _ENCODE(value)
     if not value or not is_container(value):
@@ -123,15 +122,15 @@ def _lines(value: Any, indent: str, unit: str, newline: str) -> str:
 
 
 DEEPEST_JSON = 100
-"""How deep lists and objects may be inside each other; plans and logs need less than 20."""
+"""Maximum nesting depth of lists and objects; plans and logs need less than 20."""
 
 
 TOO_DEEP = "it is nested too deeply"
 
 
 def is_too_deep(data: Any) -> bool:
-    """Whether a value of JSON is nested deeper than :data:`DEEPEST_JSON`: whoever goes through it
-    would run out of stack somewhere."""
+    """Whether a value of JSON is nested deeper than :data:`DEEPEST_JSON`: traversing it could
+    exhaust the stack."""
     level = [data] if isinstance(data, (dict, list)) else []
     for _ in range(DEEPEST_JSON):
         level = [

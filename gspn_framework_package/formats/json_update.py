@@ -1,8 +1,8 @@
 """Changing a JSON file without touching the rest of its text.
 
-What is equal before and after keeps its text: the order of keys, how numbers are spelt, line breaks
-and spaces. Only what differs is written anew. What was in one line and does not fit there any more
-gets lines for its members.
+Unchanged values keep their text: the order of keys, the spelling of numbers, line breaks and
+spaces. Only changes are rewritten. A value that no longer fits in one line gets a line for each
+member.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class _Part(NamedTuple):
 
 
 def same(old: Any, new: Any) -> bool:
-    """Whether two JSON values say the same: numbers are compared as a browser compares them, and
-    the order of keys does not matter."""
+    """Whether two JSON values are equivalent: numbers are compared as in a browser, and the order
+    of keys does not matter."""
     if isinstance(old, bool) or isinstance(new, bool):
         return old is new
     if isinstance(old, (int, float)) and isinstance(new, (int, float)):
@@ -61,7 +61,8 @@ def update_json(text: str, new: Any, ordered: Sequence[str] = ()) -> str:
     """Return the text of a JSON file with the content ``new``.
 
     :param text: the file, which is JSON.
-    :param ordered: keys of the outermost object whose own keys have an order that matters.
+    :param ordered: keys of the outermost object whose values are objects with significant key
+        order.
     """
     start = _skip(text, 1 if text[:1] == "\ufeff" else 0)
     old, end = _SCAN(text, start)
@@ -85,9 +86,9 @@ class _Update:
     def value(
         self, start: int, end: int, old: Any, new: Any, indent: Optional[str], depth: int
     ) -> str:
-        """The text of a value that had the text from ``start`` to ``end``.
+        """Return the new text of the value that spans ``start`` to ``end``.
 
-        :param indent: the space before its line; None: it stays in one line.
+        :param indent: the indentation of its line; None to keep it in one line.
         """
         text = self.text[start:end]
         if same(old, new) and not (depth == 0 and self._reordered(old, new)):
@@ -107,8 +108,8 @@ class _Update:
 
     @staticmethod
     def _stays(text: str, changed: str, old: Any, new: Any, indent: str) -> bool:
-        """Whether what was in one line goes on in one line: if it fits, or if it never did and has
-        no parts that could have lines of their own."""
+        """Whether a one-line value stays in one line: if it fits, or if it did not fit before
+        either and has no parts that could have separate lines."""
         if len(indent) + len(changed) <= LINE_WIDTH:
             return has_records(old) or not has_records(new)
         return len(indent) + len(text) > LINE_WIDTH and not any(map(is_container, _members(new)))
@@ -197,7 +198,7 @@ class _Update:
             if part is None:
                 pieces.append((part, self.written(value, inside, RECORD)))
             else:
-                # an item that is a line stays one: nodes, arcs, rows
+                # items that fill one line stay that way: nodes, arcs, rows
                 deeper = inside if "\n" in self.text[part.start : part.end] else None
                 text = self.value(part.start, part.end, part.value, value, deeper, 1)
                 pieces.append((part, text))
@@ -216,7 +217,7 @@ class _Update:
         pieces: Sequence[Tuple[Optional[_Part], str]],
         indent: Optional[str],
     ) -> str:
-        """The members with the space between them, as the file has it."""
+        """Join the members with the space between them, as in the file."""
         if parts:
             lead, tail = parts[0].before, self.text[parts[-1].end : end - 1]
             between = parts[1].before if len(parts) > 1 else lead if "\n" in lead else " "
@@ -236,7 +237,7 @@ class _Update:
         return ",".join(found) + tail
 
     def written(self, value: Any, indent: Optional[str], width: int = LINE_WIDTH) -> str:
-        """A new value."""
+        """Format a new value."""
         if indent is None:
             return json.dumps(value, ensure_ascii=False, allow_nan=False)
         return json_layout(value, indent, self.unit, self.line, width)
@@ -247,8 +248,8 @@ def _members(value: Any) -> Sequence[Any]:
 
 
 def _partners(parts: List[_Part], new: List[Any]) -> List[Optional[_Part]]:
-    """For each new item the old one that it replaces: an equal one, one with the same name, or, if
-    as many are left of both, the one in its turn."""
+    """For each new item, the old one that it replaces: an equal one, one with the same name, or, if
+    equally many remain on both sides, the one at the same position."""
     found: List[Optional[_Part]] = [None] * len(new)
     left = list(parts)
     for identity in (_content, _identity):
@@ -272,7 +273,7 @@ def _partners(parts: List[_Part], new: List[Any]) -> List[Optional[_Part]]:
 
 
 def _content(value: Any) -> Any:
-    """The same for values that :func:`same` calls the same, and only for those."""
+    """A key that is equal for exactly those values that :func:`same` considers equal."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return (type(value).__name__, value)
     if isinstance(value, (int, float)):
@@ -283,8 +284,8 @@ def _content(value: Any) -> Any:
 
 
 def _identity(value: Any) -> Any:
-    """What names an item of an array: the name of a node or robot, the ends of an arc, the marking
-    of a row."""
+    """The identity of an item in an array: the name of a node or robot, the ends of an arc, the
+    marking of a row."""
     if not isinstance(value, dict):
         return None
     for keys in (("name",), ("from", "to", "inhibitor"), ("marking",)):

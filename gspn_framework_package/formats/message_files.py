@@ -16,10 +16,10 @@ from gspn_framework_package.model.errors import InputError, UsageError
 PACKAGE = "gspn_framework_package"
 
 MESSAGE_KINDS = ("RobotActivity", "Marking", "TeamState", "Prediction", "FiredTransition")
-"""The types of messages that can be written, in an order in which none needs a later one."""
+"""The types of messages that can be written, in an order such that none needs a later one."""
 
 INSTALL = "pip install rosbags mcap"
-"""What installs the libraries."""
+"""The command that installs the libraries."""
 
 _COLUMNS = (
     "time",
@@ -38,15 +38,15 @@ _COLUMNS = (
 
 
 class MessageFile(Protocol):
-    """A file of messages that is being written. It appears under its name when it is closed; if
-    anything fails before, nothing is left of it."""
+    """A file of messages being written. It appears under its name when closed; if anything fails
+    earlier, nothing is left behind."""
 
     def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
         """Append a message.
 
         :param time: seconds since 1970, not before the last message.
         :param kind: the name of its type in this package, one of :data:`MESSAGE_KINDS`.
-        :param fields: its fields but for the header.
+        :param fields: its fields without the header.
         """
 
     def __enter__(self) -> MessageFile: ...
@@ -109,7 +109,7 @@ class Encoder:
 
 
 class _WrittenFile:
-    """The common part: writes beside the file, and renames at the end."""
+    """The common part: writes to a temporary file, and renames it at the end."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -123,7 +123,7 @@ class _WrittenFile:
             raise _cannot_write(self._path, error) from None
 
     def _finish(self) -> None:
-        """Complete what is written and close it."""
+        """Complete the file and close it."""
         raise NotImplementedError
 
     def __exit__(
@@ -163,7 +163,7 @@ class _EncodedFile(_WrittenFile):
         self._append(self._topics[topic], number, round(time * 1e9), data)
 
     def _declare(self, topic: str, kind: str) -> Any:
-        """Declare a topic; returns what stands for it in the file."""
+        """Declare a topic; returns its identifier in the file."""
         raise NotImplementedError
 
     def _append(self, declared: Any, number: int, at: int, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Whether two nets say the same, however they are drawn and in whatever order."""
+"""Compares nets regardless of drawing and order."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from gspn_framework_package.model.net import Arc, Net, Place, Transition
 Node = Union[Place, Transition]
 
 CLOSE = 1e-5
-"""How far a position may be off when it is read back, as a part of its size (or of 1)."""
+"""Relative tolerance of positions that are read back (absolute below 1)."""
 
 
 def same_net(a: Net, b: Net) -> bool:
-    """Whether two nets say the same; the order of their elements does not matter."""
+    """Whether two nets are equivalent; the order of their elements does not matter."""
     if len(a.places) != len(b.places) or len(a.transitions) != len(b.transitions):
         return False
     for mine, others in ((a.places, b.places), (a.transitions, b.transitions)):
@@ -27,7 +27,7 @@ def same_net(a: Net, b: Net) -> bool:
 
 
 def same_node(a: Node, b: Node) -> bool:
-    """Whether two nodes say the same, up to the rounding of their positions."""
+    """Whether two nodes are equal, up to the rounding of their positions."""
     if (a.position is None) != (b.position is None):
         return False
     if a.position is not None and b.position is not None:
@@ -38,7 +38,7 @@ def same_node(a: Node, b: Node) -> bool:
 
 
 def meaning(node: Node) -> Tuple[Any, ...]:
-    """The node without its position, and without what its kind does not have."""
+    """The node without its position, and without attributes that do not apply to its kind."""
     if isinstance(node, Place):
         return (node.name, node.tokens, node.capacity)
     if node.timed:
@@ -47,5 +47,5 @@ def meaning(node: Node) -> Tuple[Any, ...]:
 
 
 def arc_key(arc: Arc) -> Tuple[str, str, int, bool]:
-    """What an arc says, in a form that can be sorted."""
+    """The content of an arc, in sortable form."""
     return (arc.source, arc.target, arc.weight, arc.inhibitor)

@@ -1,7 +1,7 @@
-"""Changing a net in its own file, without losing what this package does not read.
+"""Changes a net in its own file, without losing content that this package does not read.
 
-How that is done is in the record of each format (``update``). The result is read back and compared:
-a file is only replaced by one that says what it should.
+The record of each format (``update``) defines how. The result is read back and compared, so that a
+file is replaced only by a correct one.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ def update_net(data: bytes, path: str, options: ReadOptions, new: Net) -> Option
 
     :param data: the content of the file.
     :param path: its name, for messages.
-    :param options: how it is read.
-    :returns: ``data`` itself if it says the same already; None if the format cannot hold the net.
+    :param options: how the file is read.
+    :returns: ``data`` itself if it already contains an equivalent net; None if the format cannot
+        hold the net.
     :raises GspnError: the file cannot be read.
     """
     file = NetFile(data, path)

@@ -37,7 +37,7 @@ PLAN_FILE = "plan.json"
 """The name of the plan file in a plan's folder."""
 
 PLAN_BYTES = 32 << 20
-"""How many bytes of a JSON file are searched for the keys of a plan."""
+"""Number of bytes of a JSON file to search for the keys of a plan."""
 
 _CHUNK = 1 << 20
 
@@ -47,8 +47,8 @@ def read_plan(path: str, within: Optional[str] = None) -> Plan:
 
     :param path: a plan file, an input file of the thesis (4.1.3, 4.3.6), or a folder with a
         ``plan.json``.
-    :param within: the folder that all files have to be in which the plan and its subnets name;
-        None: they may be anywhere.
+    :param within: the folder that must contain all files named by the plan and its subnets; None
+        for no restriction.
     :returns: the validated plan; ``Plan.notes`` has notes for the user on how it was read.
     :raises GspnError: the plan cannot be read; the error has file, line and element.
     """
@@ -60,7 +60,7 @@ def read_plan(path: str, within: Optional[str] = None) -> Plan:
 
 
 def _plan_or_its_net(path: str, net_will_do: bool, within: Optional[str]) -> NetOrPlan:
-    """As :func:`read_plan`; but from an input file of the thesis that is to be read as a net, the
+    """As :func:`read_plan`, but if an input file of the thesis is to be read as a net, return the
     net."""
     try:
         file, document = _open(path)
@@ -75,14 +75,14 @@ def _plan_or_its_net(path: str, net_will_do: bool, within: Optional[str]) -> Net
 
 
 def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
-    """The JSON object of a plan file, with what the plan has learned since it was read, the policy
-    and the robots that it got, and all else as the file has it.
+    """The JSON object of a plan file, updated with the plan's learned parameters, policy and
+    robots; everything else is as in the file.
 
     :param path: the plan file, or its folder.
     :param plan: the plan that was read from it, possibly with other durations, outcomes, failures,
         rates, policy and robots.
-    :param folder: where the object will be written: if that is another folder, it contains the net
-        and the policy themselves, not the names of their files.
+    :param folder: where the object will be written: in another folder, it contains the net and the
+        policy themselves instead of the names of their files.
     """
     path, document = _open(path)
     whole = plan_to_short_json(plan)
@@ -217,13 +217,13 @@ def _net_of_thesis(
 
 
 def is_plan(path: str) -> bool:
-    """Whether ``path`` looks like a plan rather than a net: a folder or a JSON file."""
+    """Whether ``path`` looks like a plan rather than a net, that is, a folder or a JSON file."""
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
 def looks_like_plan(path: str) -> bool:
     """Whether a JSON file has the keys of a plan; it is parsed only when it is opened. (A computed
-    policy of many megabytes may stand before the last of them.)"""
+    policy of many megabytes may precede the last of them.)"""
     wanted, known, end = {b'"net"', b'"actions"'}, b'"gspn"', b""
     try:
         with open_file(path) as file:
@@ -242,7 +242,7 @@ def looks_like_plan(path: str) -> bool:
 
 
 def plan_from_object(data: Mapping[str, Any], path: str, within: Optional[str] = None) -> Plan:
-    """Return the plan of the object of a plan file, as it will be read once it is saved.
+    """Return the plan of a plan file's object, as it will be read after saving.
 
     :param data: the object, with the net and the policy inside.
     :param path: the plan file. It need not exist; subnets and functions are in its folder.
@@ -253,9 +253,9 @@ def plan_from_object(data: Mapping[str, Any], path: str, within: Optional[str] =
 
 
 class _Reading:
-    """What is common to a plan and its subnets while they are read.
+    """The state shared by a plan and its subnets while they are read.
 
-    :ivar within: the folder that all files have to be in; None: anywhere.
+    :ivar within: the folder that must contain all files; None for no restriction.
     :ivar known: the subnets that have been read, by file and parameters.
     """
 
@@ -273,7 +273,7 @@ def _own_form(
 ) -> Plan:
     """The plan of a file in the package's own form.
 
-    :param around: the file, after those of the plans that use it as a subnet.
+    :param around: the files of the plans that use this one as a subnet, and this file.
     :param given: the values of its parameters, if it is used as a subnet.
     """
     folder = os.path.dirname(os.path.abspath(path))
@@ -312,7 +312,7 @@ def _subnet(
     around: Tuple[str, ...],
     reading: _Reading,
 ) -> Plan:
-    """The plan of a subnet. :raises GspnError: it cannot be read, or is inside itself."""
+    """The plan of a subnet. :raises GspnError: it cannot be read, or contains itself."""
     path, document = _open(path)
     real = os.path.realpath(path)
     if real in around:
@@ -342,8 +342,8 @@ def _line(document: JsonDocument, element: str) -> Optional[int]:
 
 
 def _line_of(document: JsonDocument, element: str) -> Optional[int]:
-    """Return the line of an element named by its keys (``timeout.Sort``). A key may have dots; of
-    an element that is not there, the line of the innermost one around it."""
+    """Return the line of an element named by its keys (``timeout.Sort``). A key may have dots; for
+    a missing element, the line of the innermost enclosing one."""
     key, *rest = element.split(":")[0].split(".")
     path: List[str] = [key]
     line = document.line(path)

@@ -120,7 +120,7 @@ def plan_from_json(
     :param file: the file that it comes from, for messages and for ``Plan.file``.
     :param folder: the folder with the functions.
     :param checked: whether ``data`` is known to fit the schema.
-    :param parts: the subnets, which ``data`` and ``net`` have already (see ``formats.subnets``).
+    :param parts: the subnets, already included in ``data`` and ``net`` (see ``formats.subnets``).
     :raises PlanError: the object does not fit the schema, or names something that does not exist.
     """
     if not checked:

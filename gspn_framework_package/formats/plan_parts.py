@@ -1,7 +1,7 @@
-"""A plan as it is written: its JSON object, its net and its policy, and the files they are in.
+"""A plan as written: its JSON object, its net and its policy, and their files.
 
-:func:`~gspn_framework_package.formats.plan_file.read_plan` makes one whole of them, with subnets in
-the place of their references. An editor needs the parts as they stand in the files.
+:func:`~gspn_framework_package.formats.plan_file.read_plan` combines them, replacing references to
+    subnets by the subnets. An editor needs the parts as they are in the files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ JsonObject = Dict[str, Any]
 
 
 class PlanParts(NamedTuple):
-    """What the files of a plan say.
+    """The content of a plan's files.
 
     :ivar plan: the object of the plan file without ``net`` and ``policy``.
     :ivar net: the net as a JSON object.
@@ -56,11 +56,11 @@ class PlanParts(NamedTuple):
 def read_parts(path: str, within: Optional[str] = None) -> PlanParts:
     """Read the parts of a plan, or a bare net, whose plan is then empty.
 
-    What the plan says of its net and policy is not compared with them, and subnets are not read: a
-    plan that does not pass the check can be opened and mended.
+    The parts are not checked against each other, and subnets are not read, so that an invalid plan
+    can be opened and repaired.
 
-    :param within: the folder that all files have to be in; None: they may be anywhere.
-    :raises GspnError: a file cannot be read, or is not what it should be.
+    :param within: the folder that must contain all files; None for no restriction.
+    :raises GspnError: a file cannot be read, or has the wrong kind of content.
     """
     if not is_plan(path):
         net, notes = read_net_with_notes(path)

@@ -162,7 +162,7 @@ class _Reader:
             self._arc(arc)
 
     def note_timing(self, untimed: int) -> None:
-        """Note what was assumed on time; ``untimed`` transitions have none in the file."""
+        """Note the assumptions about timing; ``untimed`` transitions have none in the file."""
         self.draft.note_untimed(untimed)
         if self.parameters:
             meaning = "means, as ProM writes them" if self.means else "rates, as pm4py writes them"

@@ -1,4 +1,4 @@
-"""How a net in a file of PNML is changed there; see ``xml_update``."""
+"""Changes a net in its PNML file; see ``xml_update``."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def _property(element: Any, tool: str, key: str) -> Optional[str]:
 
 
 def _set_property(element: Any, tool: str, version: str, key: str, value: Optional[str]) -> None:
-    """Set a property in the data of a tool, where it is now; None: remove it."""
+    """Set a property in the data of a tool, in its present position; None removes it."""
     nodes = [n for n in all_of(element, "toolspecific") if n.get("tool") == tool]
     for node in reversed(nodes):
         for part in reversed(all_of(node, "property")):

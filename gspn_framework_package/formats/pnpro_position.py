@@ -1,4 +1,4 @@
-"""Positions in files of GreatSPN, which counts in units of its own from corners of its own."""
+"""Converts positions in files of GreatSPN, which uses its own units and reference corners."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 
 
 def from_editor(where: Optional[Point], kind: str) -> Optional[Point]:
-    """The position of a node (place, EXP or IMM) as the model has it."""
+    """Convert the position of a node (place, EXP or IMM) to the model's."""
     if where is None:
         return None
     return round((where[0] - _CORNER[kind]) * UNIT, 6), where[1] * UNIT

@@ -1,4 +1,4 @@
-"""How a net in a file of PNPRO is changed there; see ``xml_update``."""
+"""Changes a net in its PNPRO file; see ``xml_update``."""
 
 from __future__ import annotations
 

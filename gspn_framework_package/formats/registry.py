@@ -33,7 +33,7 @@ NO_BOUNDS: Bounds = {}
 AS_THE_FILE_SAYS = ReadOptions()
 
 MIN_BYTES = 1_000_000
-"""Size (bytes) of a PNML file from which on it pays to look for what it repeats."""
+"""Size (bytes) of a PNML file from which on it pays to look for repetition."""
 
 FORMATS: Dict[str, Format] = {}
 """Format name -> format, in the order in which the formats are tried on a file."""
@@ -55,7 +55,7 @@ def register(format: Format) -> None:
 
 
 def _of(module: str, function: str) -> Callable[..., Any]:
-    """A function of a module of this folder, which the first call imports."""
+    """A function of a module in this folder, imported by the first call."""
 
     def call(*arguments: Any) -> Any:
         return getattr(import_module("%s.%s" % (__package__, module)), function)(*arguments)
@@ -137,8 +137,8 @@ def read_net_with_notes(
 
 
 def _read_sample(file: NetFile, options: ReadOptions) -> Optional[NetAndNotes]:
-    """Read a large file that repeats itself; None if it is not one, or if something is wrong with
-    it, which :func:`_read` then reports."""
+    """Read a large file that repeats itself; None if it does not, or if it has errors, which
+    :func:`_read` then reports."""
     format = options.format
     if len(file.data) < MIN_BYTES or format not in (None, "pnml") or not file.is_xml:
         return None
@@ -178,7 +178,7 @@ def _read(file: NetFile, options: ReadOptions) -> NetAndNotes:
 
 
 def _recognise(file: NetFile) -> Format:
-    """Recognise the format of a file by its content. :raises InputError: no readable format."""
+    """Recognise the format of a file by its content. :raises InputError: the format is unknown."""
     refuse_foreign_file(file)
     for format in FORMATS.values():
         if format.reader is not None and format.reader.takes(file):

@@ -8,8 +8,8 @@ format's reader reads as any other. The meaning of a content is that of its elem
 
 This applies only to files of a plain form: all places, then all transitions, then all arcs, on one
 page, without comments, CDATA sections and processing instructions. :func:`sample_of` returns None
-for all others, and whoever uses the sample has to do the same for whatever is wrong in it, so that
-the usual reader says what and on which line.
+for all others, and a reader must give up on any error in the sample, so that the usual reader
+reports it with the right line.
 
 If the sample is well-formed, so is the file. Each element is its columns and its content, between
 the same two tags as in the sample. A content cannot reach beyond them: there are no comments and

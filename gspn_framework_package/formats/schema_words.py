@@ -1,4 +1,5 @@
-"""What does not fit a JSON Schema, in words: which element, why, and what is possible there."""
+"""Describes violations of a JSON Schema in words: which element, why, and what is possible
+there."""
 
 from __future__ import annotations
 
@@ -16,11 +17,11 @@ _TYPES = {
     "boolean": "true or false",
     "null": "null",
 }
-_LONGEST = 140  # of a value that is shown, in characters
+_LONGEST = 140  # maximum length of a displayed value
 
 
 class SchemaWords:
-    """Finds and words the error that says most.
+    """Finds and describes the most informative error.
 
     :param definitions: the definitions that ``$ref`` refers to.
     """
@@ -29,8 +30,8 @@ class SchemaWords:
         self._definitions = definitions
 
     def most_telling(self, errors: Sequence[Any]) -> Any:
-        """Return the outermost error; of several forms that are possible, that of the form that
-        is meant, if one fits better than the others."""
+        """Return the outermost error; if several forms are possible, the error of the form that
+        fits best."""
         best = min(errors, key=_order)
         while best.validator in ("oneOf", "anyOf") and best.context:
             fits = [self._fit(best.instance, form) for form in best.validator_value]
@@ -120,7 +121,7 @@ def unknown_key(error: Any) -> List[str]:
 
 
 def _order(error: Any) -> Tuple[int, bool, bool]:
-    # a misspelt key is often also a missing one: the misspelling says more
+    # a misspelt key is often also a missing one; the misspelling is more informative
     forms = error.validator in ("anyOf", "oneOf")
     return len(error.path), forms, error.validator != "additionalProperties"
 

@@ -16,9 +16,9 @@ verbose format."""
 
 def open_file(path: str) -> BinaryIO:
     """Open a file to read bytes. Anything but a regular file is refused without waiting: a pipe may
-    never say anything, and a device may never end.
+    never deliver data, and a device may never end.
 
-    :raises OSError: it is none, or cannot be opened; ``strerror`` says why.
+    :raises OSError: it is not a regular file, or cannot be opened; ``strerror`` says why.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -62,18 +62,18 @@ def read_text(path: str, limit: int = MAX_BYTES) -> str:
 
 
 def is_inside(path: str, folder: str) -> bool:
-    """Whether a path is in a folder, or the folder itself, wherever links lead."""
+    """Whether a path, after following links, is in a folder or the folder itself."""
     folder = os.path.realpath(folder).rstrip(os.sep)
     return (os.path.realpath(path) + os.sep).startswith(folder + os.sep)
 
 
 def named_file(name: str, folder: str, within: Optional[str]) -> str:
-    """The path of a file that a plan names. All that a plan names is looked up here.
+    """The path of a file that a plan names. All such names are resolved here.
 
-    :param name: as the plan has it: relative to its folder, or absolute.
+    :param name: the name in the plan: relative to its folder, or absolute.
     :param folder: the folder of the plan.
-    :param within: the folder that the file has to be in; None: it may be anywhere.
-    :raises InputError: that is not the name of a file.
+    :param within: the folder that must contain the file; None for no restriction.
+    :raises InputError: the name is not a file name.
     :raises RefusedError: it is not in the folder ``within``.
     """
     if not name.strip() or "\0" in name:

@@ -1,8 +1,8 @@
 """Subnets of a plan file: a place whose action is another plan.
 
-The net of the other plan replaces the place when the plan is read, and everything that the other
-plan says of its places and transitions comes with it, under names with the place before them
-(``dock.Approach``). So nothing that runs or analyses a plan needs to know of subnets.
+The net of the other plan replaces the place when the plan is read, and all settings of the other
+plan for its places and transitions come with it, under names prefixed with the place
+(``dock.Approach``). So code that runs or analyses a plan need not know about subnets.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyScope
 from gspn_framework_package.model.subnet import SEPARATOR, Subnet
 
 MOST_NODES_TOGETHER = 100_000
-"""Most nodes of a net with its subnets: nesting multiplies them."""
+"""Maximum number of nodes of a net with its subnets, since nesting multiplies them."""
 
 _PARAMETER = re.compile(r"\$(\$?)\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
@@ -49,13 +49,13 @@ _PER_PLACE = ("timeout", "on_failure", "durations", "outcomes", "failures")
 
 
 class SubnetPart(NamedTuple):
-    """A subnet on its way into a plan.
+    """A subnet being inserted into a plan.
 
     :ivar name: the place that it replaces.
     :ivar plan: its own plan.
-    :ivar entry: the place where robots enter, by its name in the whole net.
+    :ivar entry: the place where robots enter, by its name in the complete net.
     :ivar exit: the place where they leave, likewise.
-    :ivar names: node of its own net -> name in the whole net.
+    :ivar names: node of its own net -> name in the complete net.
     :ivar shared: the resource places that belong to the plan around it, by their names there.
     :ivar folder: the folder of its functions, relative to that of the plan around it.
     """
@@ -70,7 +70,7 @@ class SubnetPart(NamedTuple):
 
     @property
     def robot_places(self) -> List[str]:
-        """Its action places, by their names in the whole net."""
+        """Its action places, by their names in the complete net."""
         return [self.names[place] for place in self.plan.action_places]
 
 
@@ -79,12 +79,13 @@ class SubnetPart(NamedTuple):
 
 def fill_parameters(data: Dict[str, Any], given: Optional[Mapping[str, Any]]) -> Dict[str, Any]:
     """Return the JSON object of a plan with its parameters replaced by values, in its actions and
-    events: ``${name}``, or ``$${name}`` for the text ``${name}`` itself. A text that is nothing but
-    a parameter becomes its value, whatever its type.
+    events: ``${name}``, or ``$${name}`` for the text ``${name}`` itself. A text that consists of a
+    single parameter becomes its value, of any type.
 
     :param data: the object, not yet checked.
-    :param given: the values that a plan gives that uses this one as a subnet; None if it is read by
-        itself. Then its own ``parameters`` are the values, and without any nothing is replaced.
+    :param given: the values from the plan that uses this one as a subnet; None if it is read by
+        itself: then its own ``parameters`` are the values, and nothing is replaced if there are
+        none.
     :raises PlanError: a parameter has no value, or one is given that does not exist.
     """
     own = data.get("parameters")
@@ -153,8 +154,9 @@ def expand(
 
     :param data: the JSON object of the plan, which fits the schema.
     :param folder: the folder of the plan.
-    :param read: reads the plan of a file that is named so, with these values of its parameters.
-    :returns: the object without these places, the whole net, and the parts for :func:`with_parts`.
+    :param read: reads the plan in a file, given its name and the values of its parameters.
+    :returns: the object without these places, the complete net, and the parts for
+        :func:`with_parts`.
     :raises GspnError: a subnet cannot be read, or does not fit.
     """
     subnets = {
@@ -248,7 +250,7 @@ def _check_shared(
 
 
 def _refuse_counts(data: Mapping[str, Any], net: Net, subnets: Collection[str]) -> None:
-    """Refuse what speaks of a subnet as if it were one place."""
+    """Refuse references to a subnet as if it were a place."""
 
     def refuse(place: str, element: str) -> PlanError:
         return PlanError(
@@ -271,14 +273,14 @@ def _refuse_counts(data: Mapping[str, Any], net: Net, subnets: Collection[str]) 
         try:
             read = parse_condition(data["until"], [p.name for p in net.places]).places
         except ExpressionError:
-            return  # it may speak of places in a subnet; whoever knows them all reports it
+            return  # it may refer to places in a subnet; reported later, when all are known
         for place in set(read).intersection(subnets):
             raise refuse(place, "until")
 
 
 def _without_places(data: Mapping[str, Any], parts: Sequence[SubnetPart]) -> Dict[str, Any]:
-    """The object of a plan in which the replaced places are left out, and those where robots start,
-    decide or are sent are the entry or exit."""
+    """The object of a plan without the replaced places; where robots start, decide or are sent,
+    they are replaced by the entry or exit."""
     entry = {part.name: part.entry for part in parts}
     exit = {part.name: part.exit for part in parts}
     found = dict(data)
@@ -311,15 +313,16 @@ def _sum(some: Mapping[str, int], more: Mapping[str, int]) -> Dict[str, int]:
     return {name: some.get(name, 0) + more.get(name, 0) for name in {**some, **more}}
 
 
-# -- all the rest ----------------------------------------------------------------------------------
+# -- other settings
+# ----------------------------------------------------------------------------------
 
 
 def with_parts(plan: Plan, parts: Sequence[SubnetPart]) -> Plan:
-    """Return a plan with what its subnets say of their places and transitions. What the plan itself
-    says of one (``"timeout": {"dock.Approach": 9}``) takes precedence.
+    """Return a plan with the settings of its subnets for their places and transitions. A setting of
+    the plan itself for one of them (``"timeout": {"dock.Approach": 9}``) takes precedence.
 
-    :param plan: the plan, whose net has the subnets already.
-    :raises PlanError: its policy speaks of a subnet as if it were one place, or decides inside.
+    :param plan: the plan, whose net already includes the subnets.
+    :raises PlanError: its policy refers to a subnet as if it were a place, or decides inside one.
     """
     if not parts:
         return plan
@@ -419,14 +422,14 @@ def _event(event: EventSource, part: SubnetPart) -> EventSource:
 
 
 def _function(function: str, part: SubnetPart) -> str:
-    """The name of a function, with the folder of its subnet if that is another one."""
+    """The name of a function, with the folder of its subnet if that differs."""
     if part.folder == ".":
         return function
     return posixpath.normpath(posixpath.join(part.folder, function))
 
 
 def _subnets(net: Net, part: SubnetPart) -> List[Tuple[str, Subnet]]:
-    """The subnets that a part brings: itself, and those inside it."""
+    """The subnets that a part adds: itself, and those inside it."""
     inner, names = part.plan, part.names
     places = set(names.values()).difference(part.shared)
     found = [
@@ -458,7 +461,8 @@ def _subnets(net: Net, part: SubnetPart) -> List[Tuple[str, Subnet]]:
 
 
 def _policy(plan: Plan, parts: Sequence[SubnetPart]) -> Policy:
-    """The policy of a plan with those of its subnets, each of which decides for its own places."""
+    """The policy of a plan combined with those of its subnets, each of which decides for its own
+    places."""
     outer = plan.policy
     for part in parts:
         if part.name in outer.places:
@@ -520,7 +524,7 @@ def _row(
 
 
 def _refuse_rows(plan: Plan, parts: Sequence[SubnetPart]) -> None:
-    """Refuse rows that decide for places of which another policy has the say."""
+    """Refuse rows that decide for places that belong to another policy."""
     inside: Dict[
         str, Tuple[SubnetPart, bool]
     ] = {}  # transition -> its subnet, whether it leaves the exit

@@ -90,7 +90,7 @@ class _Reader:
         if not line.strip() or line.lstrip().startswith("#"):
             return
         keyword, _, rest = line.strip().partition(" ")
-        if keyword in ("nt", "lb"):  # notes and labels do not matter here
+        if keyword in ("nt", "lb"):  # notes and labels are ignored
             return
         if keyword == "pr":
             self._fail("priorities between pairs of transitions are not read")
@@ -273,8 +273,8 @@ def update_text(text: str, old: Net, new: Net) -> str:
     """Return the text of a file with the net ``old``, changed so that it holds ``new``: lines of
     places and transitions that did not change stay, as do notes and comments.
 
-    :raises NetError: the file is written in a way that is not changed here: it has arcs in lines of
-        places, several lines of a node, or labels.
+    :raises NetError: changing such a file is not supported: it has arcs in lines of places, several
+        lines for a node, or labels.
     """
     end = "\r\n" if "\r\n" in text else "\n"
     lines = text.splitlines()

@@ -1,4 +1,4 @@
-"""Timing that other tools keep in their ``toolspecific`` data, which is not read but named."""
+"""Reports timing in the ``toolspecific`` data of other tools, which is not read."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ _DEFAULT = _NOTHING | {"1", "1.0", "-1"}
 
 
 def note_other_timing(specific: etree._Element, what: str, draft: NetDraft) -> None:
-    """Note what a tool says of times, rates and the like in an element's ``toolspecific``.
+    """Note data about times, rates and the like in an element's ``toolspecific``.
 
-    :param what: the element, for the note; a tool and a word are noted once.
+    :param what: the element, for the note; each tool and word is noted once.
     """
     tool = specific.get("tool", "")
     if tool in _READ:

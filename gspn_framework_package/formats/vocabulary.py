@@ -28,15 +28,15 @@ _EVERYWHERE = (
 
 
 class Element(NamedTuple):
-    """What a reader knows of an element.
+    """A reader's knowledge of an element.
 
     :ivar attributes: names of its attributes.
     :ivar children: tag -> vocabulary of the child; :data:`ANY_CONTENT` allows any content.
     :ivar repeated: children that may occur several times; a second one of any other child is
         refused, since the reader would overlook it.
     :ivar text: whether the element itself has text.
-    :ivar positions: whether attributes that end in ``-x``, ``-y``, ``-k`` or ``-magnet`` are places
-        of labels in the drawing.
+    :ivar positions: whether attributes that end in ``-x``, ``-y``, ``-k`` or ``-magnet`` are
+        positions of labels in the drawing.
     """
 
     attributes: FrozenSet[str]
@@ -74,7 +74,7 @@ def known(
 
 
 def check_element(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> Children:
-    """Refuse anything that the vocabulary of ``element`` does not have, in all its descendants.
+    """Refuse anything in ``element`` and its descendants that its vocabulary does not have.
 
     :param what: name of the element in a message.
     :param fail: raises the error: (message, element, line, hint).

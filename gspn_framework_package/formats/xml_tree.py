@@ -15,10 +15,10 @@ from gspn_framework_package.model.net import Net, Point
 
 
 def xml_parser(**options: Any) -> etree.XMLParser:
-    """A parser that follows nothing out of the document: no entities, external files, network or
-    attribute defaults of a DTD.
+    """A parser that loads nothing from outside the document: no entities, external files, network
+    or attribute defaults of a DTD.
 
-    :param options: of ``lxml.etree.XMLParser``, what it keeps.
+    :param options: options of ``lxml.etree.XMLParser`` for what to keep.
     """
     return etree.XMLParser(
         resolve_entities=False,

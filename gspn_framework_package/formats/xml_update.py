@@ -1,9 +1,8 @@
-"""Changing a net in its own XML document: what the formats have in common.
+"""Changes a net in its own XML document; the part common to all formats.
 
-Only the elements that changed are changed in the tree of the document, and lines that are not
-changed stay as they are in the file: annotations, the points of arcs, colours and the data of
-other tools stay. ``pipe_update``, ``pnml_update`` and ``pnpro_update`` say how their formats write
-things.
+Only changed elements are modified in the tree of the document, and unchanged lines stay as they are
+in the file, including annotations, the points of arcs, colours and the data of other tools.
+``pipe_update``, ``pnml_update`` and ``pnpro_update`` implement the differences between the formats.
 """
 
 from __future__ import annotations
@@ -29,7 +28,8 @@ from gspn_framework_package.formats.xml_tree import (
 from gspn_framework_package.model.net import Arc, Net, Place
 
 _MANY_LINES = 3000
-"""Files of more lines are compared in a way that is faster and finds fewer unchanged lines."""
+"""Number of lines above which files are compared by a faster method that finds fewer unchanged
+lines."""
 
 _PROLOGUE = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*", re.DOTALL
@@ -37,15 +37,15 @@ _PROLOGUE = re.compile(
 
 
 class _Change(NamedTuple):
-    """What happens to a node: it is new (``old`` is None), goes (``new`` is None) or changes."""
+    """A change of a node: it is new (``old`` is None), removed (``new`` is None) or changed."""
 
     old: Optional[Node]
     new: Optional[Node]
 
 
 def _changes(old: Sequence[Node], new: Sequence[Node]) -> List[_Change]:
-    """The changes of places or of transitions. A node that takes the turn of another in the list is
-    the same node with a new name."""
+    """The changes of places or of transitions. A node at the position of another one in the list
+    counts as the same node with a new name."""
     before, after = {n.name: n for n in old}, {n.name: n for n in new}
     renamed: Dict[str, str] = {}
     matcher = difflib.SequenceMatcher(
@@ -67,22 +67,22 @@ def _changes(old: Sequence[Node], new: Sequence[Node]) -> List[_Change]:
 
 
 class Given(NamedTuple):
-    """What a change of an XML document begins with."""
+    """The input for a change of an XML document."""
 
     root: Any
-    """The root element, which is changed."""
+    """The root element, to be changed."""
     options: ReadOptions
     """How the document is read."""
     old: Net
-    """The net that it holds."""
+    """The present net."""
     new: Net
-    """The net that it is to hold."""
+    """The new net."""
     write: Callable[[Net], bytes]
-    """The writer of the format, from whose documents new elements are taken."""
+    """The writer of the format, which supplies new elements."""
 
 
 def xml_updater(kind: Type[XmlNet], write: Callable[[Net], bytes]) -> Updater:
-    """Return what changes nets in their XML documents, for the record of a format.
+    """Return a function that changes nets in XML documents, for the record of a format.
 
     :param kind: how the format writes a net.
     :param write: its writer.
@@ -137,7 +137,7 @@ def _bare(text: bytes) -> bytes:
 
 
 def _reconciled(file: bytes, before: bytes, now: bytes, carriage: bool) -> bytes:
-    """The lines of ``now``; those that are in ``before`` too as the file has them."""
+    """The lines of ``now``, with those that are also in ``before`` as in the file."""
     theirs, old, new = file.split(b"\n"), before.split(b"\n"), now.split(b"\n")
     if carriage:
         old, new = ([line.rstrip(b"\r") for line in lines] for lines in (old, new))
@@ -189,26 +189,27 @@ class XmlNet:
         return choose_net(nets, self.options.net, None)
 
     def all(self, kind: str) -> List[Any]:
-        """All elements of that kind, in the order in which they are read."""
+        """All elements of a kind, in the order in which they are read."""
         return [e for e in self.net.iter("{*}" + kind) if self.counts(e)]
 
     def counts(self, element: Any) -> bool:
-        """Whether an element with the tag of a node or arc is one."""
+        """Whether an element with the tag of a node or arc represents one."""
         return True
 
     def arcs_of(self, element: Any) -> int:
-        """How many arcs an element is read as."""
+        """The number of arcs that an element represents."""
         return 1
 
     def change(self) -> None:
-        """Make the document say what the new net says."""
+        """Change the document to represent the new net."""
         changes = [
             *_changes(self.old.places, self.new.places),
             *_changes(self.old.transitions, self.new.transitions),
         ]
         if any(not c.old or not c.new or c.old.name != c.new.name for c in changes):
             self._name_by_id()
-        # nothing has the name "": the arcs of a node that goes are not those of who takes its name
+        # no node has the name "": arcs of a removed node must not be taken for those of a node that
+        # takes its name
         names = {c.old.name: c.new.name if c.new else "" for c in changes if c.old}
         wanted: Dict[Tuple[str, str, int, bool], int] = {}
         for arc in self.new.arcs:
@@ -257,14 +258,14 @@ class XmlNet:
             self.add_arc(arc)
 
     def _alone(self, element: Any) -> Any:
-        """The element of an arc. :raises CannotHoldError: it is the element of another arc too."""
+        """The element of an arc. :raises CannotHoldError: it also represents another arc."""
         if self.arcs_of(element) != 1:
             raise CannotHoldError
         return element
 
     def _name_by_id(self) -> None:
-        """Write the names of nodes that go by their ids, because others have the same name: it
-        might be theirs alone soon."""
+        """Write names into nodes that are identified by id because of a duplicate name, since the
+        duplicate may soon be gone."""
         for name, element in self.elements.items():
             shown = one_line(self.shown(element))
             if shown and shown != name:
@@ -276,10 +277,10 @@ class XmlNet:
         wanted[arc_key(arc)] = left - 1
         return left > 0
 
-    # -- what the formats do differently ---------------------------------------------------------
+    # -- differences between formats ---------------------------------------------------------
 
     def set_node(self, element: Any, old: Node, new: Node) -> None:
-        """Change what differs, but for the name."""
+        """Change all differences except the name."""
         raise NotImplementedError
 
     def rename(self, element: Any, old: str, new: str) -> None:
@@ -287,7 +288,7 @@ class XmlNet:
         raise NotImplementedError
 
     def shown(self, element: Any) -> Optional[str]:
-        """The name of a node, as it is written."""
+        """The name of a node in written form."""
         raise NotImplementedError
 
     def set_arc(self, element: Any, old: Arc, new: Arc) -> None:
@@ -313,13 +314,13 @@ class XmlNet:
         self.insert(element, "arc")
 
     def fresh(self, element: Any, name: str) -> None:
-        """Give a new element what must differ from all others."""
+        """Make the identifiers of a new element unique."""
 
     def connect(self, element: Any, arc: Arc) -> None:
         """Give a new arc its ends."""
 
     def given(self, kind: str, number: int) -> Any:
-        """An element as the format writes it, for a document of this one's namespace."""
+        """An element as written by the format, in this document's namespace."""
         if kind not in self._donors:
             root = parse_xml(self.write(self.new))
             self._donors[kind] = list(root.iter("{*}" + kind))
@@ -328,11 +329,11 @@ class XmlNet:
         return _in_namespace(found, space)
 
     def parent_of(self, kind: str) -> Any:
-        """The element that holds nodes, or arcs."""
+        """The parent element of nodes or arcs."""
         return self.net
 
     def insert(self, element: Any, kind: str) -> None:
-        """Put a new element behind the last of its kind."""
+        """Insert a new element after the last of its kind."""
         if kind not in self._last:
             others = self.all(kind)
             self._last[kind] = others[-1] if others else None
@@ -360,10 +361,10 @@ def _in_namespace(element: Any, space: Optional[str]) -> Any:
 
 
 def remove_element(element: Any) -> None:
-    """Remove an element with the space before it."""
+    """Remove an element with the preceding space."""
     parent, previous, tail = element.getparent(), element.getprevious(), element.tail
     following = element.getnext()
-    if following is None:  # what closes the parent stays behind the one before
+    if following is None:  # the space before the parent's end tag stays after the previous element
         if previous is not None:
             previous.tail = tail
         else:
@@ -388,7 +389,7 @@ def _insert_after(other: Any, element: Any) -> None:
 
 
 def append_element(parent: Any, element: Any) -> None:
-    """Add an element as the last one, set off like those before it."""
+    """Append an element, spaced like the previous ones."""
     if len(parent):
         _insert_after(parent[-1], element)
         return
@@ -399,7 +400,7 @@ def append_element(parent: Any, element: Any) -> None:
 
 
 def inner_element(element: Any, name: str, first: bool = False) -> Any:
-    """The child of that name, which is made if there is none."""
+    """The child of a name, which is created if necessary."""
     found = child_of(element, name)
     if found is None:
         space = element.nsmap.get(element.prefix)
@@ -418,7 +419,8 @@ def set_text(element: Any, outer: str, inner: str, text: str) -> None:
 
 
 def set_position(element: Any, new: Node, first: bool) -> None:
-    """Set the position of a node; ``first``: a new ``graphics`` comes before its other parts."""
+    """Set the position of a node; ``first``: whether a new ``graphics`` precedes the other
+    parts."""
     if new.position is None:
         graphics = child_of(element, "graphics")
         if graphics is not None:
@@ -431,7 +433,7 @@ def set_position(element: Any, new: Node, first: bool) -> None:
 
 
 def child_of(element: Any, name: str) -> Any:
-    """As :func:`child`, of an element that has it, or whose caller asks."""
+    """As :func:`child`, for a child that must exist."""
     return child(element, name)
 
 
@@ -441,7 +443,7 @@ def identifier_of(element: Any) -> str:
 
 
 def set_arc_kind(element: Any, inhibitor: bool) -> None:
-    """Make an arc a normal or an inhibitor arc, in the way in which the file says it."""
+    """Make an arc a normal or an inhibitor arc, in the notation of the file."""
     word = "inhibitor" if inhibitor else "normal"
     for node in all_of(element, "arctype"):
         inner_element(node, "text").text = word

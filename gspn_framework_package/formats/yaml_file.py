@@ -2,7 +2,7 @@
 and line.
 
 PyYAML's safe loader only builds plain data. In addition, this module rejects duplicate keys, and
-aliases that would expand endlessly, or into far more than anyone writes by hand.
+aliases that would expand endlessly, or to far more than anyone writes by hand.
 """
 
 from __future__ import annotations
@@ -17,18 +17,17 @@ from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError
 
 MOST_ELEMENTS = 200_000
-"""Largest number of elements, unless the reader says otherwise; those behind aliases count each
-time."""
+"""Default maximum number of elements; elements behind aliases count each time."""
 
 MOST_LEVELS = 100
-"""Most mappings and lists inside one another."""
+"""Maximum nesting depth of mappings and lists."""
 
 _MERGE = "tag:yaml.org,2002:merge"  # the tag of the key <<
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Loader(_SafeLoader):
-    """Reads 1e-05 as the number that it is in JSON, too."""
+    """Also reads 1e-05 as a number, as in JSON."""
 
 
 _Loader.add_implicit_resolver(
@@ -39,7 +38,7 @@ _Loader.add_implicit_resolver(
 
 
 class YamlDocument:
-    """A YAML text: its ``data``, made of plain Python objects.
+    """A YAML text: its ``data`` as plain Python objects.
 
     :param text: one YAML document; bytes are UTF-8 or UTF-16.
     :param file: the name for error messages.
@@ -75,8 +74,8 @@ class YamlDocument:
                 loader.dispose()
 
     def _check_size(self, text: Union[str, bytes]) -> None:
-        """Refuse deep nesting and large texts by their events, before nodes are composed of them:
-        that takes longer, and recurses, which in the C library ends the process."""
+        """Refuse deep nesting and large texts by their events, before nodes are composed: composing
+        takes longer, and recurses, which in the C library can end the process."""
         depth = elements = 0
         events: Any = yaml.parse(text, Loader=_Loader)
         for event in events:

@@ -1,4 +1,4 @@
-"""New plans: from templates, and from maps.
+"""Makes new plans from templates and maps.
 
 Modules: ``map_definitions``, ``plan_folder``, ``restrictions``, ``site_drawing``, ``site_goals``,
 ``site_map``, ``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``, ``templates``.

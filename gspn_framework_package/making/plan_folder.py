@@ -1,4 +1,4 @@
-"""Writing a new plan's folder: all of its files, or nothing."""
+"""Writes a new plan's folder: all of its files, or nothing."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.net import Net
 
 NET_FILE = "net.xml"
-"""The net of a new plan, which PIPE opens too."""
+"""File name of a new plan's net, which PIPE can also open."""
 
 POLICY_FILE = "policy.json"
-"""The policy of a new plan."""
+"""File name of a new plan's policy."""
 
 
 def write_plan_folder(
@@ -27,11 +27,11 @@ def write_plan_folder(
     files: Mapping[str, str],
     plans: Sequence[str] = (PLAN_FILE,),
 ) -> List[str]:
-    """Write a plan into a new folder, and read it once to see that it is one.
+    """Write a plan into a new folder, and read it once to check that it is valid.
 
     :param plan: the object of the plan file, without ``net`` and ``policy``.
     :param files: name -> text of further files.
-    :param plans: the plan files among them, which are read.
+    :param plans: the plan files among them, which are checked.
     :returns: the names of the files in the folder.
     :raises UsageError: the folder exists.
     :raises GspnError: it is not a plan.

@@ -3,7 +3,7 @@
 A restriction is a condition on the robot, in the syntax of Python or of sympy: ``robot_short &
 ~robot_tall``, ``'thorvald' in robot``, ``True``. ``robot_TYPE`` holds for robots of that type, and
 ``robot`` for every robot. All other names, such as ``task_spray`` or ``obstacleFree_1``, hold or
-not as the user says; what nobody says stays open.
+not as specified by the user; unspecified names stay undecided.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Iterable, List, Mapping, Optional
 from gspn_framework_package.model.errors import ExpressionError
 
 MOST_CHARACTERS = 1000
-"""Longest restriction."""
+"""Maximum length of a restriction."""
 
 
 class Restriction:
@@ -38,9 +38,9 @@ class Restriction:
     def holds(
         self, robot: Optional[str] = None, conditions: Mapping[str, bool] = {}
     ) -> Optional[bool]:
-        """Return whether a robot may go there; None: that depends on what is not known.
+        """Return whether a robot may go there; None if that depends on unknown conditions.
 
-        :param robot: its type; None: not known.
+        :param robot: its type; None if unknown.
         :param conditions: name -> whether it holds.
         """
         try:

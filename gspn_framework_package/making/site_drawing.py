@@ -1,4 +1,4 @@
-"""Where the net of a plan for a map is drawn: the map once for each kind of robots, side by
+"""Positions for drawing the net of a plan for a map: the map once for each kind of robot, side by
 side."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from gspn_framework_package.model.net import Point
 class SiteDrawing:
     """Positions of the elements of the net.
 
-    :param kinds: the kinds of robots, each of which has places of its own.
+    :param kinds: the kinds of robots, each of which has its own places.
     """
 
     LANE = 45

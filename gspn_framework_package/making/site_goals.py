@@ -13,7 +13,7 @@ def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
     """Return the action of an edge: the goal of the map, or one for move_base.
 
     :param node: where the edge leads.
-    :param arrive: the transition that fires when the robot is there.
+    :param arrive: the transition that fires when the robot has arrived.
     """
     # in maps: move_base_msgs/MoveBaseGoal, nav2_msgs/action/Spin, nav2_msgs.action.Spin
     package, *_, name = re.split(r"[./]", edge.action_type)
@@ -24,7 +24,7 @@ def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
     goal = edge.goal
     given = goal and goal.get("target_pose")
     if goal is None or name == "MoveBase" and not (isinstance(given, dict) and "pose" in given):
-        # the oldest maps give the pose without a header
+        # the oldest maps specify the pose without a header
         goal = {"target_pose": {"header": {"frame_id": node.frame}, "pose": node.pose}}
     return {
         "type": "%s/%sAction" % (package, name),

@@ -19,10 +19,10 @@ MOST_MAP_NODES = 2000
 """Maximum number of nodes of a map."""
 
 MOST_MAP_ELEMENTS = 1_000_000
-"""Maximum number of elements of its file: a node has some hundred."""
+"""Maximum number of elements in the file of a map: a node has about a hundred."""
 
 _WORD_OF_GOAL = re.compile(r"\$\{?[A-Za-z_]|\+\{?(?:node|meta)\b")
-"""What begins a word in a goal that stands for something else."""
+"""Prefixes of words in a goal that are replaced."""
 
 _OLD_RESTRICTIONS = (("robot", "robot_type"), ("task", "task_name"))
 
@@ -30,10 +30,10 @@ _OLD_RESTRICTIONS = (("robot", "robot_type"), ("task", "task_name"))
 class MapNode(NamedTuple):
     """A node: its position (m), the pose for goals, and the frame of the pose.
 
-    :ivar tags: what the map calls such nodes.
-    :ivar restriction: who may be there; None: every robot.
-    :ivar capacity: how many robots may be there, if the map says so.
-    :ivar said: what the map says of the node, for the words in goals.
+    :ivar tags: the tags of the node in the map.
+    :ivar restriction: which robots may be there; None for all.
+    :ivar capacity: how many robots may be there, if the map specifies it.
+    :ivar said: the node's data in the map, for the words in goals.
     """
 
     name: str
@@ -51,13 +51,13 @@ class MapEdge(NamedTuple):
     """A directed edge.
 
     :ivar length: in metres.
-    :ivar speed: in m/s, if the map says so.
-    :ivar seconds: how long it takes, if the map says so.
-    :ivar capacity: how many robots may be on it, if the map says so.
+    :ivar speed: in m/s, if the map specifies it.
+    :ivar seconds: how long it takes, if the map specifies it.
+    :ivar capacity: how many robots may be on it, if the map specifies it.
     :ivar action: name of the action server that drives along it.
-    :ivar action_type: the type of its goals, as the map has it.
-    :ivar goal: its goal, with what its words stand for.
-    :ivar restriction: who may drive there; None: every robot.
+    :ivar action_type: the type of its goals, as written in the map.
+    :ivar goal: its goal, with its words replaced.
+    :ivar restriction: which robots may drive there; None for all.
     """
 
     source: str
@@ -73,7 +73,8 @@ class MapEdge(NamedTuple):
 
 
 class MapGroup(NamedTuple):
-    """Nodes and edges (A, B), in both directions, where only ``capacity`` robots may be in all."""
+    """Nodes and edges (A, B), in both directions, where at most ``capacity`` robots may be in
+    total."""
 
     nodes: Sequence[str]
     edges: Sequence[Tuple[str, str]]
@@ -178,7 +179,7 @@ def _read_oldest(path: str, text: str) -> SiteMap:
 
 
 class _Lines:
-    """Says where the nodes of a file that is not YAML are."""
+    """Finds the lines of nodes in a file that is not YAML."""
 
     def __init__(self, path: str, lines: List[int]) -> None:
         self._path, self._lines = path, lines
@@ -291,7 +292,7 @@ class _Reader:
         )
 
     def _speed(self, edge: Mapping[str, Any], where: List[KeyOrIndex]) -> Optional[float]:
-        """The speed that a map of any age gives an edge."""
+        """The speed of an edge in a map of any version."""
         for path in (["top_vel"], ["config", "top_vel"], ["properties", "max_speed"]):
             found: Any = edge
             for step in path:
@@ -303,7 +304,7 @@ class _Reader:
     def _restriction(
         self, element: Mapping[str, Any], what: str, where: List[KeyOrIndex]
     ) -> Tuple[bool, Optional[Restriction]]:
-        """Whether anybody may use a node or an edge, and who."""
+        """Whether any robot may use a node or an edge, and which ones."""
         found = {}
         for key in ("restrictions_planning", "restrictions_runtime"):
             value = element.get(key)
@@ -325,7 +326,8 @@ class _Reader:
         return True, None if planning.holds() else planning
 
     def _whole_pose(self, pose: Mapping[str, Any], where: List[KeyOrIndex]) -> Dict[str, Any]:
-        """The pose with all fields. A quaternion of zeros, as some maps have it, is no rotation."""
+        """The pose with all fields. A quaternion of zeros, which some maps contain, counts as no
+        rotation."""
         turned = pose.get("orientation")
         parts = (
             ("position", pose["position"], "xyz"),
@@ -522,8 +524,8 @@ class _Reader:
         return site._replace(groups=read_groups(self._groups, site, self._document))
 
     def _filled(self, value: Any, origin: MapNode, node: MapNode, where: List[KeyOrIndex]) -> Any:
-        """A goal with what its words stand for: ``$node.PATH`` is what the map says of the node
-        where the edge leads, ``+node.PATH`` of the one where it begins (and ``meta``)."""
+        """Replace the words of a goal: ``$node.PATH`` is a value of the node where the edge leads,
+        ``+node.PATH`` of the node where it begins (and ``meta``)."""
         if isinstance(value, dict):
             return {str(k): self._filled(v, origin, node, where) for k, v in value.items()}
         if isinstance(value, list):
@@ -556,7 +558,7 @@ def read_groups(
 ) -> Dict[str, MapGroup]:
     """Return the groups of mutual exclusion in the part ``groups`` of a file.
 
-    :raises InputError: it does not fit, or names what is not in the map.
+    :raises InputError: the groups are invalid, or name something that is not in the map.
     """
     found = {}
     for name, given in data.items() if isinstance(data, dict) else [("", data)]:

@@ -1,7 +1,7 @@
-"""A plan for a map and the tasks there.
+"""Builds a plan for a map and its tasks.
 
-A robot's place says where it is or on which edge, what it does, and, if there are several, its type
-and the level of its battery: so robots of one kind in the same node are exchangeable.
+A robot's place encodes its node or edge, what it does, and, if there are several, its type and the
+level of its battery, so that robots of one kind in the same node are exchangeable.
 ``Due_TASK_NODE`` has a token while a task is due, ``Free_A_B`` one for each robot that may still
 drive on an edge, and ``Free_dock_NODE`` one for each free place at a dock. ``Free_node_NODE`` and
 ``Free_group_NAME`` limit how many robots are in a node, and in a group of nodes and edges; a robot
@@ -29,7 +29,7 @@ MOST_PLAN_NODES = 50_000
 """Maximum number of nodes of the net."""
 
 PLAN_ROS_FILE = "plan_ros.json"
-"""The same plan, with the actions of the map and the tasks for robots on ROS."""
+"""File name of the same plan with the actions of the map and the tasks, for robots on ROS."""
 
 _UNLIMITED = " Nodes hold any number of robots (node_capacity limits it)."
 
@@ -102,11 +102,11 @@ class SitePlan(NamedTuple):
 def build_site_plan(
     map_path: str, tasks_path: Optional[str], robots: int, all_edges: bool = False
 ) -> SitePlan:
-    """Make a plan from a map.
+    """Build a plan from a map.
 
-    :param tasks_path: the file of the tasks; None: robots drive around.
+    :param tasks_path: the file of the tasks; None to let robots drive around.
     :param all_edges: keep the edges and tasks that the policy does not use.
-    :raises InputError: a file cannot be read, or both do not fit.
+    :raises InputError: a file cannot be read, or the two do not fit together.
     """
     site = read_map(map_path)
     tasks = SiteTasks(groups=site.groups)
@@ -146,7 +146,7 @@ class _Builder:
         self._given_back: Dict[str, Any] = {}
         self._resources: List[str] = []
         self._zones = self._limited()
-        """Resource place -> where only so many robots may be."""
+        """Resource place -> the location whose robots it limits."""
 
     def _limited(self) -> Dict[str, MapGroup]:
         tasks, found = self._tasks, {}
@@ -160,7 +160,7 @@ class _Builder:
             found["Free_%s_%s" % pair] = MapGroup((), [pair], capacity)
         for node in visited:
             capacity = self._team.site.nodes[node].capacity
-            # an empty battery brings robots to a dock, whoever is there
+            # robots with an empty battery are brought to a dock, even if it is occupied
             if capacity is None and not (tasks.battery and node in self._team.docks):
                 capacity = tasks.node_capacity
             capacity = tasks.nodes.get(node, capacity)
@@ -192,7 +192,8 @@ class _Builder:
         return found
 
     def _held(self, node: str, to: str = "") -> List[str]:
-        """What a robot holds in a node; with ``to``, on the edge there: its place there, too."""
+        """The resources that a robot holds in a node; with ``to``, those on the edge to that node,
+        including its place there."""
         return [
             free
             for free, zone in self._zones.items()
@@ -202,7 +203,7 @@ class _Builder:
         ]
 
     def _given(self, place: str, held: Sequence[str]) -> None:
-        """A robot that is lost in a place gives back what it holds."""
+        """Have a robot that is lost in a place return the resources that it holds."""
         if held:
             self._given_back.setdefault(place, {}).update(dict.fromkeys(held, 1))
 
@@ -304,8 +305,8 @@ class _Builder:
     def _after_drain(
         self, edge: MapEdge, kind: RobotKind, drain: str, held: Sequence[str]
     ) -> List[str]:
-        """Where a robot is whose level ends on an edge: at its end; where the battery is read on
-        ROS, still on it, so that nobody else takes it to be free."""
+        """The place of a robot whose level ends on an edge: at the end of the edge; or, if the
+        battery is read on ROS, still on the edge, so that it does not count as free."""
         lower, topic = self._team.lower(kind), self._tasks.battery_topic
         charge = None if topic is None else topic.below[lower.level] if lower else topic.empty
         if topic is not None and charge is not None:

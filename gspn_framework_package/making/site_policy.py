@@ -1,5 +1,5 @@
-"""The policy of a plan for a map: to the nearest task that is due; to the nearest dock if the
-battery is at its lowest level, or if nothing is due."""
+"""The policy of a plan for a map: go to the nearest task that is due, or to the nearest dock if the
+battery is at its lowest level or nothing is due."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from gspn_framework_package.making.site_map import MapEdge, SiteMap
 
 
 class RobotKind(NamedTuple):
-    """Robots for which the net has places of their own: their type, and the level of their battery.
+    """Robots with their own places in the net: their type, and the level of their battery.
 
-    :ivar suffix: with which their places end.
+    :ivar suffix: the suffix of their places.
     """
 
     type: str
@@ -21,14 +21,15 @@ class RobotKind(NamedTuple):
 
 
 class SiteMove(NamedTuple):
-    """What a robot chooses: ``Go`` to a node, ``Start`` a task, or ``Dock`` at a node."""
+    """A choice of a robot: ``Go`` to a node, ``Start`` a task, or ``Dock`` at a node."""
 
     what: str
     to: str
 
 
 class SiteRow(NamedTuple):
-    """A row of the policy: in a node, where the tasks are due (1), not (0), or either ("-")."""
+    """A row of the policy for a node: whether each task is due (1), not due (0), or either
+    ("-")."""
 
     cells: Sequence[Any]
     node: str
@@ -39,7 +40,7 @@ class SiteRow(NamedTuple):
 def ways_to(
     target: str, site: SiteMap, seconds: Callable[[MapEdge], float]
 ) -> Dict[str, Tuple[float, str]]:
-    """Return for each node from where the target can be reached: (seconds, the next node)."""
+    """Return (seconds, next node) for each node from which the target can be reached."""
     coming: Dict[str, List[MapEdge]] = {}
     for edge in site.edges:
         coming.setdefault(edge.target, []).append(edge)
@@ -59,10 +60,10 @@ class SitePolicy:
     """The rows for the robots of one type.
 
     :param site: the map for that type.
-    :param due: the tasks, and where.
+    :param due: the tasks, and their nodes.
     :param docks: the nodes where they charge.
     :param kinds: its kinds, from the full battery to the lowest level.
-    :param seconds: how long an edge takes.
+    :param seconds: the time that an edge takes.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class SitePolicy:
         self._home = {dock: ways_to(dock, site, seconds) for dock in docks if dock in site.nodes}
         self._battery = len(kinds) > 1 or bool(kinds[0].level)
         self.stuck: Set[str] = set()
-        """Nodes from where robots get to no task and no dock."""
+        """Nodes from which robots can reach neither a task nor a dock."""
         self.rows = [row for kind in kinds for node in site.nodes for row in self._rows(node, kind)]
 
     def _rows(self, node: str, kind: RobotKind) -> List[SiteRow]:
@@ -116,7 +117,7 @@ class SitePolicy:
         stranded: Optional[str],
         anywhere: bool = False,
     ) -> List[SiteRow]:
-        """Return the rows of those nodes that robots get to if they move by these rows alone.
+        """Return the rows of the nodes that robots can reach if they move only by these rows.
 
         :param start: the nodes where robots start, with a full battery.
         :param drains: level -> probability that it ends on an edge.

@@ -1,4 +1,4 @@
-"""What the robots do at the nodes of a map: ``tasks.yaml``."""
+"""The tasks of robots at the nodes of a map: ``tasks.yaml``."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema
 """The JSON schema of the file."""
 
 TAG = "tag:"
-"""Before the tag of the nodes that are meant, instead of the name of a node."""
+"""Prefix of a tag, which selects nodes by tag instead of by name."""
 
 
 class SiteTask(NamedTuple):
-    """A task: its nodes, mean ``seconds``, mean seconds until it is due ``again_after`` it was
-    done, and its ``action`` on ROS (as in a plan file), if any."""
+    """A task: its nodes, mean ``seconds``, the mean time in seconds until it is due again
+    (``again_after``), and its ``action`` on ROS (as in a plan file), if any."""
 
     at: Sequence[str]
     seconds: float
@@ -36,7 +36,7 @@ class BatteryTopic(NamedTuple):
     :ivar type: of its messages.
     :ivar field: the charge in a message.
     :ivar below: level, all but the first -> the charge below which it begins.
-    :ivar empty: the charge below which a robot is stranded; None: that is not noticed.
+    :ivar empty: the charge below which a robot is stranded; None if that is not detected.
     :ivar charged: the charge above which charging ends.
     """
 
@@ -48,7 +48,7 @@ class BatteryTopic(NamedTuple):
     charged: float = 0.95
 
     def event(self, charge: float) -> Dict[str, str]:
-        """Return the event that the charge falls below that value."""
+        """Return the event that the charge falls below a value."""
         when = "%s < %g" % (self.field, charge)
         return {"topic": self.topic, "type": self.type, "when": when}
 
@@ -58,10 +58,9 @@ class SiteTasks(NamedTuple):
 
     :ivar edges: (node, node) -> capacity and seconds that the file gives that edge, in both
         directions; a capacity of None is any number.
-    :ivar node_capacity: how many robots may be in a node for which nothing else is said; None: any
-        number.
-    :ivar nodes: node -> how many robots may be there; None: any number.
-    :ivar groups: those of the map too.
+    :ivar node_capacity: how many robots may be in a node by default; None for any number.
+    :ivar nodes: node -> how many robots may be there; None for any number. :ivar groups: the groups
+    of mutual exclusion, including the map's.
     :ivar battery: level, from full to low -> probability that it ends on an edge; empty: robots do
         not need to charge.
     :ivar docks: node -> how many robots can charge there at a time.
@@ -91,7 +90,7 @@ class SiteTasks(NamedTuple):
 def read_tasks(path: str, site: SiteMap) -> SiteTasks:
     """Read the file for a map.
 
-    :raises InputError: it does not fit the schema or the map; with file, line and element.
+    :raises InputError: the file does not fit the schema or the map; with file, line and element.
     """
     document = read_yaml(path)
     data = document.data

@@ -77,7 +77,7 @@ class SiteTeam:
         self.rows = self._policy_rows(all_edges)
         self.states = self._states(all_edges)
 
-    # -- what there is
+    # -- robots and nodes
 
     def _allowed(self, site: SiteMap, robot: str) -> SiteMap:
         """The part of the map that robots of a type may use."""
@@ -116,7 +116,7 @@ class SiteTeam:
         return site._replace(nodes=nodes, edges=edges)
 
     def _reached(self, robot: str) -> SiteMap:
-        """The part of the map that robots of a type can get to."""
+        """The part of the map that robots of a type can reach."""
         site = self._open[robot]
         found = _reachable(site, self._homes[robot])
         return site._replace(
@@ -125,7 +125,7 @@ class SiteTeam:
         )
 
     def _joined(self, site: SiteMap) -> SiteMap:
-        """The part of the map that any robot can get to."""
+        """The part of the map that any robot can reach."""
         nodes = {name for part in self._sites.values() for name in part.nodes}
         edges = {(e.source, e.target) for part in self._sites.values() for e in part.edges}
         lost = [name for name in site.nodes if name not in nodes]
@@ -145,7 +145,7 @@ class SiteTeam:
         )
 
     def _note_traps(self) -> None:
-        """Say from which tasks and docks robots never get to another one again."""
+        """Note the tasks and docks from which robots can never reach another one."""
         traps: Dict[str, List[str]] = {}
         for part in self._sites.values():
             wanted = [n for n in dict.fromkeys(n for _, n in self.due) if n in part.nodes]
@@ -178,7 +178,7 @@ class SiteTeam:
         """The dock where a robot of a type is brought if its battery is empty."""
         return next(dock for dock in self.docks if dock in self._sites[robot].nodes)
 
-    # -- what robots do
+    # -- moves of robots
 
     def _policy_rows(self, all_edges: bool) -> List[SiteRow]:
         """The rows of the policy; none if there is nothing to do."""
@@ -203,7 +203,7 @@ class SiteTeam:
         return rows
 
     def _states(self, all_edges: bool) -> List[SiteState]:
-        """What robots can do, in the order of the map."""
+        """The possible moves of robots, in the order of the map."""
         every: List[SiteState] = []
         for robot, kinds in self.kinds.items():
             site = self._sites[robot]
@@ -254,7 +254,7 @@ class SiteTeam:
 
 
 def _reachable(site: SiteMap, starts: Sequence[str]) -> Set[str]:
-    """The nodes to which ways lead from ``starts``, and these."""
+    """The nodes that can be reached from ``starts``, including these."""
     leaving: Dict[str, List[str]] = {}
     for edge in site.edges:
         leaving.setdefault(edge.source, []).append(edge.target)
@@ -269,7 +269,7 @@ def _reachable(site: SiteMap, starts: Sequence[str]) -> Set[str]:
 
 
 def named(*parts: str) -> str:
-    """Return the name of an element of the net, of those parts that are not empty."""
+    """Return the name of an element of the net, composed of the non-empty parts."""
     return "_".join(part for part in parts if part)
 
 

@@ -1,4 +1,4 @@
-"""Plans to begin with: each is a folder with a net, a policy, actions, a test and a README.
+"""Starter plans: each is a folder with a net, a policy, actions, a test and a README.
 
 >>> sorted(templates_by_name())
 ['charge', 'deliver', 'inspect', 'patrol', 'rendezvous']
@@ -17,7 +17,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 
 PLACES = ("A", "B", "C")
-"""Where the robots go, if nothing is said."""
+"""Default names of the places where the robots go."""
 
 MOST_PLACES = 50
 """Maximum number of places that a template takes."""
@@ -30,7 +30,7 @@ _COLUMN, _ROW = 220, 120  # of the drawing
 
 
 class _Draft(NamedTuple):
-    """What a template says of the new plan; ``words`` stand in its files for ``$word``."""
+    """A template's description of the new plan; ``words`` replace ``$word`` in its files."""
 
     net: Net
     plan: Dict[str, Any]
@@ -44,11 +44,11 @@ class _Template(NamedTuple):
     robots: int
     least_robots: int = 1
     least_places: int = 0
-    """0: it has no places to choose."""
+    """0 if no places can be chosen."""
 
 
 def templates_by_name() -> Dict[str, str]:
-    """Return the templates: name -> what its robots do, in one line."""
+    """Return the templates: name -> one-line description."""
     return {name: template.about for name, template in _TEMPLATES.items()}
 
 
@@ -66,8 +66,8 @@ def write(
 ) -> List[str]:
     """Write a new plan from a template.
 
-    :param folder: the folder to make.
-    :param robots: number of robots; None for what is usual for the template.
+    :param folder: the folder to create.
+    :param robots: number of robots; None for the template's default.
     :param places: names of the places where the robots go, for a template with such places.
     :param plan: the name of the plan; by default that of the folder.
     :returns: the names of the files in the folder.
@@ -166,7 +166,7 @@ def _patrol(title: str, robots: int, places: Sequence[str]) -> _Draft:
         )
     rows: List[Dict[str, Any]] = []
     for row, place in enumerate(places):
-        others = [*places[row + 1 :], *places[:row]]  # in the order of a round
+        others = [*places[row + 1 :], *places[:row]]  # in the order of a tour
         for number, other in enumerate(others):
             net.immediate(
                 "%s_to_%s" % (place, other),

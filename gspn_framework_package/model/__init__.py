@@ -1,4 +1,4 @@
-"""The model: net, marking, policy, plan, errors. Immutable values, no I/O, no ROS.
+"""The model: nets, markings, policies, plans and errors. Immutable values without I/O or ROS.
 
 Modules: ``action``, ``builder``, ``capacity``, ``compact_json``, ``composition``, ``condition``,
 ``constants``, ``data``, ``duration``, ``errors``, ``event``, ``expression``, ``kept``,

@@ -2,7 +2,7 @@
 
 Each kind is one class here: its fields, and how it is read from a plan file and written to it. The
 key that only this kind has (``function``, ``server``, ...) identifies it; ``plan.schema.json``
-describes each. What carries an action out is at the edge: ``execution.actions`` for functions and
+describes each. Actions are carried out at the edge: ``execution.actions`` for functions and
 commands, the package ``ros`` for the others.
 """
 
@@ -145,8 +145,8 @@ class PublishAction(NamedTuple):
 
 class WaitAction(NamedTuple):
     """Wait for a message of the type ``type`` on ``topic`` for which the condition ``when`` holds
-    ("": for the next message). Only messages that arrive after the action has begun count, and a
-    latched one. ``keep`` is as in :class:`ServerAction`, for fields of the message."""
+    ("": for the next message). Only messages that arrive after the action has begun count, and
+    latched ones. ``keep`` is as in :class:`ServerAction`, for fields of the message."""
 
     topic: str
     type: str
@@ -239,7 +239,7 @@ def outcomes_of(action: Action) -> Mapping[str, str]:
 
 
 def why_not_valid(action: Action) -> Optional[str]:
-    """What is wrong with an action, judging by itself: names of data, names of fields, conditions;
+    """What is wrong with an action considered by itself (names of data and fields, conditions);
     None if nothing is."""
     try:
         for name in (*read_by(action), *written_by(action)):
@@ -256,7 +256,7 @@ def why_not_valid(action: Action) -> Optional[str]:
 
 def written_by(action: Action) -> Iterator[str]:
     """Yield the names of data that an action is known to write; what a function or an action server
-    of this package writes is not known."""
+    of this package writes is unknown."""
     keep = getattr(action, "keep", {})
     yield from ([keep] if isinstance(keep, str) and keep else keep)
 
@@ -268,6 +268,6 @@ def read_by(action: Action) -> Iterator[str]:
 
 
 def _with(data: Dict[str, Any], **more: Any) -> Dict[str, Any]:
-    """The object with those of the further fields that are not empty."""
+    """Add those of the further fields that are not empty to the object."""
     given = {k: dict(v) if isinstance(v, Mapping) else v for k, v in more.items() if v}
     return {**data, **given}

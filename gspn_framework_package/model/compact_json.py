@@ -1,5 +1,5 @@
-"""JSON without blanks, for what is written thousands of times a second: lines of logs, messages,
-links of the hash chain. The encoders are made once; ``json.dumps`` makes one for each call."""
+"""Compact JSON for values written thousands of times a second: lines of logs, messages, links of
+the hash chain. The encoders are created once, whereas ``json.dumps`` creates one for each call."""
 
 from __future__ import annotations
 
@@ -11,4 +11,4 @@ compact = json.JSONEncoder(separators=(",", ":"), check_circular=False).encode
 compact_sorted = json.JSONEncoder(
     separators=(",", ":"), check_circular=False, sort_keys=True
 ).encode
-"""The same with the keys of objects in order, so that equal values have equal texts."""
+"""The same, with sorted keys, so that equal values have equal texts."""

@@ -29,7 +29,7 @@ def expand_place(
 
     If every transition of the subnet preserves the number of tokens, the total number of tokens in
     the subnet behaves as the tokens of the place did, except that a token must reach the exit
-    before it can leave. The subnet's own ``resources`` (a tool that the procedure needs) are not
+    before it can leave. The subnet's own ``resources`` (such as a tool for the procedure) are not
     part of that total.
 
     An inhibitor arc of weight 1 from the place ("while it is occupied") becomes one from every
@@ -43,8 +43,8 @@ def expand_place(
     :param prefix: prefix of the names of the subnet's nodes; by default ``place`` and a dot.
     :param resources: the places of the subnet that hold its own resources; by default those that
         are marked initially.
-    :param shared: resource of the subnet -> place of the net that takes its part; its own tokens
-        are left out.
+    :param shared: resource of the subnet -> place of the net that replaces it; the resource's own
+        tokens are omitted.
     :raises NetError: the place, entry or exit does not exist; the entry or exit holds tokens; a
         name is taken; an inhibitor arc or a capacity cannot be carried over.
 
@@ -171,7 +171,7 @@ def _shift(to: Optional[Point], origin: Optional[Point]) -> Optional[Point]:
 
 
 def _moved(where: Optional[Point], shift: Optional[Point]) -> Optional[Point]:
-    """The position in the drawing of the outer net; the entry is where the place was."""
+    """The position in the drawing of the outer net, with the entry at the position of the place."""
     if where is None or shift is None:
         return None
     return where[0] + shift[0], where[1] + shift[1]

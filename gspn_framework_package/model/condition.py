@@ -174,7 +174,7 @@ class Condition:
 
 
 def either(first: Optional[str], second: Optional[str]) -> Optional[str]:
-    """The condition that holds where one of two holds; None stands for one that never does."""
+    """The disjunction of two conditions; None stands for one that never holds."""
     if first is None or second is None:
         return first if second is None else second
     return "(%s) or (%s)" % (first, second)

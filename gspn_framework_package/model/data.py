@@ -1,7 +1,7 @@
 """Data that flows between the actions of a plan: named JSON values.
 
-A name has a scope: ``robot.NAME`` belongs to one robot, ``team.NAME`` to all (whoever writes last
-in the log wins), ``task.NAME`` to the task that the robot carries. A name without a scope is the
+A name has a scope: ``robot.NAME`` belongs to one robot, ``team.NAME`` to all (the last write in the
+log counts), ``task.NAME`` to the task that the robot carries. A name without a scope is the
 robot's. Data never enables a transition: tokens decide, data flows.
 """
 
@@ -17,13 +17,13 @@ from gspn_framework_package.model.errors import DataError
 SCOPES = ("robot", "team", "task")
 
 VALUE_LIMIT = 64_000
-"""Longest value, in characters of compact JSON."""
+"""Maximum length of a value, in characters of compact JSON."""
 
 NAMES_LIMIT = 1_000
-"""Most names of one robot, task or team."""
+"""Maximum number of names of a robot, task or team."""
 
 TOTAL_LIMIT = 256_000
-"""Longest data that one action or task brings, in characters of compact JSON."""
+"""Maximum length of the data of an action or task, in characters of compact JSON."""
 
 _TEXT = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
@@ -58,16 +58,16 @@ _KINDS: Dict[type, str] = {
 
 
 def kind_of(value: Any) -> str:
-    """What a JSON value is, in words and with its article; of anything else, its class."""
+    """Describe the type of a JSON value in words, with an article; for anything else, its class."""
     return _KINDS.get(type(value), "the Python type %s" % type(value).__name__)
 
 
 def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, Any]:
-    """Return a copy of the data that an action or a task brings, as JSON keeps it (a tuple becomes
-    a list, a key of a map becomes text).
+    """Return a copy of the data of an action or a task, as JSON stores it (a tuple becomes a list,
+    a key of a map becomes text).
 
     :param values: name -> JSON value.
-    :param limit: longest data in all, in characters of JSON; None: any length.
+    :param limit: maximum total length, in characters of JSON; None for no limit.
     :raises DataError: a name is not one, or a value is not JSON or too long.
     """
     if not isinstance(values, collections.abc.Mapping):
@@ -89,14 +89,14 @@ def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, A
 
 
 def why_not_kept(value: Any) -> Optional[str]:
-    """Return why a value cannot be kept as data; None if it can."""
+    """Return why a value cannot be stored as data; None if it can."""
     return _as_text(value)[1]
 
 
 def _as_text(value: Any) -> Tuple[str, Optional[str]]:
-    """The value as JSON, and why it cannot be kept (None if it can)."""
+    """The value as JSON, and why it cannot be stored (None if it can)."""
     try:
-        # most values are counters and ids: a whole number need not pass through JSON and back
+        # most values are counters and ids: integers need no round trip through JSON
         text = repr(value) if type(value) is int else _TEXT(value)
     except (TypeError, ValueError, RecursionError) as error:
         return "", "is not JSON: %.200s" % error

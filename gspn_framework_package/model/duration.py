@@ -1,4 +1,4 @@
-"""How long an action takes: the distributions that a plan can give to the visits of a place.
+"""The distributions of action durations that a plan can assign to places.
 
 A :class:`Duration` is immutable. Its times are in seconds and never negative. The functions of a
 time accept a number or a numpy array, and return the same.
@@ -18,7 +18,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 from gspn_framework_package.model.errors import PlanError
 
 MAX_PHASES = 1_000_000
-"""Most phases of an Erlang distribution, and most entries of a list."""
+"""Maximum number of phases of an Erlang distribution, and of entries of a list."""
 
 Times = Any
 """A time in seconds (>= 0), or a numpy array of such times."""
@@ -47,7 +47,7 @@ class ErlangBranch(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Where a value of a plan was learned: the number of ``observations``, the names of the
+    """The origin of a learned value of a plan: the number of ``observations``, the names of the
     ``logs``, and the 95 % confidence ``interval`` of the value (for a duration: of its mean, in
     seconds); None if there is none."""
 
@@ -62,22 +62,23 @@ class Duration:
 
     :ivar kind: the family.
     :ivar mean: the mean (s).
-    :ivar parameters: what the family needs besides the mean: Erlang ``(phases,)``, gamma
+    :ivar parameters: the parameters of the family other than the mean: Erlang ``(phases,)``, gamma
         ``(shape,)``, lognormal ``(sigma,)`` (the standard deviation of the logarithm), uniform
         ``(low, high)`` (s), empirical: quantiles (s) at equal steps of probability from 0 to 1,
-        between which it is uniform; hyper-Erlang: probability, phases and mean (s) of each branch,
-        one after the other.
+        between which it is uniform; hyper-Erlang: probability, phases and mean (s) of each branch
+        in turn.
     """
 
     kind: Kind
     mean: float
     parameters: Tuple[float, ...] = ()
 
-    # -- making ------------------------------------------------------------------------------------
+    # -- creating
+    # ------------------------------------------------------------------------------------
 
     @classmethod
     def none(cls) -> Duration:
-        """No time at all."""
+        """No time."""
         return cls(Kind.DETERMINISTIC, 0.0)
 
     @classmethod
@@ -119,7 +120,7 @@ class Duration:
     def empirical(cls, quantiles: Sequence[float]) -> Duration:
         """A distribution given by its quantiles at equal steps of probability from 0 to 1.
 
-        :raises PlanError: there are fewer than two, they fall, or all are equal.
+        :raises PlanError: there are fewer than two, they decrease, or all are equal.
         """
         if not 2 <= len(quantiles) <= MAX_PHASES:
             raise PlanError("%d quantiles are no distribution" % len(quantiles))
@@ -180,7 +181,7 @@ class Duration:
 
     @property
     def branches(self) -> Optional[Tuple[ErlangBranch, ...]]:
-        """The exponential phases that it is made of; None if it is not made of any."""
+        """The exponential phases that it consists of; None if it does not consist of phases."""
         if self.kind is Kind.EXPONENTIAL:
             return (ErlangBranch(1.0, 1, 1 / self.mean),)
         if self.kind is Kind.ERLANG:
@@ -216,13 +217,13 @@ class Duration:
         return self._of(x, self._survival)
 
     def log_density(self, x: Times) -> Any:
-        """The logarithm of the density (1/s) at ``x``; -inf where there is none. A deterministic
+        """The logarithm of the density (1/s) at ``x``; -inf outside its support. A deterministic
         time has no density: infinity at its value."""
         return self._of(x, self._log_density)
 
     def hazard_integral(self, x: Times) -> Any:
         """The integral of the hazard from 0 to ``x``, which is -log of the survival; infinite where
-        no time is longer."""
+        the survival is 0."""
         return self._of(x, lambda y: abs(self._hazard_integral(y)))  # abs: no -0.0
 
     def quantile(self, p: Times) -> Any:
@@ -381,7 +382,7 @@ class Duration:
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         return np.where(p >= 1, np.inf, np.where(p <= 0, 0.0, high))
 
-    # -- for people and files ----------------------------------------------------------------------
+    # -- formatting ----------------------------------------------------------------------
 
     def describe(self) -> str:
         """The distribution in a few words, for people."""
@@ -403,7 +404,7 @@ class Duration:
         return "%s, %s" % (self.kind.value, mean)
 
     def to_json(self) -> Dict[str, Any]:
-        """The distribution as in a plan file."""
+        """Convert to the form of a plan file."""
         data: Dict[str, Any] = {"mean": self.mean, "distribution": self.kind.value}
         if self.kind is Kind.HYPER_ERLANG:
             data["branches"] = [
@@ -427,10 +428,10 @@ _KEYS: Mapping[Kind, Tuple[str, ...]] = {
     Kind.EMPIRICAL: ("quantiles",),
     Kind.HYPER_ERLANG: ("branches",),
 }
-"""What a plan file gives for each family besides the mean."""
+"""The parameters of each family in a plan file other than the mean."""
 
 _FOLLOWS = (Kind.UNIFORM, Kind.EMPIRICAL, Kind.HYPER_ERLANG)
-"""Families whose other parameters determine the mean; a plan file need not give it."""
+"""Families whose mean follows from the other parameters, so that a plan file may omit it."""
 
 
 def duration_from_json(data: Mapping[str, Any]) -> Duration:

@@ -69,7 +69,7 @@ class InputError(GspnError):
 
 
 class UsageError(InputError):
-    """A command or function was called in a way that makes no sense."""
+    """A command or function was called in an invalid way."""
 
 
 class NetError(InputError):
@@ -95,7 +95,7 @@ class PlanError(InputError):
 
 
 class DataError(InputError):
-    """Data that an action returns, a task brings or a goal refers to is missing or not usable."""
+    """Data that an action returns, a task contains or a goal refers to is missing or unusable."""
 
 
 class LogError(InputError):
@@ -107,7 +107,7 @@ class KeysError(InputError):
 
 
 class WorkersError(InputError):
-    """The workers of a long computation cannot be had, have other versions, or died too often."""
+    """The workers of a long computation are unavailable, have other versions, or died too often."""
 
 
 class RefusedError(GspnError):
@@ -143,8 +143,8 @@ def missing_library(error: ModuleNotFoundError) -> str:
 
 
 def closest(word: object, known: Iterable[object]) -> str:
-    """Return the known word that was probably meant; "" if none is close."""
-    import difflib  # only where something is wrong
+    """Return the known word that was probably meant; "" if none is similar."""
+    import difflib  # imported only after an error
 
     close = difflib.get_close_matches(str(word), [str(one) for one in known], 1)
     return close[0] if close else ""

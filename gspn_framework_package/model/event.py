@@ -1,4 +1,5 @@
-"""Events: what makes a transition fire from outside, and tasks, which come into a team by one.
+"""Events, which make transitions fire from outside, and tasks, which enter a team through such
+transitions.
 
 An *event transition* is an exponential transition with a source. If it leaves an action place, its
 event *interrupts* the action of a robot there. If it touches resource places only, it belongs to
@@ -10,24 +11,24 @@ from __future__ import annotations
 from typing import Any, Dict, Mapping, NamedTuple, Optional, Tuple
 
 POLL_EVERY = 0.2
-"""Seconds between two calls of a function that is asked for an event."""
+"""Seconds between two calls of an event's function."""
 
 
 class EventSource(NamedTuple):
-    """Where an event comes from, and what it does.
+    """The source of an event, and its effect.
 
     Sources: a ROS ``topic`` with messages of ``type`` (relative to the robot's namespace), a Python
-    ``function`` of the plan's folder (with ``settings``, asked every ``every`` seconds unless it
+    ``function`` of the plan's folder (with ``settings``, called every ``every`` seconds unless it
     emits its events itself), or time: ``after`` seconds in the place. With both a topic and a
     function, the topic is used on ROS and the function without it. A transition of the environment
     needs no source of its own: ``gspn submit`` fires it in any case.
 
     ``when`` is a condition on the message (see :mod:`.message_condition`): the event holds while it
-    is true. Without one, every message is an event of its own. An event that already holds when the
-    robot enters the place fires at once, unless ``edge`` is set: then only a change from false to
-    true counts.
+    is true. Without one, every message is an event. An event that already holds when the robot
+    enters the place fires at once, unless ``edge`` is set: then only a change from false to true
+    counts.
 
-    If the transition is not enabled when the event comes, nothing happens, unless ``hold`` is set:
+    If the transition is not enabled when the event occurs, nothing happens, unless ``hold`` is set:
     then it fires as soon as it can, while the robot is in that visit. After an interrupt with
     ``resume``, the robot's next visit to the place learns which visit it continues.
 
@@ -59,7 +60,7 @@ class EventSource(NamedTuple):
         return self.function or "gspn submit"
 
     def asks_function(self, topics: bool) -> bool:
-        """Whether the function is the source that is used.
+        """Whether the function is used as the source.
 
         :param topics: whether topics can be subscribed to.
         """
@@ -78,9 +79,9 @@ class EventSource(NamedTuple):
 
 
 class Tasks(NamedTuple):
-    """Where a plan has tasks: ``queues`` are resource places whose tokens are tasks, taken in the
-    order in which they came; a robot that takes a token carries the task. At the transitions
-    ``done``, the task of a robot is done."""
+    """The tasks of a plan: ``queues`` are resource places whose tokens are tasks, taken in order of
+    arrival; a robot that takes a token carries the task. The transitions ``done`` complete the task
+    of a robot."""
 
     queues: Tuple[str, ...] = ()
     done: Tuple[str, ...] = ()

@@ -1,5 +1,5 @@
-"""A bounded memory of what is costly to make, by key: ``functools.lru_cache`` for things that are
-made from more than their key."""
+"""A bounded cache of values that are costly to make: like ``functools.lru_cache``, but for values
+that depend on more than their key."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _Value = TypeVar("_Value")
 
 
 class Kept(Generic[_Key, _Value]):
-    """The ``most`` values that were asked for last. Any thread may ask.
+    """Caches the ``most`` values requested last. Thread-safe.
 
     >>> squares = Kept(most=2)
     >>> [squares.get(n, lambda: n * n) for n in (1, 2, 1, 3)], len(squares)
@@ -25,8 +25,8 @@ class Kept(Generic[_Key, _Value]):
         self._lock = threading.Lock()
 
     def get(self, key: _Key, make: Callable[[], _Value]) -> _Value:
-        """The value of a key. If it is not kept, ``make`` returns it, and what that raises
-        propagates. Two threads that ask for a new key at once may both make its value."""
+        """Get the value of a key. If it is not cached, ``make`` creates it; exceptions propagate.
+        Two threads that request a new key at once may both create its value."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)

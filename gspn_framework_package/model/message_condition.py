@@ -16,10 +16,10 @@ from typing import Any, Callable, Dict, List, Tuple, Union
 from gspn_framework_package.model.errors import ExpressionError
 
 LONGEST_MESSAGE_CONDITION = 1_000
-"""Longest condition, in characters."""
+"""Maximum length of a condition, in characters."""
 
 MOST_CONDITION_NODES = 200
-"""Most parts of a condition."""
+"""Maximum number of parts of a condition."""
 
 _Value = Callable[[Any], Any]
 
@@ -99,8 +99,7 @@ class MessageCondition:
             ) from None
 
     def read(self, message: _Message) -> Dict[str, Any]:
-        """The fields that the condition reads, with their values; those that are missing are left
-        out."""
+        """The fields that the condition reads, with their values; missing ones are left out."""
         found = {}
         for path in self.fields:
             try:

@@ -395,8 +395,8 @@ class Net:
         return self._restricted(kept, gone)
 
     def _restricted(self, kept: Sequence[int], gone: Set[str]) -> Net:
-        """Return the net with these places alone. Its indices come from those of this net, which
-        takes half the time of making them anew."""
+        """Return the net with only these places. Its indices are derived from those of this net,
+        which takes half the time of computing them again."""
         number = [-1] * len(self.places)
         for new, old in enumerate(kept):
             number[old] = new
@@ -502,8 +502,8 @@ def _effect(taken: Mapping[int, int], put: Mapping[int, int]) -> WeightedPlaces:
     return tuple((p, c) for p, c in change.items() if c)
 
 
-# A net may have 100,000 nodes and more arcs, so the checks build the name of an element only when
-# it is wrong.
+# A net may have 100,000 nodes and more arcs, so the checks build the name of an element only if it
+# is invalid.
 
 
 def _check_weight(arc: Arc) -> None:

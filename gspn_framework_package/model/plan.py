@@ -49,12 +49,13 @@ def too_many_robots(number: int) -> PlanError:
 
 
 class Synchronisation(enum.Enum):
-    """How much the robots share with each other (thesis 4.3.3)."""
+    """How much the robots synchronise with each other (thesis 4.3.3)."""
 
     FULL = "full"
     """Every finished action goes through the shared log, over a topic."""
     PARTIAL = "partial"
-    """A robot makes moves that concern nobody else locally; the rest is agreed through services."""
+    """A robot makes moves that affect no other robot locally; the rest is agreed through
+    services."""
 
 
 class Transport(enum.Enum):
@@ -70,9 +71,9 @@ class FailureKind(enum.Enum):
     """What to do when an action does not succeed."""
 
     RETRY = "retry"
-    """Try again within the same visit; when the attempts are used up, wait."""
+    """Retry within the same visit; when the attempts are used up, wait."""
     FIRE = "fire"
-    """Go on as if the action had asked for that transition."""
+    """Continue as if the action had requested that transition."""
     WAIT = "wait"
     """Wait for the operator, and report that prominently."""
     STOP = "stop"
@@ -117,9 +118,9 @@ class RobotSpec(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Times of the agreement protocol, in seconds. A robot that nobody has heard for
-    ``evict_after`` is proposed for eviction (0: never). A robot without contact to a quorum for
-    ``fence_after`` stops itself (0: never)."""
+    """Times of the agreement protocol, in seconds. A robot that no other has heard for
+    ``evict_after`` is proposed for eviction (0 for never). A robot without contact to a quorum for
+    ``fence_after`` stops itself (0 for never)."""
 
     evict_after: float = 10.0
     fence_after: float = 0.0
@@ -137,15 +138,15 @@ class Plan:
     :ivar resource_places: the places whose tokens are counters, not robots.
     :ivar robots: the robots of the team.
     :ivar spawn: the places where the robots of a larger team start, cyclically.
-    :ivar synchronisation: how much the robots share with each other.
-    :ivar transport: what carries the messages between robots that have no other setting at their
-        start. Not part of :meth:`hash`.
+    :ivar synchronisation: how much the robots synchronise with each other.
+    :ivar transport: the transport of messages for robots that do not override it at their start.
+        Not part of :meth:`hash`.
     :ivar seed: seed of the policy's random draws.
     :ivar strict: whether a marking without a policy row is a fault.
     :ivar on_failure: place or ``'*'`` -> failure rule.
-    :ivar timeouts: place or ``'*'`` -> longest time an action may take, in seconds.
-    :ivar routing: transition -> {place that a robot leaves: place that it enters}; the order of the
-        arcs decides for others.
+    :ivar timeouts: place or ``'*'`` -> maximum time that an action may take, in seconds.
+    :ivar routing: transition -> {place that a robot leaves: place that it enters}; otherwise the
+        order of the arcs decides.
     :ivar simulate_environment: whether transitions without robots fire at their rates; if not, the
         operator fires them.
     :ivar on_lost: what robots do when they wait for a lost robot.
@@ -154,20 +155,20 @@ class Plan:
     :ivar durations: place -> how long its action takes, for analysis and simulation.
     :ivar outcomes: place -> {transition that its action names, or "" for none: probability}.
     :ivar failures: place -> probability that an attempt of its action fails.
-    :ivar chance: decision places in which nobody chooses: the action finds out what comes next, or
-        it happens by the weights. For the computation of policies.
+    :ivar chance: decision places where the policy does not choose: the action determines what comes
+        next, or the weights do. Used for computing policies.
     :ivar rates: transition -> rate (1/s) that replaces the one in the net's file; ``net`` has it.
         :meth:`with_rates` sets both.
     :ivar own_rates: transition -> rate (1/s) in the net's file, for each one in ``rates``.
-    :ivar evidence: (key of the plan file, place or transition) -> where that value was learned.
+    :ivar evidence: (key of the plan file, place or transition) -> the origin of that learned value.
     :ivar events: exponential transition -> the event that fires it.
     :ivar tasks: the places where tasks queue, and the transitions at which they are done.
-    :ivar subnets: name -> the part of the net that came from a plan of its own.
-    :ivar cancel_grace: seconds that the server of an interrupted action has to end it, before that
-        is reported.
+    :ivar subnets: name -> the part of the net that came from another plan.
+    :ivar cancel_grace: seconds that the server of an interrupted action has to end it before a
+        fault is reported.
     :ivar timing: times of the agreement protocol.
-    :ivar fsync: whether promises and votes are on the disk before they are sent.
-    :ivar witness: names of nodes that vote and have no token.
+    :ivar fsync: whether promises and votes are synced to the disk before they are sent.
+    :ivar witness: names of nodes that vote but have no token.
     :ivar folder: the folder with the functions.
     :ivar file: the file that the plan comes from.
     :ivar notes: notes for the user on how the plan was read.
@@ -218,7 +219,7 @@ class Plan:
 
     @property
     def file_net(self) -> Net:
-        """The net with the rates of its file, without those that ``rates`` puts in their place."""
+        """The net with the rates of its file, without the replacements in ``rates``."""
         return self.net.with_rates(self.own_rates)
 
     def action(self, robot: str, place: str) -> Action:
@@ -258,8 +259,8 @@ class Plan:
 
     def transition_meant(self, place: str, name: str) -> str:
         """Return the transition that an action in ``place`` means by the name that it returns. An
-        action of a subnet says the name that the transition has in its own plan; if that does not
-        leave the place, the name is read as one of the plan around it, and so on."""
+        action of a subnet uses the transition's name in the subnet's own plan; if that transition
+        does not leave the place, the name is looked up in the surrounding plan, and so on."""
         if not name or not self.subnets or place not in self.net.place_index:
             return name
         leaving = self._leaving(place)
@@ -273,7 +274,7 @@ class Plan:
 
     def of_action(self, place: int) -> Tuple[int, ...]:
         """Return the numbers of the transitions that leave place number ``place`` without an event:
-        those that a robot asks for."""
+        those that a robot can request."""
         transitions = self.net.transitions
         return tuple(t for t in self.net.consumers[place] if transitions[t].name not in self.events)
 
@@ -285,8 +286,8 @@ class Plan:
 
     @property
     def submissions(self) -> Tuple[str, ...]:
-        """The transitions of the environment by which tasks come in: those with an event, and those
-        that lead into a queue."""
+        """The transitions of the environment through which tasks arrive: those with an event, and
+        those that lead into a queue."""
         return tuple(
             t.name
             for t, inputs, outputs in zip(self.net.transitions, self.net.inputs, self.net.outputs)
@@ -359,7 +360,8 @@ class Plan:
         }
 
     def _reacting_essence(self) -> Dict[str, Any]:
-        """Of events and tasks, what the token game reads; nothing for a plan without them."""
+        """The parts of events and tasks that the token game reads; empty for a plan without
+        them."""
         found: Dict[str, Any] = {}
         if self.events:
             found["events"] = {t: [e.hold, e.resume] for t, e in self.events.items()}
@@ -402,7 +404,7 @@ class Plan:
         return replace(self, robots=tuple(robots), net=self.net.with_marking(counts))
 
     def with_seed(self, seed: int) -> Plan:
-        """Return the plan with another seed for the policy's random draws."""
+        """Return the plan with a different seed for the policy's random draws."""
         return replace(self, seed=seed)
 
     def with_policy(self, policy: Policy) -> Plan:

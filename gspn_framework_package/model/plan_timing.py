@@ -2,19 +2,19 @@
 *done* with an outcome, and the transition that it asks for fires as soon as it can.
 
 The duration and the outcomes of a place come from the plan (``durations``, ``outcomes``,
-``failures``). Where it gives none, the net does: with exponential transitions of the rates r_1,
-r_2, ... leaving the place, the duration is exponential with the mean 1 / (r_1 + r_2 + ...), and
-outcome j has the probability r_j / (r_1 + r_2 + ...). A robot in a decision place takes no time
+``failures``). If it gives none, the net determines them: with exponential transitions of the rates
+r_1, r_2, ... leaving the place, the duration is exponential with the mean 1 / (r_1 + r_2 + ...),
+and outcome j has the probability r_j / (r_1 + r_2 + ...). A robot in a decision place takes no time
 then, and the policy decides. A place that is mapped to no action (``null``) takes no time in any
 case; one that the plan does not map at all is treated as if it had an action.
 
-A transition with an event is no outcome of the action: the action does not end with it, but the
-event interrupts the robot, whatever it is doing in the place. While a robot is there, its event
-comes at the rate of the transition, or after the time that the event's ``after`` gives.
+A transition with an event is not an outcome of the action: the event interrupts the robot, whatever
+it is doing in the place. While a robot is there, its event occurs at the rate of the transition, or
+after the event's ``after``.
 
 This is the same as the classical reading of the net, in which exponential transitions race while
 they are enabled, wherever nothing but the robot's own token can disable them, since exponential
-times have no memory. :attr:`PlanTiming.splits` names the places where the two differ.
+times are memoryless. :attr:`PlanTiming.splits` names the places where the two differ.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ POLICY = -1
 
 
 class PlaceTiming(NamedTuple):
-    """What a robot in an action place does with its time.
+    """The timing of a robot in an action place.
 
     :ivar duration: how long an attempt at the action takes, if the timeout does not cut it off.
     :ivar outcomes: pairs (transition number or :data:`POLICY`, probability); empty if no
@@ -54,7 +54,7 @@ class PlanTiming:
     :ivar places: number of each action place -> its timing, with the action of the team.
     :ivar events: number of each action place -> the transitions by which events interrupt a robot
         there.
-    :ivar assumptions: what the plan leaves open and this class had to assume: sentences for people.
+    :ivar assumptions: sentences for people about what the plan leaves open and this class assumes.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -80,7 +80,7 @@ class PlanTiming:
         self._assume()
 
     def of(self, robot: str, place: int) -> PlaceTiming:
-        """The timing of ``robot`` in action place number ``place``, with the action of its own if
+        """The timing of ``robot`` in action place number ``place``, with the robot's own action if
         it has one."""
         return self._idle[place] if self._is_idle(place, robot) else self.places[place]
 
@@ -107,7 +107,7 @@ class PlanTiming:
         leaving = self._of_action[p]
         timed = [t for t in leaving if self._net.transitions[t].timed]
         if not leaving and all(t == POLICY for t, _ in timing.outcomes):
-            return ""  # nobody leaves when the action is done
+            return ""  # no robot leaves when the action is done
         if timing.duration.mean == 0:
             return "its action takes no time" if timed else ""
         if timing.duration.kind is not Kind.EXPONENTIAL:
@@ -150,8 +150,9 @@ class PlanTiming:
         return PlaceTiming(duration, pairs, plan.failures.get(name, 0.0), self._blocked(p))
 
     def _asked_at_once(self, p: int) -> Tuple[Tuple[int, float], ...]:
-        """What a robot asks for in a place without an action (``docs/semantics.md``): the policy if
-        it has a say, else the only transition. Where only events leave, it asks for nothing."""
+        """What a robot requests in a place without an action (``docs/semantics.md``): the policy's
+        choice if there is one, otherwise the only transition. If only event transitions leave the
+        place, it requests nothing."""
         leaving = self._of_action[p]
         if any(not self._net.transitions[t].timed for t in leaving):
             return ((POLICY, 1.0),)
@@ -169,7 +170,7 @@ class PlanTiming:
                     return "%s %s" % (self._net.transitions[t].name, why)
         return ""
 
-    # -- what was assumed --------------------------------------------------------------------------
+    # -- assumptions --------------------------------------------------------------------------
 
     def _assume(self) -> None:
         plan, net = self._plan, self._net
@@ -215,8 +216,8 @@ class PlanTiming:
 
 
 def why_blocked(net: Net, t: int, place: int) -> str:
-    """What may disable transition number ``t`` besides the one token in ``place`` that asks for it,
-    for people; empty if nothing can."""
+    """What may disable transition number ``t`` other than the one token in ``place`` that requests
+    it, for people; empty if nothing can."""
     for p, weight in net.inputs[t]:
         if p != place:
             return "also takes from %s" % net.places[p].name

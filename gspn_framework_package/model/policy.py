@@ -42,9 +42,9 @@ class PolicyRow(NamedTuple):
 
 
 class PolicyScope(NamedTuple):
-    """A part of a plan with a policy of its own: the robots in ``places`` are decided by the rows
-    ``first`` to ``last`` (exclusive, numbered from 0), as if there were no others, and no other
-    robot is."""
+    """A part of a plan with its own policy: the rows ``first`` to ``last`` (exclusive, numbered
+    from 0) decide for the robots in ``places``, and only for them, as if there were no other
+    rows."""
 
     places: Tuple[str, ...]
     first: int
@@ -56,8 +56,8 @@ class Policy:
 
     :param places: the places that the cells of a row refer to; other places may have any count.
     :param rows: the rows, in file order.
-    :param scopes: the subnets with policies of their own. The rows that are in none of them decide
-        in the places that are in none of them.
+    :param scopes: the subnets with policies of their own. Rows outside all scopes decide in places
+        outside all scopes.
     :raises PolicyError: a row has the wrong length, a count is not a number of tokens,
         probabilities are negative or do not sum to 1, or scopes overlap.
     """
@@ -75,7 +75,7 @@ class Policy:
         if len(set(self.places)) != len(self.places):
             doubles = sorted(p for p, n in Counter(self.places).items() if n > 1)
             raise PolicyError("the place '%s' occurs twice in the tuple of places" % doubles[0])
-        fits: Set[Tuple[Tuple[str, float], ...]] = set()  # choices that were checked: few differ
+        fits: Set[Tuple[Tuple[str, float], ...]] = set()  # checked choices, of which few differ
         for number, row in enumerate(self.rows, 1):
             if len(row.counts) != len(self.places) or row.choices not in fits:
                 self._check_row(number, row)
@@ -112,7 +112,7 @@ class Policy:
         return cls(places, rows, scopes)
 
     def __getstate__(self) -> Dict[str, Any]:
-        """What travels to another process: all but the search tree, which is made again."""
+        """The state sent to another process: everything but the search tree, which is rebuilt."""
         return {**self.__dict__, "_table": None}
 
     def scope_numbers(self) -> Dict[str, int]:
@@ -121,7 +121,7 @@ class Policy:
         return {name: k for k, scope in enumerate(self.scopes, 1) for name in scope.places}
 
     def row_scopes(self) -> List[int]:
-        """Return the number of the scope that each row belongs to; see :meth:`scope_numbers`."""
+        """Return the number of the scope of each row; see :meth:`scope_numbers`."""
         found = [0] * len(self.rows)
         for k, scope in enumerate(self.scopes, 1):
             found[scope.first : scope.last] = [k] * (scope.last - scope.first)
@@ -222,7 +222,7 @@ class PolicyTable:
                 )
             self._scope[net.place_index[name]] = k
         self._row_scope = row_scope = policy.row_scopes()
-        self._any: Dict[int, _RowIndex] = {}  # scope -> its rows; rarely asked for
+        self._any: Dict[int, _RowIndex] = {}  # scope -> its rows; rarely needed
         self._by_place: Dict[int, _RowIndex] = {}
         self._waits: Dict[int, _RowIndex] = {}  # scope -> its rows without choices
         speaks_of: Dict[Tuple[Tuple[str, float], ...], Tuple[int, ...]] = {}
@@ -275,7 +275,7 @@ class PolicyTable:
         return self._restricted[key]
 
     def matches(self, marking: Sequence[int], place: int) -> bool:
-        """Whether any row of the scope of ``place`` matches ``marking``, whatever place of that
+        """Whether any row of the scope of ``place`` matches ``marking``, whichever place of that
         scope the row applies to."""
         scope = self._scope.get(place, 0)
         if scope not in self._any:
@@ -328,7 +328,8 @@ Cells = Tuple[Tuple[int, int], ...]
 
 
 MANY_GROUPS = 24
-"""With more groups than this, rows are in a tree: trying group by group would be slow."""
+"""Number of groups above which rows are stored in a tree, since trying group by group would be
+slow."""
 
 
 class _RowIndex:
@@ -402,7 +403,8 @@ class _Branch:
     """A node of a tree of rows.
 
     :ivar ends: precedence (negative number of cells) and number of the best row that ends here.
-    :ivar cells: what that row has yet to match, if it is the only one from here on.
+    :ivar cells: the cells that remain to be matched for that row, if it is the only one from here
+        on.
     :ivar column: the place that distinguishes the other rows.
     :ivar by_count: tokens there -> node.
     :ivar any: the node of the rows that have a wildcard there.

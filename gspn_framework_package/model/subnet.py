@@ -1,25 +1,25 @@
-"""Subnets: the parts of a plan's net that came from plans of their own."""
+"""Subnets: the parts of a plan's net that came from other plans."""
 
 from __future__ import annotations
 
 from typing import Any, Dict, Mapping, NamedTuple, Tuple
 
 SEPARATOR = "."
-"""Stands between the name of a subnet and the name that a node has in the subnet's own plan."""
+"""Separator between the name of a subnet and a node's name in the subnet's own plan."""
 
 
 class Subnet(NamedTuple):
     """A part of a net that replaced a place. Its name is that of the place; the names of its nodes
     begin with it (``dock.Approach``).
 
-    :ivar plan: name of the plan that it was made from.
+    :ivar plan: name of the plan that it came from.
     :ivar entry: the place where robots enter.
-    :ivar exit: the place where robots leave. The robots there are still inside, but the plan around
-        the subnet chooses among the transitions that leave it.
-    :ivar places: its places, with those of subnets inside it, in the order of the net. Shared
-        resource places belong to the plan around it.
+    :ivar exit: the place where robots leave. Robots there are still inside, but the surrounding
+        plan chooses among the transitions that leave it.
+    :ivar places: its places, including those of nested subnets, in the order of the net. Shared
+        resource places belong to the surrounding plan.
     :ivar transitions: its transitions, likewise.
-    :ivar parent: the subnet that it is inside of; "" for none.
+    :ivar parent: the enclosing subnet; "" for none.
     """
 
     plan: str

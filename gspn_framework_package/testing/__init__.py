@@ -1,4 +1,4 @@
-"""Tests of plans: run a plan in virtual time, with what the test says, and look at what it does.
+"""Tests of plans: run a plan in virtual time under the control of a test, and examine what it does.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> from gspn_framework_package.model.action import FunctionAction
@@ -16,7 +16,7 @@
 >>> run.fired, run.ended.finished
 (['got_it'], True)
 
-``docs/testing_plans.md`` has the whole.
+See ``docs/testing_plans.md`` for everything else.
 
 Modules: ``coverage``, ``outcomes``, ``scenario``, ``seen``, ``virtual_wait``.
 """

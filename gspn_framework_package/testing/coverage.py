@@ -1,4 +1,4 @@
-"""What of a plan its tests have reached: places, transitions, rows of the policy."""
+"""The parts of a plan that its tests have reached: places, transitions, rows of the policy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gspn_framework_package.model.plan_timing import POLICY
 
 
 class Coverage:
-    """What the runs of a plan have reached, all together.
+    """The parts of a plan that its runs have reached together.
 
     A place is reached when it has a token, a transition when it fires, a row of the policy when a
     robot's choice was drawn from it, or a robot waited because of it.
@@ -32,7 +32,8 @@ class Coverage:
 
     @property
     def missing(self) -> Dict[str, List[Any]]:
-        """What was not reached: ``places``, ``transitions`` and ``rows``, in their order."""
+        """The parts that were not reached: ``places``, ``transitions`` and ``rows``, in their
+        order."""
         net = self.plan.net
         return {
             "places": [p.name for p in net.places if p.name not in self.places],
@@ -41,7 +42,7 @@ class Coverage:
         }
 
     def __str__(self) -> str:
-        """A line for each kind: how many were reached, and which were not."""
+        """A line for each kind: how many elements were reached, and which were not."""
         net = self.plan.net
         totals = {
             "places": len(net.places),
@@ -57,15 +58,16 @@ class Coverage:
     def check(self, *, without: Collection[Any] = ()) -> None:
         """Require that everything was reached.
 
-        :param without: names of places and transitions, and numbers of rows, that need not be.
-        :raises AssertionError: something was not; the message is :meth:`__str__`.
+        :param without: names of places and transitions, and numbers of rows, that need not be
+            reached.
+        :raises AssertionError: something was not reached; the message is :meth:`__str__`.
         """
         __tracebackhide__ = True
         if any(name not in without for names in self.missing.values() for name in names):
             raise AssertionError("not all of the plan was reached\n%s" % self)
 
     def take(self, firings: List[Firing], before: Marking, state: TeamState) -> None:
-        """Count what a step of a run has reached.
+        """Record the elements reached by a step of a run.
 
         :param before: the marking before its firings.
         :param state: the state after them.

@@ -30,31 +30,32 @@ from gspn_framework_package.testing.outcomes import Outcomes
 from gspn_framework_package.testing.seen import Act, ActionAttempt, FiredAt, Rule, fired_at
 
 STEPS_WITHOUT_TIME = 10_000
-"""So many steps at one moment are taken for a plan that runs for ever without time."""
+"""Number of steps at one moment that counts as a plan running endlessly without time."""
 
 
 _SHOWN = 20
-"""So many firings are listed in the message of a check that failed."""
+"""Number of firings listed in the message of a failed check."""
 
 
 class Scenario:
     """A run of a plan in virtual time.
 
-    Say first what actions do (:meth:`action`) and what happens when, then let time pass
-    (:meth:`advance`, :meth:`until`, :meth:`until_fired`) and look. Actions of which the test says
-    nothing take the times and have the outcomes of the plan, drawn with its seed. Events and tasks
-    come only if the test says so, except events of time.
+    First specify what actions do (:meth:`action`) and which events occur when, then let time pass
+    (:meth:`advance`, :meth:`until`, :meth:`until_fired`) and check the results. Actions that the
+    test does not specify have the plan's durations and outcomes, drawn with its seed. Events and
+    tasks occur only if the test specifies them, except timed events.
 
     :param plan: the plan, its file or its folder.
     :param robots: number of robots; by default those of the plan.
-    :param seed: seed of all that is drawn; by default that of the plan.
+    :param seed: seed of all random draws; by default that of the plan.
     :param functions: whether the Python functions of the plan are called. Each is called when its
         action begins; the seconds for which it waits (``is_cancelled.wait``) are the time that the
-        action takes. It must not sleep in another way. It sees no event that cuts it off.
-    :param drawn: whether events, tasks and the transitions of the environment also come by
-        themselves, at their rates.
+        action takes. It must not sleep in any other way, and is not notified if an event interrupts
+        it.
+    :param drawn: whether events, tasks and transitions of the environment also occur by themselves,
+        at their rates.
     :param agents: whether transitions may create and destroy agents, as in a standalone run.
-    :param coverage: counts what the run reaches.
+    :param coverage: records the elements that the run reaches.
     :param log: file for an event log of the run, for ``gspn replay``; :meth:`close` it.
     :raises GspnError: the plan cannot be read, or a function is missing.
     """
@@ -77,14 +78,14 @@ class Scenario:
         self.plan = self._run.plan
         self.coverage = coverage
         self.firings: List[FiredAt] = []
-        """What has fired."""
+        """The firings so far."""
         self.attempts: List[ActionAttempt] = []
         """The attempts at actions that have begun."""
         self.faults: List[str] = []
-        """The faults that were reported, with the robots."""
+        """The reported faults, with their robots."""
         self.tasks: Dict[str, str] = {}
-        """Task -> where it is: "place NAME", "robot NAME", "done", "dropped"; "" while it waits to
-        come in."""
+        """Task -> its location: "place NAME", "robot NAME", "done", "dropped"; "" while it waits
+        outside the net."""
         self._drawn = drawn
         self._rules: List[Tuple[Rule, List[int]]] = []
         self._agenda: List[Tuple[float, int, Callable[[], None]]] = []
@@ -107,7 +108,7 @@ class Scenario:
     def __exit__(self, *error: Any) -> None:
         self.close()
 
-    # -- what actions do ---------------------------------------------------------------------------
+    # -- actions ---------------------------------------------------------------------------
 
     def action(
         self,
@@ -121,21 +122,21 @@ class Scenario:
         act: Optional[Act] = None,
         times: Optional[int] = None,
     ) -> None:
-        """Say what the next attempts at the action of a place do.
+        """Specify the next attempts at the action of a place.
 
-        Of several calls that suit an attempt, the first one counts whose ``times`` are not used up;
-        but a call for all that follow replaces an earlier one for the same place and robot.
+        If several calls match an attempt, the first whose ``times`` are not used up applies; but a
+        call for all further attempts replaces an earlier one for the same place and robot.
 
-        :param robot: for this robot only.
-        :param seconds: how long it takes: a number (``math.inf``: for ever) or a distribution; by
-            default, as the plan says.
-        :param result: the transition that it names, "" for none; by default, as the plan says.
+        :param robot: apply only to this robot.
+        :param seconds: the duration: a number (``math.inf`` for an endless action) or a
+            distribution; by default that of the plan.
+        :param result: the transition that it names, "" for none; by default as in the plan.
         :param data: the data that it writes.
-        :param fails: that it fails, for this reason ("aborted", "no server", ...). Where the plan
-            leads that outcome of the action to a transition, the robot asks for it.
-        :param act: called when the attempt begins, in place of ``result``, ``data`` and ``fails``:
+        :param fails: make it fail for this reason ("aborted", "no server", ...). If the plan maps
+            that outcome of the action to a transition, the robot asks for it.
+        :param act: called when the attempt begins, instead of ``result``, ``data`` and ``fails``:
             returns a result or a pair (result, data), and raises ActionFailed to fail.
-        :param times: for so many attempts; by default for all that follow.
+        :param times: number of attempts; by default all further ones.
         :raises NetError: there is no such place.
         """
         self.plan.net.place_number(place)
@@ -153,7 +154,7 @@ class Scenario:
         ]
         self._rules.append((rule, [-1 if times is None else times]))
 
-    # -- what happens from outside -----------------------------------------------------------------
+    # -- events and orders -----------------------------------------------------------------
 
     def event(
         self,
@@ -163,13 +164,13 @@ class Scenario:
         cause: Mapping[str, Any] = NOTHING,
         at: Optional[float] = None,
     ) -> None:
-        """Let an event come, which lasts no time.
+        """Let an instantaneous event occur.
 
         :param transition: the transition of the event.
-        :param robot: to this robot; by default to each.
-        :param cause: what was read of it.
+        :param robot: for this robot; by default for each robot.
+        :param cause: the data of the event.
         :param at: when (s); by default now.
-        :raises UsageError: the plan has no such event of robots.
+        :raises UsageError: the plan has no such event for robots.
         """
         self._observe(transition, robot, None, cause, at)
 
@@ -182,7 +183,7 @@ class Scenario:
         cause: Mapping[str, Any] = NOTHING,
         at: Optional[float] = None,
     ) -> None:
-        """Let the condition of an event hold from now on, or no longer; parameters as of
+        """Set whether the condition of an event holds from now on; parameters as in
         :meth:`event`."""
         self._observe(transition, robot, holds, cause, at)
 
@@ -194,12 +195,12 @@ class Scenario:
         *,
         at: Optional[float] = None,
     ) -> str:
-        """Let a task come in.
+        """Submit a task.
 
         :param task: its id; by default a new one, which is returned.
         :param at: when (s); by default now.
-        :raises UsageError: no tasks come in by that transition.
-        :raises DataError: the data or the id cannot be kept.
+        :raises UsageError: that transition does not take tasks.
+        :raises DataError: the data or the id cannot be stored.
         """
         if transition not in self.plan.submissions:
             raise UsageError("no tasks come in by '%s'" % transition)
@@ -208,14 +209,14 @@ class Scenario:
         return str(name)
 
     def order(self, entry: log_entries.Entry, *, at: Optional[float] = None) -> None:
-        """Put any entry into the log: Pause, Resume, Retry, Fire, SetPlace, Leave, Stop, ...
+        """Append any entry to the log: Pause, Resume, Retry, Fire, SetPlace, Leave, Stop, ...
 
         :param at: when (s); by default now.
         """
         self._at(at, lambda: self._run.order(entry))
 
     def lose(self, robot: str, *, at: Optional[float] = None) -> None:
-        """Let a robot get lost: it is evicted."""
+        """Evict a robot as lost."""
         self._at(at, lambda: self._run.order(log_entries.Evict(robot, self._incarnation(robot))))
 
     def join(self, robot: str, place: str = "", *, at: Optional[float] = None) -> None:
@@ -236,15 +237,15 @@ class Scenario:
         return self._run.now
 
     def advance(self, seconds: float = 0.0) -> None:
-        """Let so much time pass, or less if the run ends."""
+        """Let some seconds pass, or fewer if the run ends."""
         self._until(lambda: False, self.now + seconds)
 
     def until(self, condition: Union[str, Callable[[], bool]], within: float = 3600.0) -> None:
         """Let time pass until a condition holds.
 
         :param condition: a condition on the marking, such as ``"Sorted >= 3"``, or a function.
-        :param within: at most so many seconds.
-        :raises AssertionError: it does not come true in that time.
+        :param within: maximum number of seconds.
+        :raises AssertionError: it does not become true in that time.
         """
         __tracebackhide__ = True
         if isinstance(condition, str):
@@ -256,7 +257,8 @@ class Scenario:
             raise self._failure("%s does not come true within %g s" % (what, within))
 
     def until_fired(self, transition: str, times: int = 1, within: float = 3600.0) -> FiredAt:
-        """Let time pass until a transition has fired so many more times; returns the last firing.
+        """Let time pass until a transition has fired a number of further times; return the last
+        firing.
 
         :raises AssertionError: it does not within that many seconds.
         """
@@ -278,7 +280,7 @@ class Scenario:
             raise self._failure("the run does not end within %g s" % within)
         return self._run.result
 
-    # -- what is there -----------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------
 
     @property
     def fired(self) -> List[str]:
@@ -304,7 +306,7 @@ class Scenario:
         return self.plan.net.places[self._robot(robot).place].name
 
     def phase(self, robot: str) -> str:
-        """What a robot is up to: "doing", "done", "failed", "inactive", "lost" or "left"."""
+        """The phase of a robot: "doing", "done", "failed", "inactive", "lost" or "left"."""
         return self._robot(robot).phase.name.lower()
 
     def why(self, robot: str) -> str:
@@ -322,7 +324,7 @@ class Scenario:
 
     @property
     def tasks_done(self) -> List[str]:
-        """The tasks that are done, in that order."""
+        """The tasks that are done, in order of completion."""
         return [m.id for f in self.firings for m in f.tasks if m.target == "done"]
 
     # -- checks ------------------------------------------------------------------------------------
@@ -330,7 +332,7 @@ class Scenario:
     def check_fired(self, *transitions: str) -> None:
         """Require that these transitions fired in this order; others may have fired in between.
 
-        :raises AssertionError: they did not; the message lists the last firings.
+        :raises AssertionError: they did not fire; the message lists the last firings.
         """
         __tracebackhide__ = True
         rest = iter(self.fired)
@@ -373,7 +375,8 @@ class Scenario:
             )
         )
 
-    # -- inside ------------------------------------------------------------------------------------
+    # -- internals
+    # ------------------------------------------------------------------------------------
 
     @property
     def _team(self) -> List[RobotState]:
@@ -420,7 +423,7 @@ class Scenario:
         return True
 
     def _next(self, latest: float) -> bool:
-        """The next thing that happens; returns False if nothing does until ``latest``."""
+        """Advance to the next occurrence; return False if there is none until ``latest``."""
         if self._run.result is not None:
             return False
         if self._pending:
@@ -470,7 +473,7 @@ class Scenario:
 
     def _visit(self, name: str) -> Optional[Visit]:
         robot = self._run.state.robots.get(name)
-        if robot is None or robot.phase.gone:  # what moved another one may have ended this one
+        if robot is None or robot.phase.gone:  # a move of another robot may have ended this visit
             return None
         return Visit(self._name(robot), robot.incarnation, robot.visit)
 
@@ -497,8 +500,7 @@ class Scenario:
             self._at(when, wake)
 
     def attempt(self, command: StartAction) -> Optional[Tuple[float, log_entries.Entry]]:
-        """How long an attempt takes and how it ends, None if the plan is to say; called by the
-        run."""
+        """The duration and end of an attempt, None to use the plan's; called by the run."""
         self.attempts.append(
             ActionAttempt(
                 self.now + command.delay,
@@ -537,7 +539,7 @@ class Scenario:
     def stepped(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
-        """Take in what a step did; called by the run."""
+        """Process a step; called by the run."""
         for entry in entries:
             if isinstance(entry, log_entries.Submit):
                 self.tasks.setdefault(entry.id, "")
@@ -553,7 +555,7 @@ class Scenario:
 
 
 class _ScriptedRun(VirtualRun):
-    """A virtual run that asks its owner first."""
+    """A virtual run that consults its scenario first."""
 
     def __init__(
         self, owner: Scenario, plan: Plan, seed: Optional[int], agents: bool, drawn: bool
@@ -563,11 +565,11 @@ class _ScriptedRun(VirtualRun):
         self._draws_events = drawn
 
     def drawn(self, command: StartAction) -> Tuple[float, log_entries.Entry]:
-        """What the plan says of an attempt."""
+        """The duration and end of an attempt according to the plan."""
         return super()._attempt(command)
 
     def sample(self, seconds: Union[float, Duration]) -> float:
-        """A time in seconds."""
+        """Draw a time in seconds."""
         return seconds.sample(self._random) if isinstance(seconds, Duration) else float(seconds)
 
     def _attempt(self, command: StartAction) -> Tuple[float, log_entries.Entry]:

@@ -29,7 +29,7 @@ HORIZON = 3.0
 """Prediction horizon in seconds for robots that have the right of way, and for standing ones."""
 
 SHORT_HORIZON = 1.0
-"""Prediction horizon in seconds for robots without the right of way: they will give way."""
+"""Prediction horizon in seconds for robots without the right of way, which will give way."""
 
 GAP = 0.035
 """Distance between the discs of two active robots, in metres."""
@@ -49,10 +49,10 @@ class OtherRobot:
 
     :param name: name of the other robot.
     :param velocity: its velocity east and north, metres per second.
-    :param active: it is driving to a goal; otherwise it stands, parked or dead.
+    :param active: whether it is driving to a goal; otherwise it stands, parked or dead.
     :param rank: its right of way.
     :param path: the next part of its path, from its position on; empty if it is not active.
-    :param stuck: it has a goal but makes no progress.
+    :param stuck: whether it has a goal but makes no progress.
     """
 
     name: str
@@ -209,7 +209,8 @@ def brake(grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[Other
 def _stays_clear(pose: Pose, there: Point, peer: OtherRobot, dt: float, least: float) -> bool:
     before = pose.distance(peer.pose)
     after = peer.pose.distance(there)
-    # the other's motion meanwhile, at worst straight at us; a standing active one may start now
+    # the other's motion in the meantime, at worst straight at us; a standing active one may start
+    # now
     coming = max(peer.speed, 0.1 if peer.active else 0.0) * dt * 1.2
     if after - coming >= least:
         return True

@@ -33,14 +33,13 @@ DISCOVERY_PERIOD = 2.0
 """Seconds of wall time between two searches for other robots."""
 
 POSES_DEADLINE = 3.0
-"""Seconds of wall time within which other robots must publish their poses. There is a limit since a
-dead robot's topic may still be registered."""
+"""Seconds of wall time within which other robots must publish their poses. Limited because a dead
+robot's topic may still be registered."""
 
 SILENCE_DEADLINE = 15.0
 """Seconds of wall time without a message from ``move_base`` after which a goal is given up.
 
-Otherwise, a client would wait forever for a server that died (``actionlib`` never reports a lost
-server).
+Otherwise a client would wait forever for a dead server (``actionlib`` never reports a lost server).
 """
 
 
@@ -115,7 +114,7 @@ class BaseClient:
         """Wait until the robot is available.
 
         :param seconds: timeout in wall time.
-        :param thermometer: whether the robot has to have one.
+        :param thermometer: whether the robot must have a thermometer.
         :raises ActionFailed: no ``move_base``, pose or thermometer within that time.
         """
         deadline = time.monotonic() + seconds
@@ -180,7 +179,7 @@ class BaseClient:
             self._news.wait(seconds)
 
     def now(self) -> float:
-        """Seconds of ROS time, which go on from where they were if it goes back."""
+        """Seconds of ROS time, which continue from the same value if ROS time goes back."""
         return ROS_CLOCK.seconds()
 
     def pose(self) -> Pose:
@@ -254,7 +253,8 @@ def client_of(robot: str) -> BaseClient:
 
 
 def _moment() -> Tuple[float, float]:
-    """The present in wall time and in ROS time: no simulation, slow or fast, is silence."""
+    """The present in wall time and in ROS time: neither a slow nor a fast simulation counts as
+    silence."""
     return time.monotonic(), ROS_CLOCK.seconds()
 
 

@@ -16,7 +16,7 @@ from gspn_framework_package.world.room import Cylinder, Obstacle, Person, Pose, 
 @contextlib.contextmanager
 def quiet(stream: int) -> Iterator[None]:
     """Keep PyBullet's messages off standard output (1) or standard error (2), which other programs
-    may read."""
+    may parse."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = os.dup(stream)
@@ -25,7 +25,7 @@ def quiet(stream: int) -> Iterator[None]:
             os.dup2(nowhere.fileno(), stream)
         yield
     finally:
-        # the C library has its own buffer, which would be written later
+        # the C library has its own buffer, which would otherwise be written later
         ctypes.CDLL(None).fflush(None)
         os.dup2(kept, stream)
         os.close(kept)
@@ -118,11 +118,11 @@ def make_solid(client: Any, solid: Obstacle) -> None:
 
 
 AWAY = (0.0, 0.0, -10.0)
-"""Where the body of a person who is away is kept: below the floor."""
+"""The position of the body of an absent person: below the floor."""
 
 
 def make_person(client: Any, person: Person) -> int:
-    """Create a person, an upright cylinder with a head, who is away; return its id."""
+    """Create an absent person, an upright cylinder with a head; return its id."""
     shape = client.createCollisionShape(
         pybullet.GEOM_CYLINDER, radius=person.radius, height=person.height
     )

@@ -104,9 +104,10 @@ class WorldNode:
     """Steps the world and connects it to ROS; see the module.
 
     :param robots: names of the robots, which are also their namespaces.
-    :param real_time_factor: seconds of world time per second of wall time; 0: as fast as possible.
+    :param real_time_factor: seconds of world time per second of wall time; 0 for as fast as
+        possible.
     :param gui: open PyBullet's window.
-    :param seed: of the times at which people come.
+    :param seed: seed of the times at which people come.
     """
 
     def __init__(
@@ -170,7 +171,7 @@ class WorldNode:
             self._report.publish(json.dumps(self.referee.report()))
 
     def _report_people(self) -> None:
-        """Publish whether somebody is there, when that changes."""
+        """Publish whether anybody is in the room when that changes."""
         somebody = any(walker.at is not None for walker in self.team.people)
         if somebody != self._somebody:
             self._somebody = somebody
@@ -215,7 +216,7 @@ class WorldNode:
                 if due > wall:
                     time.sleep(due - wall)
                 elif wall - due > 0.5:
-                    # too slow for the requested factor; do not race to catch up later
+                    # too slow for the requested factor; do not try to catch up later
                     due = wall
         self._report.publish(json.dumps(self.referee.report()))
 

@@ -1,4 +1,4 @@
-"""Parameters that nodes of this folder share."""
+"""Parameters shared by the nodes of this folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parking, as an action of robots with ``move_base``: plans/warehouse uses it in several places."""
+"""Parking as an action of robots with ``move_base``; plans/warehouse uses it in several places."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from gspn_framework_package.world.room import Pose
 
 
 class Park:
-    """Drives the robot to a free one of some slots, if it is in none of them.
+    """Drives the robot to a free slot, unless it is already in one.
 
-    :param slots: poses ``[x, y, yaw]`` in the map, in metres and radians.
-    :param radius: of a robot, in metres.
+    :param slots: poses ``[x, y, yaw]`` in the map, in metres and radians. :param radius: radius of
+    a robot, in metres.
     """
 
     def __init__(self, slots: Sequence[Sequence[float]], radius: float = 0.105) -> None:

@@ -56,7 +56,7 @@ PATROL_PLACE = re.compile(
 
 
 def temperature_transitions(number: int, location: str) -> Tuple[str, str]:
-    """The transitions that a check names if it was too hot, and if it was not.
+    """The transitions that a check names if the location was too hot, and if it was not.
 
     The net has four numbered places and six numbered transitions per location (thesis 6.2.2): p1 to
     p4 and t1 to t6, p5 to p8 and t7 to t12, ...
@@ -162,8 +162,7 @@ def park(
 ) -> Generator[str, None, None]:
     """Drive to a free slot of a bay, unless the robot stands in one already.
 
-    :param first: the slot that it tries first.
-    :param radius: of a robot, in metres.
+    :param first: the slot that it tries first. :param radius: radius of a robot, in metres.
     :raises ActionFailed: no slot can be reached.
     """
     here = robot.pose()

@@ -73,7 +73,7 @@ def wait(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) 
 def _read(place: str) -> Tuple[int, str]:
     """The number and the location in the name of a place.
 
-    :raises ActionFailed: it is no place of the patrol.
+    :raises ActionFailed: the place does not belong to the patrol.
     """
     match = patrol.PATROL_PLACE.match(place)
     if match is None:

@@ -1,8 +1,8 @@
 """People who walk into a room and out again, among the robots.
 
-A person walks around standing robots, and waits before one that is too near. A robot does not drive
-towards a person who is near (:func:`halted`), as the protective field of a safety scanner would
-have it, whatever its navigator or its plan wants. So neither walks or drives into the other.
+A person walks around standing robots, and stops in front of one that is too near. Whatever its
+navigator or its plan wants, a robot does not drive towards a person nearby (:func:`halted`), like a
+robot with the protective field of a safety scanner. So neither runs into the other.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from gspn_framework_package.world.grid import Field, Grid
 from gspn_framework_package.world.room import Person, Pose, Room
 
 PROTECTED = 0.4
-"""Metres between a robot and a person within which the robot does not drive towards the person."""
+"""Distance in metres within which a robot does not drive towards a person."""
 
 KEPT_DISTANCE = 0.15
-"""Metres that a person keeps from robots."""
+"""Distance in metres that a person keeps from robots."""
 
 ENTRANCE = 0.6
-"""Metres around the point of entry that must be free of robots when a person comes in."""
+"""Radius in metres around the point of entry that must be free of robots when a person comes in."""
 
 PEOPLE_PATIENCE = 5.0
-"""Seconds that a person waits for a robot that stands where the person wants to go, or near it."""
+"""Seconds that a person waits for a robot that stands at or near the person's destination."""
 
 WITHIN_REACH = 1.0
-"""Metres. A person who has waited so near to a point goes on as if it were reached."""
+"""Distance in metres at which a point counts as reached by a person who has waited for it."""
 
 _ARRIVED = 0.06
 _PLANS_AGAIN = 0.5  # seconds
@@ -38,7 +38,7 @@ _AWARE = 1.5  # metres within which robots change the person's way
 
 
 def halted(pose: Pose, speed: float, radius: float, people: Sequence[Walker]) -> bool:
-    """Whether a robot must not drive at this speed, since somebody is near in that direction.
+    """Whether a robot must not drive at this speed, because a person is near in that direction.
 
     :param pose: of the robot.
     :param speed: metres per second, negative backwards.
@@ -58,10 +58,10 @@ def halted(pose: Pose, speed: float, radius: float, people: Sequence[Walker]) ->
 class Walker:
     """A person who comes, walks along a path, and goes.
 
-    :param source: of the times at which the person comes.
+    :param source: random source of the times at which the person comes.
 
-    :ivar at: where the person is; None while nobody is there.
-    :ivar visits: how often the person has come.
+    :ivar at: the person's position; None while absent.
+    :ivar visits: number of visits so far.
     """
 
     def __init__(self, person: Person, room: Room, source: random.Random) -> None:
@@ -80,7 +80,7 @@ class Walker:
         self._moved = 0.0
 
     def gap(self, pose: Pose, radius: float) -> float:
-        """Metres between the person and a robot; infinite if nobody is there."""
+        """Metres between the person and a robot; infinite if the person is absent."""
         if self.at is None:
             return math.inf
         return pose.distance(self.at) - radius - self.person.radius
@@ -126,7 +126,7 @@ class Walker:
         around = self._radius + self.person.radius + KEPT_DISTANCE + 0.03
         field = self._grid.field(goal, [(pose.x, pose.y, around) for pose in near])
         if math.isinf(field.cost(self.at)):
-            # no way around them: as near as they let the person, until they leave
+            # no way around them: go as near as they allow until they leave
             field = self._grid.field(goal)
         self._field, self._planned = field, time
 
@@ -146,7 +146,7 @@ class Walker:
 
     def _is_free(self, there: Point, robots: Sequence[Pose]) -> bool:
         """Whether the person can go straight to a point: no wall is in the way, and no robot is
-        nearer to the way than the person keeps from robots, or than the person is now."""
+        closer to the line than the distance that the person keeps, or than its present distance."""
         assert self.at is not None
         if not self._grid.is_clear(self.at, there, 0.0):
             return False

@@ -1,8 +1,8 @@
 """The room and its robots as PyBullet bodies: wheels, motors, contacts, a laser scanner, encoders.
 
 Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn
-on the floor; a simulation never sets their pose after the start (that of people, it does). The time
-step is fixed, and the caller decides how fast to step.
+on the floor; a simulation never sets their pose after the start (but it does set that of people).
+The time step is fixed, and the caller decides how fast to step.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class Physics:
         self._client.resetBasePositionAndOrientation(body, [pose.x, pose.y, height], turned)
 
     def place_person(self, number: int, at: Optional[Point]) -> None:
-        """Move a person of the room to a point; None: away."""
+        """Move a person of the room to a point; None to remove the person."""
         if at == self._where[number]:
             return
         self._where[number] = at
@@ -252,8 +252,8 @@ class Physics:
         self._touching = touching
 
     def _count_meetings(self) -> None:
-        """Count contacts with people. They are upright cylinders, as robots are, so the distance
-        tells; Bullet leaves out contacts of a body that sleeps with one that is moved."""
+        """Count contacts with people. They are upright cylinders like robots, so the distance is
+        sufficient; Bullet omits contacts of a sleeping body with one that is moved."""
         met: Set[Tuple[str, int]] = set()
         for number, at in enumerate(self._where):
             if at is None:

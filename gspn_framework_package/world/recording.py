@@ -1,6 +1,6 @@
 """Recorded runs of the world: JSON lines, the first with the room and the robots, then one per
-moment: the time, the poses of the robots, and in a room into which people walk, where they are
-(null: away)."""
+moment: the time, the poses of the robots, and, in a room with people, their positions (null for
+absent)."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class RoomRecording:
 
     :param robots: names of the robots, in the order of the poses.
     :param moments: pairs of time in seconds and poses, sorted by time.
-    :param people: time -> where each person of the room is then; None: away.
+    :param people: time -> position of each person of the room; None for absent.
     """
 
     room: Room

@@ -95,9 +95,9 @@ class Referee:
         self._team = team
         self.tallies: Dict[str, Tally] = {name: Tally() for name in team.robots}
         self.together: List[Tuple[float, str, Tuple[str, ...]]] = []
-        """Time, location and robots, each time that several robots were in one location."""
+        """Time, location and robots of each occasion when several robots were in one location."""
         self.order = EntryOrder()
-        """Given the plan's grants, it lists the robots that overtook against the plan."""
+        """Lists the robots that overtook against the plan, if the plan's grants are given."""
         self.entry_log: List[Tuple[float, str, str]] = []
         """Time, robot and location of each entry."""
         self._tracks = {
@@ -164,7 +164,7 @@ class Referee:
         self._shared = shared
 
     def _report_people(self) -> Dict[str, Any]:
-        """What the report says in a room into which people walk."""
+        """The part of the report about people, in a room with people."""
         if not self._team.people:
             return {}
         nearest = self.nearest_to_people

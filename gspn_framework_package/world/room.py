@@ -1,4 +1,4 @@
-"""The room: the shape of a world, where robots work and wait, and how hot it is.
+"""The room: the shape of a world, its working and waiting areas, and its temperature.
 
 Lengths are in metres, angles in radians, temperatures in degrees Celsius, times in seconds; x
 points east, y north, and yaw is counter-clockwise from east (REP 103). ``room_file`` reads rooms
@@ -113,7 +113,7 @@ class HotSpot:
     :param radius: the standard deviation of the Gaussian, metres.
     :param speed: speed along the path, metres per second.
     :param hot_for: seconds for which it burns.
-    :param cold_for: seconds for which it is cold afterwards; 0: it always burns.
+    :param cold_for: seconds for which it is cold afterwards; 0 if it always burns.
     :param phase: seconds into the first ``hot_for`` at time 0.
     """
 
@@ -126,12 +126,12 @@ class HotSpot:
     phase: float = 0.0
 
     def burns(self, time: float) -> bool:
-        """Whether it burns at that time."""
+        """Whether it burns at a time."""
         period = self.hot_for + self.cold_for
         return self.cold_for <= 0.0 or (time + self.phase) % period < self.hot_for
 
     def at(self, time: float) -> Point:
-        """The position of its centre at that time."""
+        """The position of its centre at a time."""
         legs = list(zip(self.path, self.path[1:] + self.path[:1]))
         length = sum(math.dist(a, b) for a, b in legs)
         if length == 0.0:
@@ -168,7 +168,7 @@ class TemperatureField:
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody who walks into the room now and then, and out again.
+    """A person who walks into the room from time to time, and out again.
 
     :param path: comes in at the first point, goes from point to point, and leaves at the last.
     :param away_mean: mean of the exponential time between two visits, seconds.

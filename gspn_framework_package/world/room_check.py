@@ -1,8 +1,8 @@
 """Checks that robots can use a room, beyond what a schema can express.
 
-Every pose that a robot is to stand in is free, as is every point of a person's path; locations have
-an interior, their sweeps lie inside and their waiting poses outside; the poses of one group do not
-overlap; and a path leads from every pose to every other.
+Every pose for a robot to stand in must be free, as must every point of a person's path; locations
+have an interior, their sweeps lie inside and their waiting poses outside; the poses of one group do
+not overlap; and a path leads from every pose to every other.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.room import Location, Pose, Room
 
 LARGEST_FLOOR = 1_600.0
-"""Largest floor in square metres; the grid of a larger one would take too much memory and time."""
+"""Maximum floor area in square metres; the grid of a larger one would take too much memory and
+time."""
 
 _Path = Tuple[KeyOrIndex, ...]
 
@@ -60,7 +61,7 @@ def check_room(room: Room, document: YamlDocument) -> None:
 def _check_location(
     room: Room, place: Location, document: YamlDocument
 ) -> List[Tuple[_Path, Pose]]:
-    """Check the shape of a location; return the poses that robots are to stand in."""
+    """Check the shape of a location; return the poses for robots to stand in."""
     where: _Path = ("locations", place.name)
     radius = room.robot.radius
     if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:

@@ -1,6 +1,7 @@
-"""What happens around the robots of plans/warehouse: customers order, and batteries run down.
+"""Simulates the surroundings of the robots in plans/warehouse: customers order, and batteries run
+down.
 
-It knows no ROS and no clock; :mod:`.shop_node` connects it to the robots.
+Independent of ROS and of any clock; :mod:`.shop_node` connects it to the robots.
 """
 
 from __future__ import annotations
@@ -46,14 +47,14 @@ _SCHEMA = _record(
 
 @dataclass(frozen=True)
 class CustomerOrder:
-    """Something from the shelf ``shelf``, where a robot stands at ``pose``."""
+    """An order from the shelf ``shelf``, which a robot reaches at ``pose``."""
 
     id: str
     shelf: str
     pose: Pose
 
     def to_json(self) -> Dict[str, Any]:
-        """The order as customers send it, with the pose as ROS writes it."""
+        """The order as customers send it, with the pose in the form of ROS."""
         half = self.pose.yaw / 2
         return {
             "id": self.id,
@@ -68,9 +69,8 @@ class CustomerOrder:
 class Shop:
     """The customers and the batteries.
 
-    :param settings: an object that fits :data:`_SCHEMA`.
-    :param seed: of all that is random.
-    :param run: what the ids of the orders begin with.
+    :param settings: an object that fits :data:`_SCHEMA`. :param seed: seed of all random numbers.
+    :param run: prefix of the ids of the orders.
 
     :ivar ordered: the ids of all orders so far.
     """
@@ -89,8 +89,8 @@ class Shop:
         return now + self._random.expovariate(1.0 / self._settings["orders"]["mean"])
 
     def orders(self, now: float, is_open: bool = True) -> List[CustomerOrder]:
-        """The orders that are sent now (s). Each is sent twice; new ones only while the shop is
-        open."""
+        """The orders to send at a time (s). Each is sent twice; new ones arrive only while the shop
+        is open."""
         repeated = [order for when, order in self._due if when <= now]
         self._due = [(when, order) for when, order in self._due if when > now]
         new = []
@@ -105,7 +105,7 @@ class Shop:
         return repeated + new
 
     def battery(self, robot: str, pose: Pose, now: float) -> float:
-        """The level of a robot's battery, from 0 to 1, after it has been seen at ``pose``."""
+        """The level of a robot's battery, from 0 to 1, after the robot was seen at ``pose``."""
         settings = self._settings["battery"]
         level = self._levels.get(robot, 1.0)
         last, when = self._seen.get(robot, (pose, now))

@@ -5,7 +5,7 @@ robot that has a pose ``ROBOT/battery`` (sensor_msgs/BatteryState, twice a secon
 every ``ROBOT/amcl_pose``. Its time is that of ROS.
 
 Private parameters: ``shop`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
-separated by commas), ``seed``, ``orders_for`` (seconds after which nobody orders any more, 0 for
+separated by commas), ``seed``, ``orders_for`` (seconds after which there are no more orders, 0 for
 no limit).
 """
 
@@ -30,7 +30,7 @@ from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.shop import Shop, load_settings
 
 SHOP_PERIOD = 0.1
-"""Seconds of wall time between two looks at the clock."""
+"""Seconds of wall time between two readings of the clock."""
 
 BATTERY_PERIOD = 0.5
 """Seconds of ROS time between two messages of a battery."""
@@ -40,7 +40,7 @@ class ShopNode:
     """Connects a shop to ROS.
 
     :param robots: names of the robots, which are also their namespaces.
-    :param orders_for: seconds of ROS time after which nobody orders any more; 0: no limit.
+    :param orders_for: seconds of ROS time after which there are no more orders; 0 for no limit.
     """
 
     def __init__(self, shop: Shop, robots: Any, orders_for: float = 0.0) -> None:
@@ -89,7 +89,7 @@ class ShopNode:
         """Publish until shutdown."""
         begin = 0.0
         while not rospy.is_shutdown():
-            now = ROS_CLOCK.seconds()  # goes on from where it was if ROS time goes back
+            now = ROS_CLOCK.seconds()  # continues from the same value if ROS time goes back
             if rospy.get_time() > 0.0:
                 begin = begin or now
                 self.step(begin, now)
@@ -106,7 +106,7 @@ def main() -> int:
         settings = load_settings(launched_file(str(file), "parameter ~shop"))
         robots = robot_names(rospy.get_param("~robots", "robot_1"))
         seed = int(number_parameter("seed", 0))
-        # the ids of a new shop's orders are new, for a team that has seen those of another
+        # a new shop needs new ids, for a team that has seen those of an earlier one
         shop = Shop(settings, seed, "order_%x" % int(time.time()))
         ShopNode(shop, robots, number_parameter("orders_for", 0.0)).spin()
     except GspnError as error:

@@ -1,5 +1,4 @@
-"""The patrol without ROS: robots that physically drive, with the rule of the plan applied in one
-place.
+"""The patrol without ROS: robots that physically drive, with the plan's rule applied centrally.
 
 It replaces the execution nodes when the world itself is tested and measured: each robot checks a
 location, decides, then waits in the bay or continues to the next location, and no location is ever
@@ -114,7 +113,7 @@ class Patrol:
         self.referee.watch()
 
     def run(self, seconds: float) -> None:
-        """Continue for that many simulated seconds."""
+        """Continue for a number of simulated seconds."""
         for _ in range(round(seconds / CONTROL_PERIOD)):
             self.step()
 

@@ -173,7 +173,7 @@ def test_a_run_is_found_and_answers(tmp_path, own_folder):
 def test_which_run_is_meant():
     runs = [RunningPlan("", 1, "a", ["/a"]), RunningPlan("", 2, "a", ["/a", "/b"])]
     assert chosen_run(runs, "/b", "") is runs[1] is chosen_run(runs, "/a", "2")
-    with pytest.raises(ExecutionError, match="several: process 1 runs /a; process 2 runs /b"):
+    with pytest.raises(ExecutionError, match="several runs: process 1 runs /a; process 2 runs /b"):
         chosen_run(runs, "/a", "")
     with pytest.raises(ExecutionError, match="no run found of /c in process 2"):
         chosen_run(runs, "/c", "2")
