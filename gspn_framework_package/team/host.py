@@ -35,7 +35,6 @@ from gspn_framework_package.team.carrier import (
 from gspn_framework_package.team.commands import Commands, giver_of
 from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
-from gspn_framework_package.team.narrator import Narrator
 from gspn_framework_package.team.plan_examination import (
     why_not_followed,
     why_refused_in_own_process,
@@ -49,6 +48,7 @@ from gspn_framework_package.team.sides import (
     EventSide,
     Reporter,
 )
+from gspn_framework_package.team.status_reporter import StatusReporter
 from gspn_framework_package.team.worker import AnswerT, View, Worker
 
 FAREWELL = 2.0
@@ -124,7 +124,7 @@ class ReplicaHost(Worker):
         self._gone: Dict[str, Phase] = {}
         self._told_length = -1
         self._began_with = plan
-        self._narrator = Narrator(reporter)
+        self._status_reporter = StatusReporter(reporter)
         self._make_sources: Callable[[Plan], EventSide] = lambda plan: sources(
             plan, self._listener()
         )
@@ -250,7 +250,7 @@ class ReplicaHost(Worker):
 
     def warn(self, text: str) -> None:
         """Print a warning."""
-        self.enqueue(self._narrator.warn, text)
+        self.enqueue(self._status_reporter.warn, text)
 
     # -- the worker --------------------------------------------------------------------------------
 
@@ -265,9 +265,9 @@ class ReplicaHost(Worker):
         except Exception as error:
             self.exit_code, self.reason = 1, "%s: %s" % (type(error).__name__, error)
             if isinstance(error, GspnError):
-                self._narrator.error(str(error))
+                self._status_reporter.error(str(error))
             else:
-                self._narrator.error("the node failed", traceback=True)
+                self._status_reporter.error("the node failed", traceback=True)
         finally:
             try:
                 self._close()
@@ -280,7 +280,7 @@ class ReplicaHost(Worker):
             self._wake_at = now + 1.0
             self._log.writer.check()
             self._step(interface.Tick())
-            self._narrator.note_change()
+            self._status_reporter.note_change()
         if now >= self._look_at:
             self._look_at = now + BREAKPOINTS_PERIOD
             self._look_at_breakpoints()
@@ -289,10 +289,10 @@ class ReplicaHost(Worker):
             return
         action_due = self._actions.poll(now)
         if action_due is not None and action_due <= now + LOOK_AGAIN:
-            self._narrator.note_change()  # the action side waits for something
+            self._status_reporter.note_change()  # the action side waits for something
         self._take_inputs()
         report = self._report
-        told = self._narrator.poll(
+        told = self._status_reporter.poll(
             now, self._carrier, self._activity, report.team, report.diagnosis
         )
         due = min(self._wake_at, told)
@@ -305,7 +305,7 @@ class ReplicaHost(Worker):
             except queue.Empty:
                 break
             function(*arguments)
-            self._narrator.note_change()
+            self._status_reporter.note_change()
             if not self._running:
                 break
             timeout = 0.0  # then only calls that are already waiting
@@ -316,9 +316,9 @@ class ReplicaHost(Worker):
         try:
             if self._breakpoints.changed():
                 self._replica.break_at(self._breakpoints.breakpoints)
-                self._narrator.warn("stops at: %s" % self._breakpoints.breakpoints.in_words)
+                self._status_reporter.warn("stops at: %s" % self._breakpoints.breakpoints.in_words)
         except GspnError as error:
-            self._narrator.warn("the breakpoints are unchanged: %s" % error)
+            self._status_reporter.warn("the breakpoints are unchanged: %s" % error)
 
     def _end(self) -> None:
         self._running = False
@@ -370,14 +370,14 @@ class ReplicaHost(Worker):
 
     def _report_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
         if phase is None:
-            self._narrator.report("%s is back in the team" % name)
+            self._status_reporter.report("%s is back in the team" % name)
         elif phase is Phase.LEFT:
-            self._narrator.report("%s has left the team" % name)
+            self._status_reporter.report("%s has left the team" % name)
         else:
             ledger = self._replica.ledger
             place = ledger.game.net.places[ledger.state.robots[name].place].name
             text = "%s is lost; the team continues without it. Its token was in %s" % (name, place)
-            (self._narrator.report if long_ago else self._narrator.warn)(text)
+            (self._status_reporter.report if long_ago else self._status_reporter.warn)(text)
 
     # -- effects of the replica --------------------------------------------------------------------
 
@@ -429,13 +429,13 @@ class ReplicaHost(Worker):
             # a local transition was already reported when it fired; now it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:
                 self._told_visit = move.visit
-                self._narrator.say(
+                self._status_reporter.say(
                     "%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target)
                 )
 
     def _start_action(self, command: StartAction) -> None:
         again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""
-        self._narrator.say("does %s%s (visit %d)" % (command.place, again, command.visit))
+        self._status_reporter.say("does %s%s (visit %d)" % (command.place, again, command.visit))
         self._begun, self._progress, self._attempt = self._replica.visit, [], command.attempt
         self._actions.start(command, time.monotonic())
 
@@ -444,14 +444,14 @@ class ReplicaHost(Worker):
 
     def _fault(self, fault: Fault) -> None:
         if fault.robot in ("", self.robot):
-            self._narrator.warn(fault.message)
+            self._status_reporter.warn(fault.message)
 
     # -- plan changes ------------------------------------------------------------------------------
 
     def _examine(self, effect: interface.Examine) -> None:
         """Find out, on another thread, whether the robot can follow a staged plan. This may take a
         while, during which the host must keep sending heartbeats."""
-        self._narrator.report("examines the staged plan '%s'" % effect.plan.name)
+        self._status_reporter.report("examines the staged plan '%s'" % effect.plan.name)
 
         def staged() -> Plan:
             return with_folder(effect.plan, effect.folder, self._began_with)
@@ -469,7 +469,7 @@ class ReplicaHost(Worker):
         """
         before = self.plan
         plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
-        self._narrator.report("follows the plan '%s'" % plan.name)
+        self._status_reporter.report("follows the plan '%s'" % plan.name)
         self._breakpoints.follow(plan)
         if not self._witness:
             self._actions.follow(plan)
@@ -481,7 +481,7 @@ class ReplicaHost(Worker):
             sources.start()
 
     def _status_changed(self, effect: interface.StatusChanged) -> None:
-        """Do nothing: the narrator reports what the robot waits for if it waits long."""
+        """Do nothing: the status reporter says what the robot waits for if it waits long."""
 
     def _ended(self, effect: Ended) -> None:
         self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
@@ -497,13 +497,13 @@ class ReplicaHost(Worker):
     def _end_with(self, text: str, reason: str, finished: bool) -> None:
         self.exit_code, self.reason = (0 if finished else 1), reason
         self._actions.cancel()
-        (self._narrator.report if finished else self._narrator.warn)(text)
+        (self._status_reporter.report if finished else self._status_reporter.warn)(text)
         if not self._stay:
             self._leave_at = time.monotonic() + FAREWELL
 
     def _halted(self, effect: interface.Halted) -> None:
         self.exit_code, self.reason = 1, effect.reason
-        self._narrator.error("halted: %s" % effect.reason)
+        self._status_reporter.error("halted: %s" % effect.reason)
         self._actions.cancel()
         self._end()
 

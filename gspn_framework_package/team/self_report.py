@@ -18,8 +18,8 @@ from gspn_framework_package.execution.team_messages import (
 from gspn_framework_package.execution.team_state import reported_phase
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.team.carrier import NotTaken
-from gspn_framework_package.team.narrator import Diagnosis, level_of
 from gspn_framework_package.team.sides import ActionSide
+from gspn_framework_package.team.status_reporter import Diagnosis, level_of
 from gspn_framework_package.team.worker import View
 
 MOST_REFUSALS = 20

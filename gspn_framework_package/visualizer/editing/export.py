@@ -11,8 +11,8 @@ from gspn_framework_package.formats.dot import net_graph, render
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.registry import FORMATS, encode_net
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.visualizer.editing.plan_repository import PlanRepository
 from gspn_framework_package.visualizer.editing.saving import document_in
-from gspn_framework_package.visualizer.editing.workshop import Workshop
 
 PICTURE_TIME = 30.0
 """Longest time for a picture, in seconds."""
@@ -27,7 +27,7 @@ class Export(NamedTuple):
     notes: List[str]
 
 
-def exported(workshop: Workshop, path: str, document: object, format: object) -> Export:
+def exported(repository: PlanRepository, path: str, document: object, format: object) -> Export:
     """Export a document as it is in the browser, saved or not.
 
     :param format: ``zip``, ``svg``, or the name of a net format.
@@ -39,7 +39,7 @@ def exported(workshop: Workshop, path: str, document: object, format: object) ->
         raise UsageError("there is no such format", hint="the formats are %s" % ", ".join(known))
     name = re.sub(r"[^A-Za-z0-9_.+-]", "_", str(new["plan"].get("plan") or "plan"))[:80]
     if format == "zip":
-        contents = workshop.everything_of(path, document)
+        contents = repository.everything_of(path, document)
         return Export(name + ".zip", "application/zip", _zipped(name, contents), [])
     net = net_from_json(new["net"])
     if format == "svg":

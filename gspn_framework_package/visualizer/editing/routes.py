@@ -12,9 +12,9 @@ from flask import Response, request
 from gspn_framework_package.visualizer.editing.export import exported
 from gspn_framework_package.visualizer.editing.help_routes import RequestBody, add_help_routes
 from gspn_framework_package.visualizer.editing.open_document import Opened
-from gspn_framework_package.visualizer.editing.workshop import (
+from gspn_framework_package.visualizer.editing.plan_repository import (
     ConflictError,
-    Workshop,
+    PlanRepository,
     template_names,
 )
 from gspn_framework_package.visualizer.guard import OPERATOR, Refusal
@@ -49,7 +49,7 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
     """
     if project.folder is None or not project.edits:
         return
-    workshop = Workshop(project.folder)
+    repository = PlanRepository(project.folder)
 
     def path() -> str:
         return path_of_key(request.args.get("id", ""))
@@ -59,13 +59,13 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
 
     @app.route(PREFIX)
     def open_for_editing() -> Response:
-        return answer(_told(workshop.open(path()), workshop))
+        return answer(_told(repository.open(path()), repository))
 
     @app.route(PREFIX + "/save", methods=["POST"])
     def save() -> Response:
         fields = body()
         try:
-            saved = workshop.save(path(), fields.get("etag"), fields.get("document"))
+            saved = repository.save(path(), fields.get("etag"), fields.get("document"))
         except ConflictError as error:
             theirs = {"etag": error.theirs.etag, "document": error.theirs.document}
             return answer({"error": project.without_folders(str(error)), "theirs": theirs}, 412)
@@ -83,23 +83,23 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
     @app.route(PREFIX + "/save_as", methods=["POST"])
     def save_as() -> Response:
         fields = body()
-        return new_plan(workshop.save_as(path(), fields.get("document"), fields.get("name")))
+        return new_plan(repository.save_as(path(), fields.get("document"), fields.get("name")))
 
     @app.route(PREFIX + "/new", methods=["POST"])
     def new() -> Response:
         fields = body()
-        return new_plan(workshop.new(fields.get("template", ""), fields.get("name")))
+        return new_plan(repository.new(fields.get("template", ""), fields.get("name")))
 
     @app.route(PREFIX + "/draft", methods=["POST"])
     def draft() -> Response:
         fields = body()
-        kept = workshop.keep_draft(path(), fields.get("etag"), fields.get("document"))
+        kept = repository.keep_draft(path(), fields.get("etag"), fields.get("document"))
         return answer({"kept": kept})
 
     @app.route(PREFIX + "/export", methods=["POST"])
     def export() -> Response:
         fields = body()
-        file = exported(workshop, path(), fields.get("document"), fields.get("format"))
+        file = exported(repository, path(), fields.get("document"), fields.get("format"))
         response = Response(file.data, mimetype=file.mimetype)
         response.headers["Content-Disposition"] = "attachment; filename=%s" % file.name
         if file.notes:
@@ -121,7 +121,7 @@ def answer(data: Mapping[str, Any], status: int = 200) -> Response:
     return Response(text, status=status, mimetype="application/json")
 
 
-def _told(opened: Opened, workshop: Workshop) -> Dict[str, Any]:
+def _told(opened: Opened, repository: PlanRepository) -> Dict[str, Any]:
     return {
         "path": opened.path,
         "etag": opened.etag,
@@ -130,6 +130,6 @@ def _told(opened: Opened, workshop: Workshop) -> Dict[str, Any]:
         "scale": opened.scale,
         "laid_out": opened.laid_out,
         "notes": list(opened.parts.notes),
-        "draft": workshop.drafts.of(opened.path, opened.etag),
-        "read_only": workshop.read_only(opened),
+        "draft": repository.drafts.of(opened.path, opened.etag),
+        "read_only": repository.read_only(opened),
     }

@@ -9,7 +9,7 @@ pytest.importorskip("gspn_framework_package.msg")
 
 from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.srv import GetState
-from gspn_framework_package.team.narrator import ACTIVITY_PERIOD, TEAM_PERIOD
+from gspn_framework_package.team.status_reporter import ACTIVITY_PERIOD, TEAM_PERIOD
 
 ROOT = Path(__file__).resolve().parents[3]
 TIMES = {0.1: "ten", 0.2: "five"}

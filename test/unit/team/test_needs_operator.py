@@ -6,8 +6,8 @@ import pytest
 
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
-from gspn_framework_package.team.narrator import level_of
 from gspn_framework_package.team.self_report import SelfReport
+from gspn_framework_package.team.status_reporter import level_of
 
 
 def report(phase, halted=None, ended=None, why="", stuck=False):

@@ -31,7 +31,7 @@ WAITING_TIME = 1.0
 """Seconds after which a waiting robot reports what it waits for."""
 
 
-class Narrator:
+class StatusReporter:
     """Reports what one robot does. All methods belong to the host's worker thread.
 
     :param reporter: prints the lines, and receives the diagnoses.

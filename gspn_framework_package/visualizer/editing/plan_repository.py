@@ -25,13 +25,13 @@ from gspn_framework_package.model.errors import GspnError, InputError, RefusedEr
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.editing.atomic import recover, write_all
-from gspn_framework_package.visualizer.editing.belongings import Belongings
 from gspn_framework_package.visualizer.editing.drafts import Drafts
 from gspn_framework_package.visualizer.editing.open_document import (
     Opened,
     open_document,
     with_positions,
 )
+from gspn_framework_package.visualizer.editing.plan_files import PlanFiles
 from gspn_framework_package.visualizer.editing.saving import changes_of, document_in, unfinished
 
 FEW_ROWS = 40
@@ -64,7 +64,7 @@ class Saved(NamedTuple):
     notes: List[str]
 
 
-class Workshop:
+class PlanRepository:
     """Gives the editor access to the served folder."""
 
     def __init__(self, folder: Folder) -> None:
@@ -190,10 +190,10 @@ class Workshop:
         target = self._new_folder(name)
         with self._lock_of(path):
             whole = self._whole(path)
-            belongings = Belongings(self.folder, whole, new["plan"])
+            files = PlanFiles(self.folder, whole, new["plan"])
             made = self._begin(target)
             try:
-                for inner, data in {**belongings.contents(), **contents_of(new)}.items():
+                for inner, data in {**files.contents(), **contents_of(new)}.items():
                     _write(os.path.join(made, inner), data)
                 read_plan(made, self.folder.root)
                 return self._finish(made, target)
@@ -274,8 +274,8 @@ class Workshop:
         new = document_in(document)
         opened = self.open(path)
         whole = self.folder.resolve(opened.path)
-        belongings = Belongings(self.folder, whole, new["plan"])
-        contents = belongings.contents()
+        files = PlanFiles(self.folder, whole, new["plan"])
+        contents = files.contents()
         parts = opened.parts
         if not parts.plan_file or parts.thesis:
             contents.update(contents_of(new))

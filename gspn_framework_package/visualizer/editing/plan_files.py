@@ -10,11 +10,11 @@ from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import GspnError, LimitError
 from gspn_framework_package.visualizer.documents import Folder
 
-MOST_BELONGINGS, MOST_BELONGING_BYTES = 300, 20_000_000
+MOST_PLAN_FILES, MOST_PLAN_BYTES = 300, 20_000_000
 """Largest number of files and of bytes copied with a plan."""
 
 
-class Belongings:
+class PlanFiles:
     """The files that belong to a plan.
 
     :param plan_file: the plan's file, or that of the net that becomes one.
@@ -89,10 +89,10 @@ class Belongings:
             return
         self._contents[name] = read_bytes(path)
         total = sum(map(len, self._contents.values()))
-        if len(self._contents) > MOST_BELONGINGS or total > MOST_BELONGING_BYTES:
+        if len(self._contents) > MOST_PLAN_FILES or total > MOST_PLAN_BYTES:
             raise LimitError(
                 "more than %d files or %d MB belong to the plan"
-                % (MOST_BELONGINGS, MOST_BELONGING_BYTES // 1_000_000),
+                % (MOST_PLAN_FILES, MOST_PLAN_BYTES // 1_000_000),
                 hint="copy the folder instead",
             )
 
