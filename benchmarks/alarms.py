@@ -28,12 +28,13 @@ from gspn_framework_package.analysis.monitoring.streams import RATIOS
 from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.execution.virtual_time import Slowness, VirtualRun
+from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
-PATROL = Path(__file__).parents[2] / "plans" / "patrol"
+PATROL = Path(plans_folder(), "patrol")
 SHAPE = 59.0
 HOUR = 3600.0
 

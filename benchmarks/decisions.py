@@ -40,11 +40,12 @@ from gspn_framework_package.analysis.decisions.solving import optimum
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.rated_graph import enabling_degree
 from gspn_framework_package.analysis.state_space.space import StateSpace
+from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
 
-PATROL = Path(__file__).resolve().parents[2] / "plans" / "patrol" / "plan.json"
+PATROL = Path(plans_folder(), "patrol", "plan.json")
 
 
 class Case(NamedTuple):

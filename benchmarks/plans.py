@@ -12,6 +12,9 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
+MODULE = "benchmarks.load"
+"""Has the functions below; a process that runs them has to allow it."""
+
 LOOP = "benchmarks.load.loop"
 BRIEF = "benchmarks.load.brief"
 SHORT = "benchmarks.load.short"

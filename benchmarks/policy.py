@@ -25,13 +25,14 @@ import uuid
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.plans import INSTANT
+from benchmarks.plans import INSTANT, MODULE
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import header, read_log
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
@@ -218,6 +219,7 @@ def measure_plan(rows: int, firings: int) -> Dict[str, Any]:
         counter = _Runs(firings)
         begin = time.process_time()
         writer = EventLogWriter(log, header(plan, "run", "", uuid.uuid4().hex, agents=True))
+        allow_modules([MODULE])
         executor = StandaloneExecutor(plan, counter, writer)
         executor.start()
         counter.over.wait()

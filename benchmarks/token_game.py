@@ -20,11 +20,12 @@ import uuid
 from typing import Any, Deque, Dict, List, Optional, Sequence
 
 from benchmarks.machine import describe_machine, machine_line, table
-from benchmarks.plans import INSTANT, tokens_plan
+from benchmarks.plans import INSTANT, MODULE, tokens_plan
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import Firing, StartAction
 from gspn_framework_package.execution.log_writer import EventLogWriter
+from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
@@ -82,6 +83,7 @@ def standalone_rate(plan: Plan, seconds: float, record: bool) -> float:
                 path, header(plan, plan.name, "", uuid.uuid4().hex, agents=True)
             )
         counter = _Counter()
+        allow_modules([MODULE])
         executor = StandaloneExecutor(plan, counter, writer)
         begin = time.perf_counter()
         executor.start()

@@ -39,3 +39,14 @@ def test_it_explains_itself(name, monkeypatch, capsys):
 def test_the_actions_of_the_plans_exist(function):
     module, _, name = function.rpartition(".")
     assert callable(getattr(importlib.import_module(module), name))
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_the_files_that_it_names_are_there(name):
+    try:
+        values = vars(importlib.import_module(name)).values()
+    except ModuleNotFoundError:
+        pytest.skip("see above")
+    for path in values:
+        if isinstance(path, Path):
+            assert path.exists()

@@ -11,7 +11,7 @@ from benchmarks.figures import draw_figures
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.plans import INSTANT, ring_plan, tokens_plan
 from benchmarks.results import Results
-from benchmarks.token_game import game_rate
+from benchmarks.token_game import game_rate, standalone_rate
 from gspn_framework_package.model.errors import UsageError
 
 
@@ -121,7 +121,9 @@ def test_the_scan_of_the_policy_benchmark_finds_the_row_of_the_fewest_wildcards(
 
 
 def test_the_token_game_benchmark_fires():
-    assert game_rate(tokens_plan(INSTANT).for_robots(3), 0.01) > 0
+    plan = tokens_plan(INSTANT).for_robots(3)
+    assert game_rate(plan, 0.01) > 0
+    assert standalone_rate(plan, 0.3, record=True) > 0  # its functions are allowed
 
 
 def test_the_machine_is_reported_with_every_result():
