@@ -99,10 +99,11 @@ def _given(field: OrderField, args: argparse.Namespace) -> Any:
 
 
 def read_data(text: str) -> Dict[str, Any]:
-    """The JSON object in an argument: itself, or in the file that it names ("-": the input).
+    """Read a JSON object from an argument: the text itself, or the file that it names ("-" for
+    standard input).
 
     :raises UsageError: it cannot be read.
-    :raises DataError: it is not a JSON object.
+    :raises DataError: the text is not a JSON object.
     """
     from gspn_framework_package.formats.json_file import TOO_DEEP, is_too_deep
     from gspn_framework_package.formats.source import read_text
@@ -118,7 +119,7 @@ def read_data(text: str) -> Dict[str, Any]:
             raise UsageError(
                 error.message,
                 file=where,
-                hint="--data is a JSON object, or a file that holds one",
+                hint="--data takes a JSON object, or a file that contains one",
             ) from None
     try:
         data = json.loads(text)
@@ -127,5 +128,5 @@ def read_data(text: str) -> Dict[str, Any]:
     if is_too_deep(data):
         raise DataError(TOO_DEEP, file=where)
     if not isinstance(data, dict):
-        raise DataError("is not a JSON object, but %.100r" % (data,), file=where)
+        raise DataError("is not a JSON object but %.100r" % (data,), file=where)
     return data

@@ -90,7 +90,7 @@ class OrderField(NamedTuple):
         if self.kind is FieldKind.NAMES and fits:
             fits = all(isinstance(name, str) for name in given)
         if not fits:
-            raise DataError("'%s' is not %s, but %.100r" % (self.name, words, given))
+            raise DataError("'%s' is not %s but %.100r" % (self.name, words, given))
         if plan is not None:
             self._look_up(given, plan)
         return given
@@ -355,14 +355,12 @@ ORDERS: Dict[str, OrderKind] = {
     "submit": OrderKind(
         "give a task to a running team",
         (
-            OrderField(
-                "transition", FieldKind.ENTRANCE, "the transition by which the task comes in"
-            ),
+            OrderField("transition", FieldKind.ENTRANCE, "the transition that takes the task"),
             OrderField(
                 "id",
                 FieldKind.ID,
-                "what identifies the task: of several with one id, the first counts; default: a "
-                "new one",
+                "id of the task; of several tasks with the same id only the first counts (default: "
+                "a new id)",
                 required=False,
                 default=log_entries.new_task_id,
                 label="Id",
@@ -371,7 +369,8 @@ ORDERS: Dict[str, OrderKind] = {
             OrderField(
                 "data",
                 FieldKind.OBJECT,
-                "the data of the task: a JSON object, a file that holds one, or - for the input",
+                "the data of the task: a JSON object, a file that contains one, or - for standard "
+                "input",
                 required=False,
                 default={},
                 label="Data, a JSON object",
@@ -379,9 +378,9 @@ ORDERS: Dict[str, OrderKind] = {
         ),
         lambda transition, id, data: log_entries.make_submit(transition, id, data),
         example="order --data task.json --id o12",
-        note="If it is not certain that the task came in (no answer in time), submit it again with "
-        "the same --id: it comes in once. Exit codes: 0 the team has the task, 1 it has not, or no "
-        "team was found, 2 the task or the usage is wrong.",
+        note="If it is uncertain whether the team has the task (no answer in time), submit it "
+        "again with the same --id: it counts only once. Exit codes: 0 the team has the task, 1 it "
+        "does not, or no team was found, 2 the task or the usage is wrong.",
         noun="task",
         like='{"transition": "order", "id": "o1", "data": {"pose": [1, 2]}}',
         form=Form(

@@ -119,30 +119,17 @@ export class Orders extends EventTarget {
   /** The orders of this page and their results. */
   list() {
     if (!this.given.length) return null;
-    this.listed =
-      this.listed ||
+    const line = ({ time, says, answer, good }) =>
       h(
-        "section",
-        {},
-        h("h3", { text: "Orders from this page" }),
-        h(
-          "ol",
-          { class: "orders" },
-          this.given.map(({ time, says, answer, good }) =>
-            h(
-              "li",
-              { class: good ? "" : "refused" },
-              h("time", { text: time.toLocaleTimeString([], { hour12: false }) }),
-              h(
-                "span",
-                {},
-                says,
-                h("span", { class: "muted", text: ` — ${good ? "" : "refused: "}${answer}` }),
-              ),
-            ),
-          ),
-        ),
+        good ? "li" : "li.refused",
+        h("time", time.toLocaleTimeString([], { hour12: false })),
+        h("span", says, h("span.muted", ` — ${good ? "" : "refused: "}${answer}`)),
       );
+    this.listed ||= h(
+      "section",
+      h("h3", "Orders from this page"),
+      h("ol.orders", this.given.map(line)),
+    );
     return this.listed;
   }
 
