@@ -14,7 +14,7 @@ INFINITE = "infinite"
 
 
 class Part(enum.Enum):
-    """When a measure is computed, and where it is shown."""
+    """The part of a report in which a measure is computed and shown."""
 
     STRUCTURE = "structure"
     """With the structure, without visiting any marking."""
@@ -31,9 +31,9 @@ class Measure(NamedTuple):
     :ivar part: the part that it belongs to.
     :ivar compute: returns the answer as a value that JSON can represent; it may raise LimitError
         if the answer was not decided, and RefusedError if there is none.
-    :ivar title: its name in the text and on the page; empty for measures that have a layout of
-        their own there.
-    :ivar applies: whether there is such an answer; a report without it does not have the key.
+    :ivar title: its name in the text and on the page; empty for measures with a special layout
+        there.
+    :ivar applies: whether the answer exists; if not, the report does not have the key.
     """
 
     key: str
@@ -63,7 +63,7 @@ def _lumped(space: LumpedSpace) -> Dict[str, Any]:
 
 
 def _ratio(whole: int, visited: int) -> float:
-    """The ratio of two counts, the first of which may be too large for a float."""
+    """The ratio of two counts; the first may be too large for a float."""
     return whole / visited if whole < 2**1000 else whole // visited
 
 
@@ -168,6 +168,6 @@ UNGUARDED = "unguarded_siphon"
 
 
 def keys_of(part: Part, analysis: Analysis) -> Tuple[str, ...]:
-    """The keys of the measures of a part, as far as they apply to what is analysed."""
+    """The keys of the measures of a part, as far as they apply to the subject."""
     keys = tuple(m.key for m in MEASURES if m.part is part and m.applies(analysis))
     return (*keys, UNGUARDED) if part is Part.STRUCTURE else keys

@@ -137,7 +137,7 @@ class PageOrders:
         )
 
     def _set_breakpoints(self, names: List[str]) -> Dict[str, Any]:
-        """Have every robot of the run stop at these places and transitions.
+        """Make every robot of the run stop at these places and transitions.
 
         :raises RefusedError: a robot did not accept them.
         """

@@ -52,12 +52,12 @@ LAST_SECONDS = 2.0
 
 ANSWERS = {
     "pause": "{whom} is paused",
-    "resume": "{whom} goes on",
+    "resume": "{whom} is resumed",
     "retry": "{whom} tries again",
     "leave": "{whom} leaves",
-    "set_place": "{whom} is put into {place}",
+    "set_place": "{whom} is now in {place}",
     "fire": "{transition} is fired",
-    "submit": "task {id} comes in by {transition}",
+    "submit": "task {id} enters by {transition}",
 }
 """The orders that become an entry of the log -> the answer to the page."""
 

@@ -10,9 +10,9 @@ forever: postponing the goal is only as good as approaching it if it ends. In th
 decision that leads closer to the goal is taken (de Alfaro, *Computing Minimum and Maximum
 Reachability Times*, CONCUR 1999).
 
-As the plan runs, several states may have one marking, and a policy does not distinguish them. If
-their best decisions differ, the marking's decision is improved for all of them together, weighted
-by how often each is visited; the value of the result is then computed separately.
+As the plan runs, several states may have the same marking, and a policy does not distinguish them.
+If their best decisions differ, the marking's decision is improved for all of them together,
+weighted by how often each is visited; the value of the result is then computed separately.
 """
 
 # In one piece: the decisions of all places are improved together, on the same arrays

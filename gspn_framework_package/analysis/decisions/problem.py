@@ -97,7 +97,7 @@ class DecisionProblem:
     :param never: conditions that may never hold.
     :param conditions: further conditions that will be queried, so that no counter in them is
         omitted.
-    :param team_sizes: the sizes of teams; None: the plan's own, and those that losses leave.
+    :param team_sizes: the sizes of teams; None: the plan's own, and the smaller ones after losses.
     :param limits: how far the exploration may go.
     :raises LimitError: there are too many states.
     :raises RefusedError: it is ambiguous who decides, or a forbidden condition cannot be avoided.

@@ -344,7 +344,7 @@ class _Learning:
         done = [a for a in attempts if a.completed and not a.failed]
         failed = [a for a in attempts if a.completed and a.failed and a.failed != Outcome.TIMEOUT]
         cut = [a for a in attempts if not a.completed or a.failed == Outcome.TIMEOUT]
-        if not done:  # failures are all that is known, also of the time that an attempt takes
+        if not done:  # only failures are known, so they also give the time of an attempt
             failed += [a for a in cut if a.completed]
             cut = [a for a in cut if not a.completed]
         sample = _sample(done or failed, cut)

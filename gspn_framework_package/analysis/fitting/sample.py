@@ -12,11 +12,11 @@ SHORTEST_FITTED = 1e-6
 """Seconds: the resolution of the clocks in a log. Shorter times count as this long."""
 
 _GROUPS = 1_000
-"""Groups of censored times at most."""
+"""Largest number of groups of censored times."""
 
 
 class Sample:
-    """Times in seconds: ``observed`` until the end, and ``censored``, which were cut off.
+    """Times in seconds: ``observed`` to the end, or ``censored`` (cut off).
 
     :raises UsageError: a time is negative or not a number.
     """
@@ -24,7 +24,7 @@ class Sample:
     def __init__(self, observed: Sequence[float], censored: Sequence[float] = ()) -> None:
         self.observed = _times(observed)
         self.censored = _times(censored)
-        # what was cut off at once carries no information
+        # a time cut off immediately carries no information
         self.censored = self.censored[self.censored > SHORTEST_FITTED]
         self.grouped = _grouped(self.censored)
 
@@ -47,8 +47,8 @@ def _times(values: Sequence[float]) -> Any:
 
 
 def _grouped(times: Any) -> Tuple[Any, Any]:
-    """Times, and how many each stands for: neighbours are put together where there are many, which
-    changes a likelihood by less than can be observed."""
+    """Times with multiplicities: where there are many, neighbours are merged, which hardly changes
+    a likelihood."""
     if len(times) <= 2 * _GROUPS:
         return times, np.ones(len(times))
     parts = np.array_split(np.sort(times), _GROUPS)

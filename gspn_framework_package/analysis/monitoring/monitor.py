@@ -54,7 +54,7 @@ SHORTEST_EXPECTED = 1e-3
 machine."""
 
 RAN_TO_THE_END = (Outcome.ABORTED, Outcome.BAD_RESULT)
-"""Failures that the action itself reported, after its duration. Other failures cut it off."""
+"""Failures that the action itself reported, after its duration. Other failures interrupt it."""
 
 RECENT = 4096
 """Number of finished attempts kept, to report by how much and where a run departs."""
@@ -333,7 +333,7 @@ class Monitor:
         return found
 
     def _alarm(self, stream: PaceStream, s: SidedSum, direction: str, now: float) -> Alarm:
-        """Raise the alarm of a pace: by how much, and where most."""
+        """Raise the alarm of a pace, with the size of the deviation and where it is largest."""
         seen = [
             f
             for f in self._recent

@@ -9,8 +9,8 @@ from gspn_framework_package.analysis.monitoring.choices import ChoiceTest
 from gspn_framework_package.analysis.monitoring.cusum import ChanceChart
 
 RATIOS = (0.8, 0.67, 1.25, 1.5)
-"""Factors of the pace that a stream looks for. Small changes need long, and large ones are found
-sooner by a sum of their own."""
+"""Factors of the pace that a stream looks for. Small changes take long to detect; a separate sum
+finds large ones sooner."""
 
 ODDS = (2.0, 0.5)
 """Factors of the odds of an outcome that a stream looks for."""
@@ -25,7 +25,7 @@ PLACE, ROBOT, TEAM, OUTCOME, FAILURE, CHOICE = (
 )
 
 PACES = (PLACE, ROBOT, TEAM)
-"""The kinds of streams that watch how fast something goes."""
+"""The kinds of streams that watch a pace."""
 
 
 class Alarm(NamedTuple):
@@ -33,14 +33,14 @@ class Alarm(NamedTuple):
 
     :ivar kind: what the stream watches: ``place``, ``robot`` or ``team`` (their pace), ``outcome``,
         ``failure`` or ``choice``.
-    :ivar place: the place that departs most; "" if it is all of them.
-    :ivar robot: the robot that departs; "" if it is all of them.
+    :ivar place: the place that departs most; "" for all places.
+    :ivar robot: the robot that departs; "" for all robots.
     :ivar transition: the outcome or choice; "" for others.
     :ivar at: when it was raised (s).
     :ivar since: when the sum last left 0 (s): about when the change began.
     :ivar direction: ``slower``, ``faster``, ``more often`` or ``less often``.
-    :ivar observed: the mean duration (s) or the share since then; None if there is none yet.
-    :ivar expected: the same by the plan.
+    :ivar observed: the mean duration (s) or the share since then; None if there is none so far.
+    :ivar expected: the same according to the plan.
     """
 
     kind: str
@@ -68,7 +68,7 @@ class Alarm(NamedTuple):
         if self.kind in PACES:
             text = "%s: %s than planned" % (where, self.direction)
             if self.observed is None:
-                return text + ": an action that should have ended goes on"
+                return text + ": an action that should have ended is still running"
             assert self.expected is not None
             text += ": %.3g s instead of %.3g s" % (self.observed, self.expected)
             if self.change is not None:
@@ -103,11 +103,11 @@ class SidedSum:
 
 
 class Stream:
-    """What is watched, and its sums.
+    """A watched quantity and its sums.
 
     :ivar kind: see :class:`Alarm`, also for ``place``, ``robot`` and ``transition``.
-    :ivar alarms: the alarms that it has raised. An alarm lasts until its sum has fallen to half of
-        its threshold.
+    :ivar alarms: the alarms that it has raised. An alarm is active until its sum has fallen to half
+        of its threshold.
     """
 
     def __init__(self, kind: str, place: str, robot: str = "", transition: str = "") -> None:
@@ -117,11 +117,11 @@ class Stream:
 
     @property
     def on(self) -> bool:
-        """Whether an alarm lasts."""
+        """Whether an alarm is active."""
         return any(s.on for s in self.sums)
 
     def nearest(self) -> SidedSum:
-        """The sum that is nearest to its threshold."""
+        """The sum nearest to its threshold."""
         return max(self.sums, key=lambda s: s.value / s.threshold)
 
     def to_json(self) -> Dict[str, Any]:
@@ -156,8 +156,8 @@ class PaceStream(Stream):
         ]
 
     def elapse(self, slow: float, fast: float, now: float) -> List[Tuple[SidedSum, str]]:
-        """Let time pass: ``slow`` and ``fast`` ends of actions were expected in it, if the plan's
-        durations are at the upper and lower ends of their intervals. Returns the sums that raise
+        """Advance the time, in which ``slow`` and ``fast`` action ends were expected with the
+        plan's durations at the upper and lower ends of their intervals. Returns the sums that raise
         the alarm."""
         raised = []
         for s, slope, _ in self._slow:
@@ -196,7 +196,7 @@ class PaceStream(Stream):
 
 
 class ShareStream(Stream):
-    """How often something happens: an outcome, or a failure."""
+    """The frequency of an outcome or a failure."""
 
     def __init__(
         self, kind: str, place: str, transition: str, charts: Sequence[ChanceChart], events: float
@@ -240,7 +240,7 @@ class ShareStream(Stream):
 
 
 class ChoiceStream(Stream):
-    """The policy's choices in a place; its test is the only sum."""
+    """The policy's choices in a place; the chi-squared test replaces the sums."""
 
     def __init__(self, place: str, test: ChoiceTest) -> None:
         super().__init__(CHOICE, place)
@@ -252,7 +252,7 @@ class ChoiceStream(Stream):
         return self._test.on
 
     def nearest(self) -> SidedSum:
-        """The statistic of the block so far, against its critical value."""
+        """The statistic of the block so far, relative to its critical value."""
         now = SidedSum(self._test.critical)
         now.value = self._test.statistic
         return now

@@ -48,8 +48,8 @@ def report_soon(
 
 
 def why_refused(plan: Plan, standalone: bool = False) -> str:
-    """What the check has against a plan that begins where the team is; "" for nothing. The
-    parameters are those of :func:`report_soon`."""
+    """The objections of the check to a plan that starts from the team's present state; "" if there
+    are none. The parameters are those of :func:`report_soon`."""
     try:
         return report_soon(plan, standalone).why
     except GspnError as error:

@@ -13,22 +13,22 @@ from gspn_framework_package.analysis.simulation.paired_estimates import Measured
 class Against:
     """Two plans, simulated as they run.
 
-    :ivar objective: what was compared.
+    :ivar objective: the aim of the comparison.
     :ivar old: the value of the old plan; ``new``: that of the new one.
     :ivar difference: new minus old.
     :ivar significant: whether the interval of the difference excludes 0.
     :ivar better: whether the new plan is better; None unless the difference is significant.
     :ivar text: the result in words.
     :ivar pairs: number of pairs of runs.
-    :ivar correlation: how much the runs of a pair have in common; None if nothing varies.
+    :ivar correlation: the correlation of the runs of a pair; None if nothing varies.
     :ivar seconds: length of a run (s); None if it ends by itself.
-    :ivar warmup: time (s) at the start of a run that is left out.
-    :ivar needed: pairs of runs, and seconds of this machine, that it takes to notice a difference
-        of the ``size`` given, with the probability :data:`POWER`; None if it is significant.
+    :ivar warmup: time (s) at the start of a run that is excluded.
+    :ivar needed: pairs of runs, and seconds of computing, to detect a difference of the given
+        ``size`` with the probability :data:`POWER`; None if it is significant.
     :ivar confidence: level of the intervals.
     :ivar seed: seed of the random numbers.
     :ivar firings: number of firings in all runs.
-    :ivar notes: what the reader of the numbers should know.
+    :ivar notes: remarks on the results.
     """
 
     objective: Objective
@@ -121,7 +121,7 @@ def sentence(found: Against) -> str:
         runs,
     )
     if found.needed is not None:
-        text += "; to notice a difference of %.4g%s takes about %s pairs (%s)" % (
+        text += "; detecting a difference of %.4g%s takes about %s pairs (%s)" % (
             found.needed["size"],
             unit,
             format(int(found.needed["pairs"]), ","),

@@ -13,12 +13,13 @@ from gspn_framework_package.analysis.fitting.testing import wilson
 from gspn_framework_package.analysis.simulation import estimates
 
 POWER = 0.8
-"""Probability with which a difference of the stated size would be noticed, in what is said about
-the number of runs that this takes."""
+"""Probability of detecting a difference of the stated size, used to report the number of runs
+needed."""
 
 
 class Measured(NamedTuple):
-    """A mean with its confidence interval; ``why`` says why there is none (``mean`` None)."""
+    """A mean with its confidence interval; ``why`` is the reason if there is none (``mean``
+    None)."""
 
     mean: Optional[float]
     low: Optional[float] = None
@@ -61,12 +62,12 @@ def paired_mean(values: Floats, confidence: float) -> Measured:
 
 
 def paired_share(values: Booleans, confidence: float) -> Measured:
-    """A share, with Wilson's interval."""
+    """A proportion, with Wilson's interval."""
     return Measured(float(values.mean()), *wilson(int(values.sum()), len(values), confidence))
 
 
 def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
-    """The difference of two shares that were seen in pairs, by D. G. Bonett and R. M. Price,
+    """The difference of two proportions in paired data, by D. G. Bonett and R. M. Price,
     *Adjusted Wald confidence interval for a difference of binomial proportions based on paired
     data* (J. Educ. Behav. Stat., 2012)."""
     count = len(old)
@@ -79,8 +80,8 @@ def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
 
 
 def pairs_needed(spread: float, size: float, confidence: float) -> int:
-    """How many pairs it takes to notice a mean difference of ``size``, if differences have the
-    standard deviation ``spread``, with the probability :data:`POWER`."""
+    """Number of pairs needed to detect a mean difference of ``size`` with the probability
+    :data:`POWER` if differences have the standard deviation ``spread``."""
     z = quantiles.normal_quantile(0.5 + confidence / 2) + quantiles.normal_quantile(POWER)
     return max(2, math.ceil((z * spread / size) ** 2))
 

@@ -53,7 +53,7 @@ class Anderson:
     """
 
     def __init__(self, size: int, vector: Callable[[int], Vector] = np.empty) -> None:
-        """:param vector: makes a vector of a given size; its entries do not matter."""
+        """:param vector: creates a vector of a given size, with arbitrary entries."""
         self._size = size
         self._depth = depth = ANDERSON_DEPTH
         self._changes = [vector(size) for _ in range(depth)]  # of successive G(x) - x

@@ -172,7 +172,7 @@ class StateSpace:
 
     @property
     def hint(self) -> str:
-        """A phrase for messages: what to do if it is not complete."""
+        """A phrase for messages: what to do if the space is not complete."""
         return "raise %s, or ask about a smaller net" % (self.shortage[0] or "--limit")
 
     # -- markings ----------------------------------------------------------------------------------

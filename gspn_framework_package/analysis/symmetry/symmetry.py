@@ -52,7 +52,7 @@ class Symmetry:
         the group is unknown.
     :ivar place_orbits: int array: the number of the orbit of each place.
     :ivar transition_orbits: int array: the number of the orbit of each transition.
-    :raises UsageError: igraph is not installed.
+    Import igraph. :raises UsageError: it is not installed.
     """
 
     def __init__(

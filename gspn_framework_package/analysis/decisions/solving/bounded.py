@@ -20,10 +20,10 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
 _TIE = 1e-9
-"""Rows whose values differ by less than this share of the largest value are equally good."""
+"""Rows whose values differ by less than this share of the largest value count as equally good."""
 
 _FLOOR = 1e-13
-"""A width of this share of what flows through the equations counts as zero: it is rounding."""
+"""A width below this share of the flow through the equations counts as zero (rounding)."""
 
 
 def is_narrow(width: float, low: float, high: float, scale: float) -> bool:
@@ -41,8 +41,8 @@ def steady(
     chosen: Indices,
     matters: Booleans,
 ) -> Tuple[Indices, float]:
-    """The policy with stable ties, as far as its certificate is good enough: its rows, and its
-    least drift."""
+    """The policy with stable ties, if its certificate is good enough: its rows, and its least
+    drift."""
     row_values = model.row_values(values, gain)
     scale = float(np.abs(row_values[np.isfinite(row_values)]).max(initial=0.0))
     for slack in (_TIE, 1e-2 * _TIE, 1e-4 * _TIE):
@@ -76,7 +76,7 @@ class Bounded:
         self._offset = offset
 
     def solve(self, start: Optional[Floats]) -> Tuple[Floats, Indices, float, float, Found]:
-        """Values, rows, bounds, and how they were found."""
+        """Values, rows, bounds, and the method used."""
         model = self._model
         longest = self._longest(None) if self._proper else None
         tolerance = 1e-3 * self._width * max(1e-3, float(np.abs(model.constant).max(initial=0.0)))
@@ -114,7 +114,7 @@ class Bounded:
             worst = max(abs(found.low), abs(found.high))
             if longest is not None or tolerance < 1e-15 * worst:
                 raise LimitError(
-                    "the bounds came to %.12g and %.12g only" % (lower, upper),
+                    "the bounds only reached %.12g and %.12g" % (lower, upper),
                     hint="ask for a wider interval",
                 )
             tolerance = 0.1 * min(tolerance, worst)
@@ -140,8 +140,8 @@ class Bounded:
                 value + max(found.high, 0.0) * slow,
                 chosen,
             )
-        # Costs are not negative, and no policy stays for ever without any. The policy's own mean
-        # time bounds what it may cost more.
+        # Costs are not negative, and no policy stays forever without any. The policy's own mean
+        # time bounds its excess cost.
         chosen, low = steady(
             model,
             values,
@@ -156,11 +156,11 @@ class Bounded:
         return lower, value + self._saved(values, found.high), chosen
 
     def _saved(self, values: Floats, high: float) -> float:
-        """How much less than the values another policy may cost at most.
+        """The largest amount by which another policy may cost less than the values.
 
         A smaller cost ``(1 - e) V - f Z`` satisfies the inequality of all rows: ``Z`` is the
-        longest mean time in states without cost before one with a cost, and ``e`` and ``f`` as
-        large as the drift asks."""
+        longest mean time in states without cost before one with a cost, and ``e`` and ``f`` are as
+        large as the drift requires."""
         if high <= 0:
             return 0.0
         model, matters = self._model, self._matters

@@ -23,7 +23,7 @@ def without_cost(
     model: Model, states: Booleans, rows: Booleans, proper: bool
 ) -> Tuple[Indices, Booleans, int]:
     """The end components in which a policy could stay without any cost: the component of each
-    state, their rows, and how many there are."""
+    state, their rows, and their number."""
     if proper:
         return np.full(len(model), -1, dtype=np.int64), np.zeros(len(rows), dtype=bool), 0
     free = rows & (model.constant == 0.0) & ~model.into & states[model.row_states]
@@ -42,7 +42,7 @@ class EndClasses:
         self._rows = parts.rows
         self._number = np.full(len(model), -1, dtype=np.int64)
         self.sizes = np.diff(self._begins)
-        """How many states each has."""
+        """The number of states of each."""
         self.first = self._order[self._begins[:-1]]
         """A state of each."""
 
@@ -51,7 +51,7 @@ class EndClasses:
         return self._order[self._begins[component] : self._begins[component + 1]]
 
     def part(self, states: Indices) -> Tuple[Model, Indices]:
-        """The model of a component, and the row of the whole model that each of its rows is."""
+        """The model of a component, and the row of the whole model for each of its rows."""
         model, arrows = self._model, self._model.arrows
         if len(states) == len(model) and self._rows.all():
             return model, np.arange(len(model.constant))
@@ -84,8 +84,8 @@ class EndClasses:
 def with_exits(base: Model, parts: EndComponents, gains: Floats) -> Tuple[Model, Indices, Layer]:
     """The model in which each end component is one state that may stay, with its gain, or leave.
 
-    :return: the model; the row of each of its states in which it stays (-1: none); how its states
-      come from ``base``. Rows that stay come from no row of ``base``.
+    :return: the model; the row of each of its states in which it stays (-1: none); the mapping of
+        its states from ``base``. Rows that stay come from no row of ``base``.
     """
     idle = base.earning(np.zeros(len(base.constant)))
     layer = merge_components(idle, parts.of, parts.number, parts.rows)

@@ -20,17 +20,18 @@ class Solved(NamedTuple):
       upper one: ``upper``. If it is maximised, the policy itself has at least the value ``lower``;
       if it is minimised, at most ``upper``.
     :ivar row_of: int array: the row that each state takes: the first of those that are equally good
-      (within 1e-9 of the largest value); -1 where no row is allowed, in goals, and where the
-      goal is not reached surely though it should be.
+      (within 1e-9 of the largest value); -1 where no row is allowed, in goals, and where the goal
+      must be reached but is not reached with certainty.
     :ivar values: float array: for each state its probability, cost, time or discounted reward, or,
-      in the long run, its bias: what beginning there earns beyond the gain. NaN where no row is
-      allowed; infinite where the goal is not reached surely.
+      in the long run, its bias: the extra reward of starting there, beyond the gain. NaN where no
+      row is allowed; infinite where the goal is not reached with certainty.
     :ivar row_values: float array: for each row the value of its state if it takes this row now and
-      the best ones later. NaN for rows that are not allowed; infinitely bad for rows that spoil the
-      gain of the long run for ever, or after which the goal is not reached surely.
-    :ivar gains: float array: the best gain per second from each state; None but in the long run.
-    :ivar method: how it was found.
-    :ivar rounds: how many sweeps or rounds of policy iteration that took.
+      the best ones later. NaN for rows that are not allowed; infinitely bad for rows that lower the
+      gain of the long run permanently, or after which the goal is not reached with certainty.
+    :ivar gains: float array: the best gain per second from each state; only for the long run,
+        otherwise None.
+    :ivar method: the method used.
+    :ivar rounds: number of sweeps or rounds of policy iteration.
     """
 
     lower: float

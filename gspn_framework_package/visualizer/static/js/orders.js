@@ -77,7 +77,7 @@ export class Orders extends EventTarget {
     );
   }
 
-  /** A button that calls `act`, or shows why it is disabled; none if the run does not accept `command`. */
+  /** A button that calls `act`, or shows why it is disabled; null if the run does not accept `command`. */
   button(command, about, act, form = this.table[command]) {
     if (!this.offers(command)) return null;
     const refusal =
@@ -233,7 +233,7 @@ export class Orders extends EventTarget {
       "breakpoints",
       node.name,
       () => this.give("breakpoints", { names }, `${says} at ${node.name}`),
-      { label: says, about: "A robot that comes here stops until it is resumed" },
+      { label: says, about: "A robot that arrives here stops until it is resumed" },
     );
   }
 
