@@ -255,14 +255,14 @@ class ReportWork:
                 data["witness"] = space.path_to(int(dead[0]))
                 data["marking"] = space.named(int(dead[0]))
             if not space.complete:
-                self.undecided["deadlocks.count"] = "%d found within %s, which are not all" % (
+                self.undecided["deadlocks.count"] = "%d found within %s, not in all markings" % (
                     len(dead),
                     space.extent,
                 )
             self.data["deadlocks"] = data
         else:
             self.data["deadlocks"] = None
-            self.undecided["deadlocks"] = "none found within %s, which are not all" % space.extent
+            self.undecided["deadlocks"] = "none found within %s, not in all markings" % space.extent
 
     def _by_tree(self) -> None:
         """Answer the questions on an unbounded net that the coverability tree decides."""

@@ -220,7 +220,7 @@ class LiveComparison:
     :param plan: the plan that runs.
     :param hub: its epoch must be that of the run.
     :param complete: whether the run begins with the epoch.
-    :param listener: receives the alarms, on a thread of its own.
+    :param listener: receives the alarms, on a separate thread.
     :param number: number of the plan, as counted by the board.
     """
 

@@ -176,7 +176,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ("POST", "/api/do"): ApiOperation(
         "command",
         "Give an order to the simulation, the run or the team. The field 'info' of the first "
-        "of the first answer of /api/poll says; further fields depend on the command, and for "
+        "answer of /api/poll lists the commands; further fields depend on the command, and for "
         "orders to a team they are in the 'orders' of /api/hello. With 'run' it is refused if "
         "another run is shown.",
         ("id",),

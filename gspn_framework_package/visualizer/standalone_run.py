@@ -198,7 +198,7 @@ class StandaloneRun(Activity, Listener):
         return run
 
     def _look_at(self, command: str, values: Mapping[str, Any]) -> None:
-        """:raises RefusedError: the order makes no sense now."""
+        """Refuse an order. :raises RefusedError: the order is not possible at present."""
         name = values.get("robot", "")
         robot = self._executor.state.robots.get(name)
         if name and (robot is None or robot.phase.gone):

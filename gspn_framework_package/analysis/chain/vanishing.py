@@ -62,7 +62,7 @@ class Elimination:
             self._take_apart(np.flatnonzero(found.of == number))
 
     def _take_apart(self, states: Indices) -> None:
-        """Replace the arcs that leave ``states`` by those that leave the set for good."""
+        """Replace the arcs that leave ``states`` by those with which the net leaves the set."""
         position = np.full(len(self._kept), -1, dtype=np.int64)
         position[states] = np.arange(len(states))
         mine = position[self._sources] >= 0

@@ -146,8 +146,8 @@ class Request:
 
     :ivar never: conditions that may never hold.
     :ivar at_least: constraints on the long run.
-    :ivar may_wait: places in which a robot may wait although it could go on.
-    :ivar reading: how time is read: ``run`` or ``net``.
+    :ivar may_wait: places in which a robot may wait although it could leave.
+    :ivar reading: how time is interpreted: ``run`` or ``net``.
     :ivar fitted: whether to use the plan's ``durations``, ``outcomes`` and ``rates``, as learned
         from runs, rather than the nominal rates of the net's file.
     :ivar uncertain: transition -> lowest and highest rate (1/s): the policy is the best for the

@@ -117,7 +117,7 @@ def group_random(
     *,
     watch: Optional[Watch] = None,
 ) -> Grouped:
-    """The decisions by marking that come closest to a policy that draws among its rows. Where it
+    """The decisions by marking that come closest to a randomised policy. Where it
     mixes the decisions of several places, only one of them decides."""
     return _Grouping(team, rewards, objective, goal, allowed, watch).drawn(weights)
 
@@ -643,7 +643,7 @@ class _Grouping:
     # ------------------------------------------------------------------------
 
     def drawn(self, weights: Floats) -> Grouped:
-        """The decisions that come closest to a policy that draws."""
+        """The decisions that come closest to a randomised policy."""
         team, automaton = self._team, self._team.automaton
         evaluated = self._value(weights)
         flow = evaluated.flow

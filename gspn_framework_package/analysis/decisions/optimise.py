@@ -1,8 +1,8 @@
 """The complete computation from a plan and a request to the plan with the best policy.
 
-The exact way: decisions and their solution with certified bounds (:mod:`.decisions`), the plan with
-the policy, and the old and the new plan simulated as they run. If there are too many states, the
-policy is improved by simulation instead (:mod:`.rollout`).
+The exact method: decisions and their solution with certified bounds (:mod:`.decisions`), the plan
+with the policy, and the old and the new plan simulated as they run. If there are too many states,
+the policy is improved by simulation instead (:mod:`.rollout`).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def optimise(
     """Compute the best policy of a plan.
 
     :param plan: a validated plan.
-    :param request: the aim, the constraints and how to read the plan.
+    :param request: the aim, the constraints and the interpretation of the plan.
     :param simulated: seconds of computing in which the old and the new plan are simulated as they
         run; 0: no simulation. If there are too many states, a policy is searched for by simulation
         for 12 times as long.

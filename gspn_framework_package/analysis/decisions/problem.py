@@ -92,8 +92,8 @@ class DecisionProblem:
     """The decision problems of a plan.
 
     :param plan: a validated plan.
-    :param reading: how time is read: ``run`` or ``net``.
-    :param may_wait: places in which a robot may wait although it could go on.
+    :param reading: how time is interpreted: ``run`` or ``net``.
+    :param may_wait: places in which a robot may wait although it could leave.
     :param never: conditions that may never hold.
     :param conditions: further conditions that will be queried, so that no counter in them is
         omitted.
@@ -495,14 +495,15 @@ class DecisionProblem:
         unknown = [p for p in self.left_out if p in parsed.places]
         if unknown:
             raise UsageError(
-                "'%s' only counts, and was left out" % unknown[0],
+                "'%s' only counts and was omitted" % unknown[0],
                 hint="announce the condition in advance",
             )
         holds = parsed.holds_in_columns(team.distinct.astype(np.int64).T, len(team.distinct))
         return np.asarray(holds[team.marking_of], dtype=bool)
 
     def allowed(self, team: Team) -> Booleans:
-        """The rows of a team that a policy may choose: also with regard to forbidden conditions."""
+        """The rows of a team that a policy may choose: forbidden conditions are taken into
+        account."""
         if self.safety is None:
             return team.by_policy
         safe = self.safety.safe[self.built.original[team.states_in]]
@@ -531,7 +532,7 @@ class DecisionProblem:
     def weights_of(self, team: Team, policy: Policy) -> Floats:
         """The probability of each row under a policy, according to the plan's rules.
 
-        :raises RefusedError: these rows do not say what the policy does.
+        :raises RefusedError: the rows do not determine what the policy does.
         """
         self._check_chosen(policy, self.found)
         return self._weights(team, self._play(policy))
@@ -544,7 +545,7 @@ class DecisionProblem:
         :param kind: int array: for each of the team's distinct markings the number of its decision;
           -1: none.
         :param kinds: the decisions: transition -> probability.
-        :raises RefusedError: these rows do not say what the decisions do.
+        :raises RefusedError: the rows do not determine what the decisions do.
         """
         of_state = np.full(len(self.space), -1, dtype=np.int64)
         mine = np.flatnonzero(~team.twin)
@@ -575,8 +576,8 @@ class DecisionProblem:
         return mine
 
     def _check_heard(self, team: Team, weights: Floats, unheard: Booleans, played: Play) -> None:
-        """:raises RefusedError: the policy leads to a state in which its rows do not say what it
-        does."""
+        """Check the policy. :raises RefusedError: it leads to a state in which its rows do not
+        determine what it does."""
         wrong = unheard.copy()
         wrong[: len(played.unsettled)] |= played.unsettled
         wrong = wrong[team.states_in]

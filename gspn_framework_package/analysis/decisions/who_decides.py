@@ -26,8 +26,8 @@ class Decider(NamedTuple):
 def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[str, Decider]:
     """Who chooses in each action place that immediate transitions leave.
 
-    :param reading: how time is read.
-    :param may_wait: places in which a robot may wait although it could go on.
+    :param reading: how time is interpreted.
+    :param may_wait: places in which a robot may wait although it could leave.
     :raises RefusedError: a place has immediate and exponential outputs, or chance has no weights.
     :raises UsageError: ``may_wait`` names a place in which no robot can wait.
     """

@@ -90,7 +90,7 @@ class Hazard:
     def _plain(self, times: Floats) -> Floats:
         if self._steep:
             return (times / self.duration.mean) ** STEEP
-        # a far larger value than LARGEST_HAZARD takes the place of infinity, which has no logarithm
+        # a value far larger than LARGEST_HAZARD replaces infinity, which has no logarithm
         return np.nan_to_num(self.duration.hazard_integral(times), nan=1e9, posinf=1e9)
 
     def _knots(self, mean: float) -> Floats:

@@ -77,8 +77,8 @@ class ReactingChecks:
             self._list.add(
                 "events",
                 Severity.WARNING,
-                "%s can never have an effect: no robot gets into its place, or no token to another "
-                "one that it takes from (by structure)" % name_list(listed),
+                "%s can never have an effect: no robot reaches its place, or no token another "
+                "place that it takes from (by structure)" % name_list(listed),
                 transitions=listed,
                 decided_by="structure",
             )

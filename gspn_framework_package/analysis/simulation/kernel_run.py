@@ -11,7 +11,8 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 
 FIRST_ROW = 8
-"""Counts of a place for which time is booked at first; more are added when they occur."""
+"""Initial number of counts of a place for which time is recorded; more are added when they
+occur."""
 
 LONGEST_ROW = 4096
 """Largest counts for which time is booked separately."""
@@ -37,7 +38,7 @@ class KernelRun:
         self._fresh: Any = machine.as_lists(state)
 
     def compile(self) -> None:
-        """Go on with the compiled kernel, from where the run is."""
+        """Switch to the compiled kernel, continuing the run."""
         self.functions = machine.compiled_kernel()
         self.compiled = True
         self.arrays = self._arrays
@@ -51,10 +52,10 @@ class KernelRun:
         self.state.random[:] = words
 
     def go(self, stop: float, budget: int) -> int:
-        """Go on until the clock reaches ``stop`` (s), the run ends, or ``budget`` events have
+        """Continue until the clock reaches ``stop`` (s), the run ends, or ``budget`` events have
         happened; returns a status of the kernel.
 
-        :raises RefusedError: there is a timeless cycle, or something else that cannot be played.
+        :raises RefusedError: there is a timeless cycle, or the model cannot be played.
         """
         end = self.state.numbers[kernel.EVENTS] + budget
         while True:
@@ -80,11 +81,11 @@ class KernelRun:
         raise NotImplementedError
 
     def after(self, status: int) -> int:
-        """Deal with a status that is particular to the subject; returns MORE to go on."""
+        """Handle a status specific to the subject; returns MORE to continue."""
         return status
 
     def forget(self) -> None:
-        """Forget what was counted so far; the run goes on."""
+        """Reset the counts; the run continues."""
         state = self.state
         for array in (state.area, state.spent, state.firings):
             array[:] = [0] * len(array) if isinstance(array, list) else 0
@@ -124,7 +125,7 @@ class KernelRun:
 
 
 def first_rows(marking: Sequence[int]) -> Any:
-    """Where the row of booked times of each place begins, at first."""
+    """The initial start of each place's row of recorded times."""
     rows = [min(max(FIRST_ROW, n + 2), LONGEST_ROW) for n in marking]
     return np.cumsum([0, *rows]).astype(np.int64)
 

@@ -1,4 +1,4 @@
-"""What is wrong with an edited document, and where: the check of a plan for people who draw it.
+"""Finds the faults of an edited document and their places: the check of a plan for the editor.
 
 A document may be unfinished; every fault that can be found is reported at its element.
 """

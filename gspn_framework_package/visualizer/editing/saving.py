@@ -101,10 +101,9 @@ def _check_text(text: str) -> None:
 
 
 def read_back(document: JsonObject, path: str) -> None:
-    """Verify that a document reads as a plan.
+    """Check that a document is a readable plan.
 
-    :param path: where it will be.
-    :raises GspnError: it does not.
+    :param path: its future location. :raises GspnError: it is not.
     """
     try:
         plan_of_document(document, path)

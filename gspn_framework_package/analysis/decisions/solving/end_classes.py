@@ -1,4 +1,4 @@
-"""The end components of a model, in which a policy may stay for ever."""
+"""The end components of a model, in which a policy may stay forever."""
 
 from __future__ import annotations
 

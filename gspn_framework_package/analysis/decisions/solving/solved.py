@@ -1,4 +1,4 @@
-"""The best policy of an automaton, with what is known of it."""
+"""The best policy of an automaton, with the properties found."""
 
 from __future__ import annotations
 

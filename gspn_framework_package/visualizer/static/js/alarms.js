@@ -1,4 +1,4 @@
-// The alarms above the net: robots that need the operator, and what is wrong with the team or its run.
+// The alarms above the net: robots that need the operator, and problems of the team or its run.
 
 import { $, ask, h } from "./dom.js";
 import { alarming } from "./phases.js";

@@ -5,8 +5,8 @@ import { barPlot, CURVES } from "./plot.js";
 import { FiringSequence, sequenceControls } from "./sequence.js";
 
 const YES = { true: ["yes", "good"], false: ["no", "bad"] };
-export const LIST = 60; // of so many names, the rest is counted
-const ROWS = 400; // of a table, the rest is left out
+export const LIST = 60; // names listed; the rest is counted
+const ROWS = 400; // rows of a table; the rest is left out
 
 export class AnswerPieces {
   constructor(model, view, choose) {
@@ -106,7 +106,7 @@ export class AnswerPieces {
     return counts ? h("p.muted", this.markingText(counts)) : null;
   }
 
-  /** The answers to the conditions of a question, each drawn by `draw`; why there is none where there is none. */
+  /** The answers to the conditions of a question, each drawn by `draw`; or the reason why there is none. */
   conditions(result, key, draw) {
     const why = Object.entries(result.undecided ?? {})
       .filter(([name]) => name.startsWith(`${key}.`))

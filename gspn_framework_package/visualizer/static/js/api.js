@@ -40,7 +40,7 @@ export function get(path, query = {}, options = {}) {
   return request(`/api/${path}${text ? `?${text}` : ""}`, options);
 }
 
-/** A signal that aborts a request after so many milliseconds. */
+/** A signal that aborts a request after the given number of milliseconds. */
 function within(milliseconds) {
   const controller = new AbortController();
   setTimeout(() => controller.abort(), milliseconds);

@@ -1,4 +1,4 @@
-// The connection to the server: what the page says of it, what it does when it is lost, and when it is back.
+// Shows the state of the connection to the server, and reacts when it is lost or restored.
 
 import { $, announceNow, attempt, clock, plural, seconds } from "./dom.js";
 import { get, post } from "./api.js";

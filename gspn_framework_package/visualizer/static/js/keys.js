@@ -10,7 +10,7 @@ const TABLE = [
   ["Space", "pause the view, play; run and stop a simulation"],
   ["→  ←", "one step forward, one step back"],
   ["Shift + →", "n steps"],
-  ["X", "fire the chosen transition"],
+  ["X", "fire the selected transition"],
   ["R", "reset the simulation, for all viewers; ← undoes it"],
   ["E", "highlight what is enabled, on and off"],
   ["L", "back to live"],

@@ -378,7 +378,7 @@ class Page {
     this.tools?.refresh();
   }
 
-  /** Whether this viewer may act; otherwise it may only look. */
+  /** Whether this viewer may give orders, or is read-only. */
   get mayAct() {
     return this.hello?.role !== "viewer";
   }

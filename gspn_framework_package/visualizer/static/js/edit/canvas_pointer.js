@@ -45,7 +45,7 @@ export class CanvasPointer extends Pointer {
     this.view.addEventListener("frame", () => this.followHandles());
   }
 
-  // -- what is where -------------------------------------------------------------------------------
+  // -- hit testing -------------------------------------------------------------------------------
 
   drawing(event) {
     return this.view.toDrawing(...this.point(event));

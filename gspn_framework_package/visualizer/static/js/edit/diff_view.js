@@ -4,7 +4,7 @@
 import { $, h, s, plural } from "../dom.js";
 import { post } from "../api.js";
 
-const QUIET = 250; // ms without an edit after which the difference is computed anew
+const QUIET = 250; // ms without an edit after which the difference is computed again
 const LISTED = 400;
 const SIGNS = { added: "+", removed: "−", changed: "~" };
 const CLASSES = ["diff-added", "diff-changed"];

@@ -4,7 +4,7 @@ import { attempt, dialogOpen } from "../dom.js";
 
 const TYPING = 400; // ms within which a second key turns both into a name, after a node was added by key
 
-/** What the help says: [keys, what they do]. */
+/** The entries of the help: [keys, effect]. */
 export const EDIT_KEYS = [
   ["P  T  I", "add a place, a timed or an immediate transition at the pointer"],
   ["Shift + P  T  I", "the same, with an arc from the selected node"],

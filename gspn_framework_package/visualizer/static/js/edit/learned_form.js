@@ -137,7 +137,7 @@ export function durationForm(form, lens, title, schema) {
   ];
 }
 
-/** A form of an object that may say what it was learned from. `check`: what may be wrong with it beyond its schema. */
+/** The form of an object that may record what it was learned from. `check`: checks beyond its schema. */
 export const learnedForm =
   (check = () => "") =>
   (form, lens, title, schema) => {

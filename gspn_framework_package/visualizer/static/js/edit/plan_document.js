@@ -66,9 +66,9 @@ export class PlanDocument extends EventTarget {
     return this.state !== this.saved;
   }
 
-  /** Make an edit. `label` says what it does ("Add place P1"); `change` takes the state and returns the parts of
-   * it that are new, e.g. {net}. Consecutive edits with the same `merge` (a drag, typing in one field) are undone
-   * together. Returns whether anything changed. */
+  /** Make an edit. `label` says what it does ("Add place P1"); `change` takes the state and returns its changed parts,
+   * e.g. {net}. Consecutive edits with the same `merge` (a drag, typing in one field) are undone together. Returns
+   * whether anything changed. */
   edit(label, change, merge = null) {
     const before = this.state;
     const after = { ...before, ...change(before) };

@@ -1,5 +1,5 @@
-// What the schema of plan files cannot say about a key: which names belong there, what a new entry begins with, and
-// which form is drawn by hand.
+// Hints that the schema of plan files cannot express: which names are valid for a key, the initial value of a new
+// entry, and custom forms.
 
 import { h } from "../dom.js";
 import { actionField } from "./action_form.js";

@@ -1,4 +1,4 @@
-// The policy as a table: a column for each place that the rows speak of, a row for each marking, and the transitions
+// The policy as a table: a column for each place in the rows, a row for each marking, and the transitions
 // that it chooses.
 
 import { h, plural } from "../dom.js";

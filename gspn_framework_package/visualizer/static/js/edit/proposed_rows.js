@@ -1,4 +1,4 @@
-// The rows of a policy that the optimiser proposes, beside those that the plan has.
+// The rows of a policy that the optimiser proposes, next to those of the plan.
 
 import { h, plural } from "../dom.js";
 import { get } from "../api.js";

@@ -1,5 +1,5 @@
-// Forms made from the schema of plan files, so that no key of a plan is without one. The hints of a form (`form.hints`)
-// say what the schema cannot: pattern of a lens -> hint, as plan_hints.js has them.
+// Forms made from the schema of plan files, so that every key of a plan has one. The hints of a form (`form.hints`) add
+// what the schema cannot express: pattern of a lens -> hint, see plan_hints.js.
 
 import { h } from "../dom.js";
 import { problemOf, resolved } from "./schema.js";

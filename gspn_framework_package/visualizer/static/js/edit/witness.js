@@ -34,7 +34,7 @@ export class Witness {
     return true;
   }
 
-  /** The marking after so many steps, or null. */
+  /** The marking after a number of steps, or null. */
   knownAt(count) {
     const named = this.known[count];
     const { places } = this.mode.document.net;
