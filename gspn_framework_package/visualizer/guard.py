@@ -1,12 +1,12 @@
 """Access control of the web server. A browser on a robot network also visits other pages.
 
 - Every request: the Host header must be one that the server was started with (under DNS rebinding
-it would differ), and a request to ``/api/`` must not come from another site,
-  according to Sec-Fetch-Site.
+  it would differ), and a request to ``/api/`` must not come from another site, according to
+  Sec-Fetch-Site.
 - Every POST must come from this page, according to Origin too, and carry a header that a form of
   another page cannot send.
 - Beyond loopback, a request needs a token. There are two: the operator's, and the viewer's, which
-is read-only.
+  is read-only.
 - Every answer has a content security policy that allows nothing from other servers.
 """
 

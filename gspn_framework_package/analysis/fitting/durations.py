@@ -7,7 +7,7 @@ too short, because long times are cut off more often than short ones.
 - Exponential: the mean is the total time divided by the number of observed ends, with the interval
   of the chi-squared distribution.
 - Gamma and lognormal: two parameters, and a profile interval of the mean: all means that are not
-much less likely than the best one, with the other parameter optimised for each of them.
+  much less likely than the best one, with the other parameter optimised for each of them.
 - Erlang: the whole number of phases nearest to a gamma's shape, if the data do not contradict it.
 - Hyper-Erlang, for a coefficient of variation above 1: expectation maximisation (Asmussen, Nerman
   and Olsson 1996; Olsson 1996 for censored times), for the special case of mixed Erlang branches.

@@ -9,8 +9,8 @@ A group falls into *factors* that move different places. Each is one of
 - a :class:`Listed` group: up to ``MOST_LISTED`` permutations, such as the turns and reflections of
   a ring. The least of all images is the least marking.
 - a :class:`Turned` group: such a list for parts with inner factors, such as a ring of cells with
-equal machines in each. The least of all images, after reduction by the inner factors, is the least
-marking.
+  equal machines in each. The least of all images, after reduction by the inner factors, is the
+  least marking.
 
 Of other groups, a subgroup of these forms is used. That is exact too, since any group of
 automorphisms is.

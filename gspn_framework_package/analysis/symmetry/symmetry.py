@@ -15,12 +15,11 @@ marking m0,
 - with m every g(m) is reachable, so the number of reachable markings is the sum of the sizes of the
   visited orbits;
 - the distribution over markings is the same under every g at all times: this holds at the start,
-and the rates are the same under g. It therefore also holds in the steady state (the limit of the
-means over time), with one recurrent class or several. Hence the mean count of a place p equals that
-of g(p), and so the average of the lumped chain's values over the orbit of p: the sum over that
-orbit is the
-  same in all markings of an orbit. The same holds for the distribution of the count, and for the
-  throughput of a transition.
+  and the rates are the same under g. It therefore also holds in the steady state (the limit of the
+  means over time), with one recurrent class or several. Hence the mean count of a place p equals
+  that of g(p), and so the average of the lumped chain's values over the orbit of p: the sum over
+  that orbit is the same in all markings of an orbit. The same holds for the distribution of the
+  count, and for the throughput of a transition.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class Symmetry:
         the group is unknown.
     :ivar place_orbits: int array: the number of the orbit of each place.
     :ivar transition_orbits: int array: the number of the orbit of each transition.
-    Import igraph. :raises UsageError: it is not installed.
+    :raises UsageError: igraph is not installed.
     """
 
     def __init__(

@@ -405,7 +405,7 @@ def test_too_few_failures_are_reported() -> None:
     seen = attempts([0.4], failed="aborted") + attempts([0.5, 0.5], result="ab")
     report = fit_plan(small_plan(), seen)
     assert report.places["A"].failure is None
-    assert any("A: 1 of 3 attempts failed, which are too few" in note for note in report.notes)
+    assert any("A: 1 of 3 attempts failed, too few to learn" in note for note in report.notes)
 
 
 def test_the_report_has_the_agreed_form() -> None:

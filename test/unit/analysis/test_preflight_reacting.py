@@ -138,7 +138,7 @@ def couriers(done=("deliver",), on_evict=True, robots=2, **more):
 
 def test_a_task_that_is_always_done():
     assert said(couriers(("deliver", "give_up")), "tasks") == [
-        (OK, "tasks queue in orders and are done at deliver, give_up; none gets lost on the way "
+        (OK, "tasks queue in orders and are done at deliver, give_up; none gets lost "
              "(by structure)")
     ]  # fmt: skip
 
@@ -175,8 +175,8 @@ def test_tasks_that_are_never_done_or_end_with_a_robot():
     resources = frozenset(["orders"])
     plan = plan_of(net, resource_places=resources, tasks=Tasks(("orders",), ("take",)))
     texts = [text for _, text in said(plan, "tasks", standalone=True)]
-    assert texts[0].startswith("expire takes a task from its queue, and no robot gets it")
-    assert "a robot can end in Gone with a task that is not done" in texts
+    assert texts[0].startswith("expire takes a task from its queue, but no robot gets it")
+    assert "a robot can end in Gone with an unfinished task" in texts
 
 
 @pytest.mark.long

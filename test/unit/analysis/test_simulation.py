@@ -208,7 +208,7 @@ def test_a_choice_without_weights_is_refused():
     net = NetBuilder().place("a", tokens=1).place("b").place("c")
     net.immediate("x", weight=0.0, inputs="a", outputs="b")
     net.immediate("y", weight=1.0, inputs="a", outputs="c")
-    with pytest.raises(RefusedError, match="no weight decides between x, y"):
+    with pytest.raises(RefusedError, match="no weights decide between x, y"):
         simulate(net.build(), time=1.0, replications=2)
 
 

@@ -108,7 +108,7 @@ def test_a_small_difference_is_not_claimed_and_its_price_is_reported():
         BOTH, almost, Objective.long_run(TRIPS), replications=40, seconds=None, expected=0.002
     )
     assert not found.significant and found.better is None
-    assert "not significant" in found.text and "to notice a difference of 0.002" in found.text
+    assert "not significant" in found.text and "detecting a difference of 0.002" in found.text
     assert found.needed["size"] == 0.002 and found.needed["pairs"] > 40
     # four times the size takes a sixteenth of the runs
     bigger = compare_plans(
@@ -193,7 +193,7 @@ def test_a_run_that_never_ends_is_given_up(monkeypatch):
     monkeypatch.setattr(pairs, "_PATIENCE", 0.2)
     found = compare_plans(SLOW, QUICK, Objective.time_to("slow == 2"), seconds=0.5)
     assert found.difference.mean is None and not found.significant
-    assert "goes on after" in found.text and any("given up" in note for note in found.notes)
+    assert "is unfinished after" in found.text and any("given up" in note for note in found.notes)
 
 
 def test_a_slow_start_is_left_out():
@@ -312,7 +312,7 @@ def test_a_warm_up_that_is_too_short_is_lengthened():
         (Objective.long_run({"no*": 1.0}), {}, "nothing in the net matches 'no"),
         (Objective.long_run(TRIPS), {"replications": 1}, "are too few for an interval"),
         (Objective.long_run(TRIPS), {"confidence": 1.0}, "confidence of 1"),
-        (Objective.long_run(TRIPS), {"seconds": 0.0}, "no time"),
+        (Objective.long_run(TRIPS), {"seconds": 0.0}, "a time of 0 s"),
         (Objective.long_run(TRIPS), {"warmup": 5.0, "time": 5.0}, "warm-up of 5"),
         (Objective.time_to("slow == 1"), {"time": 5.0}, "end by themselves"),
         (Objective.reach("slow == 1"), {"warmup": 5.0}, "for the long run only"),

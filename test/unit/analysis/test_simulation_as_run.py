@@ -417,5 +417,5 @@ def test_a_run_without_end_is_refused():
     )
     act = FunctionAction("actions.work", "work")
     plan = Plan(net, actions={"a": act, "b": act}, robots=(RobotSpec("r", "a"),)).validate()
-    with pytest.raises(RefusedError, match=r"stays in \(a: 1\) without end"):
+    with pytest.raises(RefusedError, match=r"stays in \(a: 1\) forever"):
         simulate(plan, until="b >= 1", replications=1)

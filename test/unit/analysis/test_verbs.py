@@ -162,7 +162,7 @@ def test_nobody_decides(run, saved):
     code, out, _ = run("analyse", saved(net), "--json")
     data = json.loads(out)
     assert code == 1 and data["steady_state"] is None
-    assert "no weight decides between x, y" in data["undecided"]["steady_state"]
+    assert "no weights decide between x, y" in data["undecided"]["steady_state"]
 
 
 def test_a_timeless_trap_is_no_answer(run, saved):

@@ -98,7 +98,7 @@ def test_a_policy_that_draws_is_evaluated():
 
 def test_a_policy_that_says_nothing_where_a_run_comes_is_refused():
     automaton = automaton_of([True, False], [[[(1, 1.0)]], [[(0, 1.0)], [(1, 1.0)]]])
-    with pytest.raises(RefusedError, match="says nothing"):
+    with pytest.raises(RefusedError, match="is undefined"):
         evaluate_policy(automaton, Aim.LONG_RUN, rewarded(automaton), np.array([1.0, 0.0, 0.0]))
 
 

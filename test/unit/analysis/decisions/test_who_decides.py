@@ -87,7 +87,7 @@ def test_robots_wait_only_where_the_policy_decides():
     assert decider(plan_of(), may_wait=["choose"]).policy
     with pytest.raises(UsageError, match="cannot wait by choice"):
         decider(plan_of(chance=frozenset(["choose"])), may_wait=["choose"])
-    with pytest.raises(UsageError, match="nothing is chosen in 'work'"):
+    with pytest.raises(UsageError, match="there is no choice in 'work'"):
         decider(plan_of(), may_wait=["work"])
 
 
