@@ -201,7 +201,7 @@ class EventLog:
             try:
                 plan = plan_from_json(data, policy=policy)
             except (GspnError, KeyError) as error:
-                raise LogError("holds no plan (%s)" % error, file=self.path, line=1) from None
+                raise LogError("contains no plan (%s)" % error, file=self.path, line=1) from None
             if plan.hash() != self.header["plan_hash"]:
                 raise LogError(
                     "the hash of its plan differs from the recorded one", file=self.path, line=1
@@ -342,7 +342,7 @@ class LogFile:
             offset, number, chain = position or self._first_position(file)
             if position is not None and not self._has(file, position):
                 raise DamagedLogError(
-                    "is no longer the log that was read up to line %d" % (number - 1),
+                    "has changed since it was read up to line %d" % (number - 1),
                     file=self.path,
                     hint=DAMAGED,
                 )
@@ -393,14 +393,14 @@ def log_files(paths: Sequence[str]) -> List[str]:
             continue
         inside = [name for name in sorted(os.listdir(path)) if name.endswith(".jsonl")]
         if not inside:
-            raise LogError("holds no event logs (*.jsonl)", file=path)
+            raise LogError("contains no event logs (*.jsonl)", file=path)
         found += [os.path.join(path, name) for name in inside]
     return found
 
 
 DAMAGED = (
-    "a line was changed, dropped or put in; "
-    "a robot whose log is moved away learns it from the others, and joins again"
+    "a line was changed, dropped or inserted; a robot whose log is moved away gets it from the "
+    "others and rejoins"
 )
 
 
@@ -455,11 +455,11 @@ def header_of(line: bytes, path: str) -> Record:
         raise LogError("is not an event log", file=path, line=1, hint=hint)
     if head.get("version") not in (UNSUMMED, LOG_VERSION, POLICY_APART):
         raise LogError(
-            "is of version %.20r; this program reads versions %d to %d"
+            "has version %.20r; this program reads versions %d to %d"
             % (head.get("version"), UNSUMMED, POLICY_APART),
             file=path,
             line=1,
-            hint="read it with the version of the package that wrote it",
+            hint="use the version of the package that wrote it",
         )
     for key in ("run", "robot", "log", "plan_hash", "plan"):
         if key not in head:

@@ -70,7 +70,7 @@ class EventLogWriter:
                         raise LogError(
                             "the log is of %s '%s', not '%s'" % (key, known.get(key), first[key]),
                             file=path,
-                            hint="give the run another name, or move the file away",
+                            hint="choose another name for the run, or move the file away",
                         )
                 self._sum = None if known["version"] == UNSUMMED else _last_sum(path)
             self._file: BinaryIO = open(path, "ab", buffering=0)  # noqa: SIM115

@@ -48,8 +48,8 @@ class Replayer:
         """Replay the next record of the log.
 
         :returns: its effects; None if it contains no slot or new snapshot.
-        :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
-          those it recorded; or the record is damaged or does not belong to this plan.
+        :raises LogError: a slot is missing, does not contain entries, or leads to other firings
+            than it recorded; or the record is damaged or does not belong to this plan.
         """
         try:
             return self._take(record)
@@ -94,7 +94,7 @@ def replay(event_log: EventLog) -> Iterator[Replayed]:
 def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:
     slot = record["slot"]
     if slot != state.next_slot:
-        raise LogError("slot %s follows where slot %d should" % (slot, state.next_slot))
+        raise LogError("slot %s follows instead of slot %d" % (slot, state.next_slot))
     batch = tuple(log_entries.from_json(e) for e in record["entries"])
     step = game.reduce(state, slot, batch)
     recorded = [

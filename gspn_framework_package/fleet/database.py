@@ -1,4 +1,4 @@
-"""Access to DuckDB, which reads and writes the tables of a fleet's history."""
+"""Access to Access to DuckDB, which reads and writes the tables of a fleet's history."""
 
 from __future__ import annotations
 
@@ -163,13 +163,13 @@ def one_question(database: Any, sql: str) -> Any:
         statements = module.extract_statements(sql)
         if len(statements) != 1 or statements[0].type != module.StatementType.SELECT:
             raise UsageError(
-                "this is not one SELECT",
+                "this is not a single SELECT",
                 hint="the tables are %s; they cannot be changed" % ", ".join(TABLES),
             )
         return database.execute(statements[0])
     except module.OutOfMemoryException:
         raise LimitError(
-            "the question needs more than %s of memory" % DATABASE_MEMORY,
+            "the query needs more than %s of memory" % DATABASE_MEMORY,
             hint="ask for fewer days, or group by less",
         ) from None
     except module.Error as error:
@@ -179,13 +179,13 @@ def one_question(database: Any, sql: str) -> Any:
 def keep_to(database: Any, files: Sequence[str], temporary: str) -> None:
     """From now on let the database open only these files, and lock its settings.
 
-    :param temporary: the folder for what does not fit into the memory.
+    :param temporary: the folder for data that does not fit into memory.
     :raises InputError: this version of DuckDB cannot do that.
     """
     version = tuple(int(part) for part in duckdb().__version__.split(".")[:2])
     if version < OLDEST_FOR_SQL:
         raise InputError(
-            "DuckDB %s cannot be kept to the files of a store" % duckdb().__version__,
+            "DuckDB %s cannot be restricted to the files of a store" % duckdb().__version__,
             hint="'gspn history sql' needs DuckDB 1.2 or later, which needs Python 3.9",
         )
     database.execute("SET allowed_paths=[%s]" % ", ".join(map(quoted, files)))

@@ -138,8 +138,9 @@ class Ingest:
                 return IngestedLog(
                     file.path,
                     str(file.header["run"]),
-                    left_out="it begins in the middle of a run that the store does not have so "
-                    "far: ingest the log of a robot that was there from the beginning",
+                    left_out="the log begins in the middle of a run that is not in the store "
+                    "yet: first ingest the log of a robot that took part from the "
+                    "beginning",
                 )
             return self._ingest(file, run)
         except GspnError as error:
@@ -267,8 +268,8 @@ class Ingest:
         if known is not None and known != record.get("hash"):
             raise LogError(
                 "slot %d differs from that in another log of run '%s'" % (slot, run["run"]),
-                hint="'gspn verify' with both logs says more; two runs of one name need stores of "
-                "their own if they began alike",
+                hint="run 'gspn verify' with both logs for details; two runs of one name need "
+                "separate stores if they began alike",
             )
         return False
 

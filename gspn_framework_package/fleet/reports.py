@@ -41,11 +41,11 @@ class Question(NamedTuple):
         for group in self.by:
             if group not in REPORT_GROUPS:
                 raise UsageError(
-                    "a report is not grouped by '%.80s'" % group,
+                    "a report cannot be grouped by '%.80s'" % group,
                     hint="but by " + ", ".join(REPORT_GROUPS),
                 )
         if not self.by or len(set(self.by)) < len(self.by):
-            raise UsageError("a report is grouped by something, and once by each")
+            raise UsageError("a report needs at least one grouping, each at most once")
         for day in (self.since, self.until):
             try:
                 if day and datetime.date.fromisoformat(day).isoformat() != day:
@@ -119,7 +119,7 @@ def _refuse_unknown(database: Any, question: Question) -> None:
         }
         for name in names:
             if known and name not in known:
-                raise UsageError("no %s '%.80s' is in the store in this time" % (column, name))
+                raise UsageError("the store has no %s '%.80s' in this time" % (column, name))
 
 
 def moments(store: Store, question: Question) -> List[Dict[str, Any]]:

@@ -92,16 +92,17 @@ class Store:
             pass
         if not os.path.exists(first):
             raise InputError(
-                "is no store of a fleet's history",
+                "is not a store of a fleet's history",
                 file=folder,
-                hint="'gspn history ingest LOG --store DIR' makes one in a new or empty folder",
+                hint="create one in a new or empty folder with 'gspn history ingest LOG --store "
+                "DIR'",
             )
         told = read_json(first)
         if not isinstance(told, dict) or told.get("format") != STORE_FORMAT:
             raise InputError("does not describe a store of a fleet's history", file=first)
         if told.get("version") != STORE_VERSION:
             raise InputError(
-                "is a store of version %s; this program reads version %d"
+                "has version %s; this program reads version %d"
                 % (told.get("version"), STORE_VERSION),
                 file=folder,
             )
@@ -114,7 +115,9 @@ class Store:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise InputError(
-                    "another ingest is writing here", file=self.folder, hint="try again later"
+                    "another ingest is writing to this store",
+                    file=self.folder,
+                    hint="try again later",
                 ) from None
             self._remove_leftovers()
             yield

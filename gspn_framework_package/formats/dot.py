@@ -269,7 +269,7 @@ def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
     """
     if image not in IMAGE_FORMATS:
         raise UsageError(
-            "pictures of the format '%s' are not made" % image,
+            "the picture format '%s' is not supported" % image,
             hint="known: %s" % ", ".join(IMAGE_FORMATS),
         )
     try:
@@ -282,13 +282,13 @@ def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
         )
     except FileNotFoundError:
         raise UsageError(
-            "Graphviz, which draws, is not installed",
+            "Graphviz, which draws pictures, is not installed",
             hint="apt install graphviz; DOT text needs none",
         ) from None
     except subprocess.TimeoutExpired:
         raise LimitError(
             "Graphviz did not finish in %g s" % timeout,
-            hint="draw something smaller, or give it longer",
+            hint="draw something smaller, or allow more time",
         ) from None
     if done.returncode != 0 or not done.stdout:
         reason = done.stderr.decode("utf-8", "replace").strip().splitlines()[:1] or [

@@ -367,5 +367,5 @@ class NetDraft:
 def capacity_losses(net: Net) -> List[str]:
     """Return the note for the user if a writer turns capacities of this net into inhibitor arcs."""
     if any(place.capacity is not None for place in net.places):
-        return ["capacities are written as inhibitor arcs, which say the same"]
+        return ["capacities are written as equivalent inhibitor arcs"]
     return []

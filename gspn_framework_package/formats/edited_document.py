@@ -49,7 +49,7 @@ def document_to_json(document: EditedDocument) -> Dict[str, Any]:
         if not isinstance(part, dict):
             raise PlanError("it is not an object", element=key)
         if "file" in part:
-            raise PlanError("it names a file, and is not in the document itself", element=key)
+            raise PlanError("it must be in the document itself, not in a file", element=key)
     if policy is not None and not isinstance(policy, dict):
         raise PlanError("it is not an object", element="policy")
     assert isinstance(plan, dict)

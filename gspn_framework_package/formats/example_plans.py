@@ -58,7 +58,7 @@ def copy_example(name: str, folder: str) -> List[str]:
             hint="there are: %s" % ", ".join([*names, ALL_EXAMPLES]),
         )
     if os.path.lexists(folder):
-        raise UsageError("it exists already", file=folder, hint="name another folder")
+        raise UsageError("the folder exists already", file=folder, hint="choose another folder")
     ignored = shutil.ignore_patterns("__pycache__")
     try:
         if name == ALL_EXAMPLES:

@@ -289,9 +289,9 @@ def definition(kind: str) -> str:
         if file.is_file():
             return file.read_text(encoding="utf-8")
     raise InputError(
-        "the definition of the message %s is not there" % kind,
+        "the definition of the message %s is missing" % kind,
         file=str(folders[0]),
-        hint="install the package again",
+        hint="reinstall the package",
     )
 
 

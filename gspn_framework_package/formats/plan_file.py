@@ -126,9 +126,7 @@ def _refuse_net(path: str) -> None:
         if is_xml(read_bytes(path)):
             raise  # the error in the net says more than "not JSON"
         return
-    raise UsageError(
-        "this is a net, not a plan", file=path, hint="gspn analyse says what a net can do"
-    )
+    raise UsageError("this is a net, not a plan", file=path, hint="use gspn analyse for a net")
 
 
 def _open(path: str) -> Tuple[str, JsonDocument]:
@@ -179,9 +177,9 @@ def read_net_or_plan(
     if options.format is None and is_plan(path):
         if options != AS_THE_FILE_SAYS:
             raise UsageError(
-                "how a net is read (its name in the file, constants, servers, weights) can be "
-                "said of a net only",
-                hint="this is a plan, which has its own setting for it",
+                "options for reading a net (its name in the file, constants, servers, weights) "
+                "apply only to nets",
+                hint="this is a plan, which has its own settings for that",
             )
         return _plan_or_its_net(path, net_will_do, within)
     found, notes = read_net_with_notes(path, options)

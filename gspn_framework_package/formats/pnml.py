@@ -232,7 +232,7 @@ class _Reader:
                     "its property '%s' is not known" % shorten(key),
                     what,
                     line,
-                    "was the file written by a newer version of this package?",
+                    "the file may have been written by a newer version of this package",
                 )
         return own
 

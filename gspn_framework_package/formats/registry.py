@@ -165,7 +165,7 @@ def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:
         if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % word, data):
             raise UsageError(
                 "the constant '%s' does not occur in the file" % name,
-                hint="is it spelt as it is there?",
+                hint="check its spelling",
             )
 
 
@@ -194,7 +194,9 @@ def _recognise(file: NetFile) -> Format:
 
 
 def _formats_read() -> str:
-    return "read are %s" % ", ".join(f.title for f in FORMATS.values() if f.reader is not None)
+    return "known formats: %s" % ", ".join(
+        f.title for f in FORMATS.values() if f.reader is not None
+    )
 
 
 def write_net(
@@ -234,7 +236,7 @@ def format_of_name(path: PathLike) -> Format:
             return entry
     known = ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values())
     raise UsageError(
-        "the name '%s' does not show the format" % path, hint="name one with --to: %s" % known
+        "the name '%s' does not show the format" % path, hint="choose one with --to: %s" % known
     )
 
 

@@ -89,7 +89,7 @@ class SchemaWords:
             ), (_meant(value, error.validator_value) + (hint or "")).strip() or None
         if rule in ("oneOf", "anyOf"):
             forms = [self._form(one) for part in error.validator_value for one in self._forms(part)]
-            return "%s is none of what is possible: %s" % (
+            return "%s is not one of the possible values: %s" % (
                 shown,
                 "; ".join(dict.fromkeys(forms)),
             ), hint

@@ -81,7 +81,7 @@ def named_file(name: str, folder: str, within: Optional[str]) -> str:
     path = os.path.join(folder, name)
     if within is not None and not is_inside(path, within):
         raise RefusedError(
-            "it names '%.200s', a file outside the folder, which is not opened"
+            "it names '%.200s', which is outside the folder and is not opened"
             % os.path.basename(name)
         )
     return path
@@ -91,7 +91,7 @@ def _too_large(path: str, limit: int) -> InputError:
     return InputError(
         "the file is larger than %d MB" % (limit // 1_000_000),
         file=path,
-        hint="no net of a sensible size needs that; is it the right file?",
+        hint="no reasonable net is that large; check that it is the right file",
     )
 
 

@@ -186,7 +186,7 @@ class _Reader:
 
     def _output(self, transition: str, place: str, kind: str, weight: int) -> None:
         if kind != "*":
-            self._fail("an arc to place '%s' cannot test it" % place)
+            self._fail("an arc to place '%s' cannot be a test arc" % place)
         self.draft.add_arc(None, transition, place, weight, line=self.line)
 
     def _sides(self) -> Tuple[List[_Arc], List[_Arc]]:

@@ -88,7 +88,7 @@ def check_element(element: etree._Element, vocabulary: Element, what: str, fail:
             "the text '%s' must not stand directly in <%s>" % (shorten(text), tag(element)),
             what,
             line_of(element),
-            _words("there should be", vocabulary.children),
+            _words("expected ", vocabulary.children),
         )
     for node in element:
         name = tag(node)
@@ -111,7 +111,7 @@ def check_element(element: etree._Element, vocabulary: Element, what: str, fail:
                 "it has a second <%s>" % name,
                 what,
                 line_of(node),
-                "which of the two counts? keep one of them",
+                "keep only one of the two",
             )
         inside = vocabulary.children[name]
         if inside is not ANY_CONTENT:

@@ -66,7 +66,7 @@ def _entities(file: Optional[str]) -> InputError:
     return InputError(
         "the document declares XML entities, which are not read",
         file=file,
-        hint="replace them by their values",
+        hint="replace the entities by their values",
     )
 
 
@@ -194,7 +194,7 @@ def choose_net(
             if wanted in called:
                 return net
         raise NetError(
-            "there is no net '%s' in the file" % wanted, file=file, hint="it has %s" % known
+            "there is no net '%s' in the file" % wanted, file=file, hint="the nets are %s" % known
         )
     if len(nets) > 1:
         raise NetError(

@@ -58,7 +58,7 @@ class YamlDocument:
             loader = _Loader(text)
             self._root: Optional[yaml.Node] = loader.get_single_node()
             if self._root is None:
-                raise InputError("there is nothing in it", file=file)
+                raise InputError("the file is empty", file=file)
             self._check(loader)
             self.data: Any = loader.construct_document(self._root)
         except yaml.MarkedYAMLError as error:
@@ -95,7 +95,7 @@ class YamlDocument:
             "it has more than %d elements" % self._limit,
             file=self.file,
             line=line,
-            hint="give a smaller part of it",
+            hint="use a smaller part of it",
         )
 
     def _not_yaml(self, error: yaml.MarkedYAMLError, last: int) -> InputError:
@@ -108,7 +108,7 @@ class YamlDocument:
                 "an element with the tag '%.60s' is not plain data" % name,
                 file=self.file,
                 line=line,
-                hint="such elements are not read: write it without the tag",
+                hint="write the element without the tag",
             )
         words = [word for word in (error.context, error.problem) if word]
         return InputError("it is not YAML: %s" % ", ".join(words), file=self.file, line=line)
@@ -120,7 +120,7 @@ class YamlDocument:
         def size(node: yaml.Node) -> int:
             line = node.start_mark.line + 1
             if id(node) in open_:
-                raise InputError("an alias that holds itself", file=self.file, line=line)
+                raise InputError("an alias that contains itself", file=self.file, line=line)
             if id(node) in sizes:
                 return sizes[id(node)]
             open_.add(id(node))

@@ -39,7 +39,9 @@ def write_plan_folder(
     """
     if os.path.lexists(folder):
         raise UsageError(
-            "it exists already", file=folder, hint="a new plan gets a new folder: name another one"
+            "the folder exists already",
+            file=folder,
+            hint="choose the name of a new folder for the plan",
         )
     head = {key: plan[key] for key in ("plan", "description") if key in plan}
     whole: Dict[str, Any] = {**head, "net": NET_FILE}
@@ -56,7 +58,7 @@ def write_plan_folder(
     try:
         os.makedirs(folder)
     except OSError as error:
-        raise InputError("the folder cannot be made (%s)" % error.strerror, file=folder) from None
+        raise InputError("cannot create the folder (%s)" % error.strerror, file=folder) from None
     try:
         for name, content in contents.items():
             with open(os.path.join(folder, name), "wb") as file:

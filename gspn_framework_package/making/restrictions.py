@@ -32,7 +32,7 @@ class Restriction:
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             raise ExpressionError(
                 "'%.60s' is not a restriction" % self.text,
-                hint="such as robot_short & ~robot_tall, or 'short' in robot",
+                hint="write for example robot_short & ~robot_tall, or 'short' in robot",
             ) from None
 
     def holds(

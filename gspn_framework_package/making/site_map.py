@@ -130,7 +130,7 @@ def read_map(path: str) -> SiteMap:
         raise document.error(
             "it is not a map: there are no 'nodes'",
             [],
-            "a .tmap2 file of topological_navigation, or a graph with nodes and edges",
+            "use a .tmap2 file of topological_navigation, or a graph with nodes and edges",
         )
     return reader.finished(name)
 
@@ -460,7 +460,7 @@ class _Reader:
             raise self._document.error(
                 "the node '%s' is there twice" % node.name,
                 where,
-                "of several pointsets, give each a map of its own"
+                "if the file has several pointsets, make a separate map of each"
                 if len(self._pointsets) > 1
                 else "",
             )
@@ -502,18 +502,18 @@ class _Reader:
             self._notes.append("edges from a node to itself are left out (%d)" % self._itself)
         if doubles:
             self._notes.append(
-                "of several edges between the same nodes the first one counts; left out: %d"
+                "of several edges between the same nodes only the first counts; left out: %d"
                 % doubles
             )
         for action, times in self._untyped.items():
             self._notes.append(
-                "the map gives no type for the action '%s' (%d times): on ROS it gets a goal "
-                "of move_base" % (action, times)
+                "the map gives no type for the action '%s' (%d times): on ROS it gets a goal for "
+                "move_base" % (action, times)
             )
         for text, times in self._while_driving.items():
             self._notes.append(
-                "the restriction '%s' (%d times) is one for the run: the plan leaves it to those "
-                "who drive" % (text, times)
+                "the restriction '%s' (%d times) applies at run time: the plan leaves it to the "
+                "navigation" % (text, times)
             )
         if len(self._pointsets) > 1:
             self._notes.append(
@@ -546,8 +546,8 @@ class _Reader:
                 "'%s' in the goal of the edge from %s to %s is not understood"
                 % (value, origin.name, node.name),
                 [*where, "goal"],
-                "$node.PATH is what the map says of the node where the edge leads, +node.PATH of "
-                "the one where it begins; the node '%s' has %s"
+                "$node.PATH is a value of the node where the edge leads, +node.PATH of the node "
+                "where it begins; the node '%s' has %s"
                 % (meant.name, ", ".join(sorted({*map(str, given.get("node", {})), *known}))),
             )
         return found

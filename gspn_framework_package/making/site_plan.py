@@ -177,7 +177,7 @@ class _Builder:
                     "%d robots start in %s, where %d may be"
                     % (here, ", ".join(zone.nodes), zone.capacity),
                     element=free,
-                    hint="give another 'start', or a larger capacity",
+                    hint="choose another 'start', or a larger capacity",
                 )
         for robot in self._team.kinds if tasks.battery else ():
             dock = self._team.dock_of(robot)

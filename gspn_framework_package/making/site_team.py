@@ -111,7 +111,7 @@ class SiteTeam:
                     "a robot%s may not be where it starts" % _of_type(robot),
                     file=self._path,
                     element=node,
-                    hint="give another 'start'",
+                    hint="choose another 'start'",
                 )
         return site._replace(nodes=nodes, edges=edges)
 
@@ -138,7 +138,7 @@ class SiteTeam:
                 "restrictions",
             )
         if lost:
-            self.notes.append("left out, because no robot gets there: %s" % _some(lost))
+            self.notes.append("left out, because no robot can get there: %s" % _some(lost))
         return site._replace(
             nodes={name: node for name, node in site.nodes.items() if name in nodes},
             edges=[edge for edge in site.edges if (edge.source, edge.target) in edges],
@@ -157,7 +157,7 @@ class SiteTeam:
                     traps.setdefault(_some(lost), []).append(node)
         for lost_ones, nodes in traps.items():
             self.notes.append(
-                "no way leads back from %s to %s, where a task or a dock is"
+                "there is no way back from %s to %s, where there is a task or a dock"
                 % (_some(nodes), lost_ones)
             )
 

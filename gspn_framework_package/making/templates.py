@@ -78,7 +78,7 @@ def write(
     team = template.robots if robots is None else robots
     if not template.least_robots <= team <= MOST_TEMPLATE_ROBOTS:
         raise UsageError(
-            "the template '%s' is for %d to %d robots, not %d"
+            "the template '%s' supports %d to %d robots, not %d"
             % (name, template.least_robots, MOST_TEMPLATE_ROBOTS, team)
         )
     if places is not None:

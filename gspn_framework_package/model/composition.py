@@ -136,13 +136,12 @@ def _check(
         raise NetError(
             "the net to put in its place has tokens on its entry or exit",
             element=element,
-            hint="only its own resources may be marked; tokens come in from outside",
+            hint="only its own resources may be marked; tokens enter from outside",
         )
     for inner, outer in shared.items():
         if inner not in resources:
             raise NetError(
-                "'%s' of the net to put in its place is no resource, so it cannot be shared"
-                % inner,
+                "'%s' of the inserted net is not a resource, so it cannot be shared" % inner,
                 element=element,
             )
         if outer == replaced.name:
@@ -150,15 +149,15 @@ def _check(
         net.place(outer)
     if replaced.capacity is not None:
         raise NetError(
-            "it has a capacity, which a whole net cannot have",
+            "it has a capacity, which a subnet cannot have",
             element=element,
             hint="let a resource place count the free slots",
         )
     for arc in net.arcs:
         if arc.inhibitor and arc.source == replaced.name and arc.weight > 1:
             raise NetError(
-                "its inhibitor arc to '%s' counts %d tokens, which no arc does over several places"
-                % (arc.target, arc.weight),
+                "its inhibitor arc to '%s' counts %d tokens, which is not possible across several "
+                "places" % (arc.target, arc.weight),
                 element=element,
                 hint="only inhibitor arcs of weight 1 can be carried over",
             )

@@ -36,7 +36,7 @@ def split(name: str) -> Tuple[str, str]:
     if found is None:
         raise DataError(
             "%.100r is not a name of data" % (name,),
-            hint="write a name of letters, digits and _, with robot., team. or task. before it",
+            hint="use a name of letters, digits and _, with the prefix robot., team. or task.",
         )
     return found.group(1) or "robot", found.group(2)
 

@@ -123,11 +123,12 @@ class Duration:
         :raises PlanError: there are fewer than two, they decrease, or all are equal.
         """
         if not 2 <= len(quantiles) <= MAX_PHASES:
-            raise PlanError("%d quantiles are no distribution" % len(quantiles))
+            raise PlanError("%d quantiles are not enough for a distribution" % len(quantiles))
         values = tuple(float(_at_least_0(q, "quantile")) for q in quantiles)
         if any(a > b for a, b in zip(values, values[1:])) or values[0] == values[-1]:
             raise PlanError(
-                "the quantiles do not rise", hint="list them from the shortest time to the longest"
+                "the quantiles do not increase",
+                hint="list them from the shortest time to the longest",
             )
         mean = math.fsum((a + b) / 2 for a, b in zip(values, values[1:])) / (len(values) - 1)
         return cls(Kind.EMPIRICAL, mean, values)
@@ -141,7 +142,7 @@ class Duration:
             to 1.
         """
         if not 1 <= len(branches) <= MAX_PHASES:
-            raise PlanError("%d branches are no distribution" % len(branches))
+            raise PlanError("%d branches are not a distribution" % len(branches))
         total = math.fsum(_positive(p, "probability") for p, _, _ in branches)
         if abs(total - 1.0) > 1e-6:
             raise PlanError("the probabilities of the branches sum to %g, not to 1" % total)
@@ -473,8 +474,8 @@ def duration_from_json(data: Mapping[str, Any]) -> Duration:
     mean = data.get("mean", found.mean)
     if abs(mean - found.mean) > 0.01 * found.mean:
         raise PlanError(
-            "the mean is given as %g s, but follows as %g s" % (mean, found.mean),
-            hint="leave it out",
+            "the mean is given as %g s, but the parameters imply %g s" % (mean, found.mean),
+            hint="leave the mean out",
         )
     return found
 

@@ -71,7 +71,7 @@ class MessageCondition:
         self.fields: List[Tuple[Union[str, int], ...]] = []
         if len(text) > LONGEST_MESSAGE_CONDITION:
             raise ExpressionError(
-                "the condition is %d characters long; at most %d are read"
+                "the condition is %d characters long; at most %d are allowed"
                 % (len(text), LONGEST_MESSAGE_CONDITION)
             )
         try:
@@ -167,9 +167,10 @@ class MessageCondition:
 
     def _not_read(self, node: ast.AST) -> ExpressionError:
         return ExpressionError(
-            "the condition '%s' has a part that is not understood (%s)"
+            "the condition '%s' contains something unsupported (%s)"
             % (self.text, type(node).__name__),
-            hint="fields, numbers, strings, comparisons, and, or, not, abs, min, max, len, round",
+            hint="use only fields, numbers, strings, comparisons, and, or, not, abs, min, max, "
+            "len, round",
         )
 
 

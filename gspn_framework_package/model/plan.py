@@ -614,7 +614,7 @@ class Plan:
             self._known_place(place, "chance")
             if all(self.net.transition(t).timed for t in self._leaving(place)):
                 raise PlanError(
-                    "no immediate transition leaves '%s', so nothing is chosen there" % place,
+                    "no immediate transition leaves '%s', so there is no choice" % place,
                     file=self.file,
                     element="chance",
                 )

@@ -210,7 +210,7 @@ class PlanTiming:
         ]
         if by_rate:
             self.assumptions.append(
-                "while a robot is in their place, the events %s come at the rates of the net"
+                "while a robot is in their place, the events %s occur at the rates of the net"
                 % listed(by_rate)
             )
 

@@ -64,7 +64,7 @@ class Coverage:
         """
         __tracebackhide__ = True
         if any(name not in without for names in self.missing.values() for name in names):
-            raise AssertionError("not all of the plan was reached\n%s" % self)
+            raise AssertionError("not everything in the plan was reached\n%s" % self)
 
     def take(self, firings: List[Firing], before: Marking, state: TeamState) -> None:
         """Record the elements reached by a step of a run.

@@ -40,7 +40,7 @@ _SHOWN = 20
 class Scenario:
     """A run of a plan in virtual time.
 
-    First specify what actions do (:meth:`action`) and which events occur when, then let time pass
+    First specify actions (:meth:`action`) and which events occur when, then let time pass
     (:meth:`advance`, :meth:`until`, :meth:`until_fired`) and check the results. Actions that the
     test does not specify have the plan's durations and outcomes, drawn with its seed. Events and
     tasks occur only if the test specifies them, except timed events.
@@ -142,8 +142,8 @@ class Scenario:
         self.plan.net.place_number(place)
         if fails is not None and fails not in FAILURES:
             raise UsageError(
-                "'%s' is no reason of a failure" % fails,
-                hint="there are: %s" % ", ".join(FAILURES),
+                "'%s' is not a reason for a failure" % fails,
+                hint="choose from: %s" % ", ".join(FAILURES),
             )
         outcome = Outcome(fails) if fails is not None else None
         rule = Rule(place, robot, seconds, result, data, outcome, act)
@@ -203,7 +203,7 @@ class Scenario:
         :raises DataError: the data or the id cannot be stored.
         """
         if transition not in self.plan.submissions:
-            raise UsageError("no tasks come in by '%s'" % transition)
+            raise UsageError("'%s' does not take tasks" % transition)
         name = task if task != "" else "%s-%d" % (transition, next(self._task_numbers))
         self.order(log_entries.make_submit(transition, name, data), at=at)
         return str(name)
@@ -254,7 +254,7 @@ class Scenario:
         else:
             met, what = condition, "the condition"
         if not self._until(met, self.now + within):
-            raise self._failure("%s does not come true within %g s" % (what, within))
+            raise self._failure("%s does not become true within %g s" % (what, within))
 
     def until_fired(self, transition: str, times: int = 1, within: float = 3600.0) -> FiredAt:
         """Let time pass until a transition has fired a number of further times; return the last
@@ -401,7 +401,7 @@ class Scenario:
 
     def _at(self, when: Optional[float], what: Callable[[], None]) -> None:
         if when is not None and when < self.now:
-            raise UsageError("%g s is over; it is %g s now" % (when, self.now))
+            raise UsageError("%g s is in the past; it is %g s now" % (when, self.now))
         moment = self.now if when is None else when
         heapq.heappush(self._agenda, (moment, next(self._numbers), what))
 
@@ -449,7 +449,9 @@ class Scenario:
         if transition not in known:
             raise UsageError(
                 "no event fires '%s'" % transition,
-                hint="there are: %s" % ", ".join(known) if known else "the plan has no events",
+                hint="events of the plan: %s" % ", ".join(known)
+                if known
+                else "the plan has no events",
             )
 
         def observe() -> None:

@@ -49,12 +49,12 @@ class Film:
             self._encoder = self._start_encoder(width, height)
         elif kind in MOVING_PICTURES:
             if not target.parent.is_dir():
-                raise InputError("there is no such folder", file=str(target.parent))
+                raise InputError("the folder does not exist", file=str(target.parent))
         elif kind:
             raise InputError(
-                "'%s' is not a kind of film" % kind,
+                "'%s' is not a film format" % kind,
                 file=str(target),
-                hint="give .mp4, .gif, .webp, or a folder",
+                hint="use .mp4, .gif, .webp, or a folder",
             )
         else:
             try:
@@ -68,7 +68,7 @@ class Film:
         ffmpeg = find_ffmpeg()
         if ffmpeg is None:
             raise InputError(
-                ".mp4 needs ffmpeg, which is not there",
+                ".mp4 needs ffmpeg, which is not installed",
                 file=str(self._target),
                 hint="install ffmpeg or imageio-ffmpeg, or film into a folder or a .gif",
             )

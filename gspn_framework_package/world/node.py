@@ -107,7 +107,7 @@ class WorldNode:
     :param real_time_factor: seconds of world time per second of wall time; 0 for as fast as
         possible.
     :param gui: open PyBullet's window.
-    :param seed: seed of the times at which people come.
+    :param seed: seed seed of the times at which people come.
     """
 
     def __init__(
@@ -244,7 +244,7 @@ def main() -> int:
         )
         gui, seed = bool(rospy.get_param("~gui", False)), int(number_parameter("seed", 0))
         node = WorldNode(room, robots, factor, gui, seed)
-        speed = "%g times real time" % factor if factor else "as fast as it goes"
+        speed = "%g times real time" % factor if factor else "as fast as possible"
         rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)
         recording = str(rospy.get_param("~record", ""))
         if recording:

@@ -109,7 +109,7 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
     if location not in room.locations:
         known = ", ".join(room.locations) or "none"
         raise ActionFailed(
-            "the room '%s' has no location '%s'; it has: %s" % (file, location, known)
+            "the room '%s' has no location '%s'; its locations: %s" % (file, location, known)
         )
     client.connect()
     return client, room

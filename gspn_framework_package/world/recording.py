@@ -103,7 +103,7 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
     try:
         head = json.loads(lines[0])
         if head["format"] != RECORDING_FORMAT:
-            raise ValueError("its format is %r" % head["format"])
+            raise ValueError("the format is %r" % head["format"])
         robots = tuple(str(name) for name in head["robots"])
         room = parse_room(head["room"], str(file))
         for number, line in enumerate(lines[1:], 2):
@@ -123,9 +123,9 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
                 people[float(time)] = tuple(at and (float(at[0]), float(at[1])) for at in seen)
     except (RecursionError, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
-            "no recording of a world: %s" % error,
+            "not a recording of a world: %s" % error,
             file=str(file),
             line=number,
-            hint="world.launch writes one with record:=FILE",
+            hint="record one with world.launch record:=FILE",
         ) from None
     return RoomRecording(room, robots, tuple(moments), people)

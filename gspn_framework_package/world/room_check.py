@@ -66,7 +66,7 @@ def _check_location(
     radius = room.robot.radius
     if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:
         raise InputError(
-            "the area has no inside",
+            "the area has no interior",
             file=document.file,
             line=document.line((*where, "area")),
             element=path_text(where),

@@ -1,5 +1,5 @@
-"""Sets up PyBullet's window, for use with a display: shows the room from a corner, with the names
-of locations and robots."""
+"""Sets up Sets up PyBullet's window, for use with a display: shows the room from a corner, with the
+names of locations and robots."""
 
 from __future__ import annotations
 

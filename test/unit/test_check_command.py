@@ -109,9 +109,7 @@ def test_a_net_is_reported_as_a_net(tmp_path, capsys):
     assert main(["convert", _net(tmp_path), str(tmp_path / "net.pnml")]) == 0
     capsys.readouterr()
     assert main(["check", str(tmp_path / "net.pnml")]) == 2
-    assert (
-        "this is a net, not a plan (gspn analyse says what a net can do)" in capsys.readouterr().err
-    )
+    assert "this is a net, not a plan (use gspn analyse for a net)" in capsys.readouterr().err
     assert main(["run", str(tmp_path / "net.pnml")]) == 2
     assert "this is a net, not a plan" in capsys.readouterr().err
     (tmp_path / "broken.pnml").write_text("<pnml")

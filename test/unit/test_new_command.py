@@ -69,7 +69,7 @@ def test_the_tests_of_the_new_plans_pass(made):
 def test_it_refuses_a_folder_that_exists_and_leaves_it(tmp_path, capsys):
     (tmp_path / "mine").mkdir()
     assert main(["new", "patrol", str(tmp_path / "mine")]) == 2
-    assert "it exists already" in capsys.readouterr().err
+    assert "the folder exists already" in capsys.readouterr().err
     assert list((tmp_path / "mine").iterdir()) == []
 
 
@@ -81,7 +81,7 @@ def test_it_refuses_a_folder_that_exists_and_leaves_it(tmp_path, capsys):
         (["patrol", "--places", "A", "A"], "named twice"),
         (["patrol", "--places", "A", "../B"], "cannot be the name"),
         (["charge", "--places", "A", "B"], "has no places to choose"),
-        (["rendezvous", "--robots", "1"], "for 2 to 1000 robots"),
+        (["rendezvous", "--robots", "1"], "supports 2 to 1000 robots"),
     ],
 )
 def test_what_does_not_fit_is_refused_before_anything_is_written(tmp_path, capsys, options, said):

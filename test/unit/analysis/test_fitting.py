@@ -560,7 +560,7 @@ def test_a_folder_that_cannot_be_made_is_reported(recorded, capsys) -> None:
     taken = recorded / "log.jsonl"
     words = ["fit", str(recorded), str(taken), "-o", str(taken / "new")]
     assert main(words) == 2
-    assert "the folder cannot be made" in capsys.readouterr().err
+    assert "cannot create the folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -570,7 +570,7 @@ def test_a_folder_that_cannot_be_made_is_reported(recorded, capsys) -> None:
         ("plans/tokens", "log.jsonl", "another net"),
         (".", "plan.json", "not an event log"),
         (".", "missing.jsonl", "cannot be read"),
-        (".", "empty", "holds no event logs"),
+        (".", "empty", "contains no event logs"),
     ],
 )
 def test_wrong_input_is_reported_in_a_line(recorded, capsys, tmp_path, plan, log, message) -> None:

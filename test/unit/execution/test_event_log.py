@@ -176,7 +176,7 @@ def test_a_log_that_does_not_follow_is_not_replayed(tmp_path) -> None:
     unsummed(path)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:2] + lines[3:]))
-    with pytest.raises(LogError, match="slot 2 follows where slot 1 should"):
+    with pytest.raises(LogError, match="slot 2 follows instead of slot 1"):
         list(replay(read_log(str(path))))
     changed = json.loads(lines[2])
     changed["firings"] = []

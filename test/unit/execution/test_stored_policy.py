@@ -185,7 +185,7 @@ def test_a_header_that_names_no_proper_hash_is_refused(tmp_path) -> None:
     for name in ("../../etc/passwd", 7, "A" * 32, ""):
         first["plan"]["policy"] = {"hash": name}
         path.write_text(json.dumps({**first, "version": 1}) + "\n")
-        with pytest.raises(LogError, match="holds no plan"):
+        with pytest.raises(LogError, match="contains no plan"):
             assert read_log(str(path)).plan
 
 

@@ -29,7 +29,7 @@ from gspn_framework_package.model.errors import InputError, UsageError
 
 VERSION = tuple(int(part) for part in duckdb().__version__.split(".")[:2])
 KEPT = pytest.mark.skipif(
-    VERSION < OLDEST_FOR_SQL, reason="this DuckDB cannot be kept to the files of a store"
+    VERSION < OLDEST_FOR_SQL, reason="this DuckDB cannot be restricted to the files of a store"
 )
 
 
@@ -168,7 +168,7 @@ def test_lines_that_were_read_before_must_still_be_there(tmp_path: Path, store: 
     for _ in range(20):
         other.slot(2.0, log_entries.Pause("a"), log_entries.Resume("a"))
     (log,) = ingest(store, other.save(path))
-    assert "is no longer the log that was read up to line 7" in log.error
+    assert "has changed since it was read up to line 7" in log.error
     assert totals(store) == before
 
 
@@ -259,10 +259,10 @@ def test_a_duckdb_that_could_read_other_files_is_not_asked(store: Store) -> None
 
 def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
     for folder in (tmp_path / "nothing", tmp_path):
-        with pytest.raises(InputError, match="is no store"):
+        with pytest.raises(InputError, match="is not a store"):
             Store(str(folder))
     (tmp_path / "letter.txt").write_text("hello")
-    with pytest.raises(InputError, match="is no store"):
+    with pytest.raises(InputError, match="is not a store"):
         Store(str(tmp_path), create=True)  # a folder with other things stays as it is
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
 

@@ -26,7 +26,7 @@ def test_every_plan_through_every_format(name, tmp_path, capsys):
         net = read_net(plan / "net.xml")
         if name == "pnpro" and any(p.capacity is not None for p in net.places):
             net = capacities_as_inhibitors(net)  # GreatSPN has no capacities
-            notes.append("gspn: note: capacities are written as inhibitor arcs, which say the same")
+            notes.append("gspn: note: capacities are written as equivalent inhibitor arcs")
         first, second = tmp_path / "first.file", tmp_path / "second.xml"
         assert convert(plan / "net.xml", first, "--to", name) == 0
         assert convert(first, second) == 0
@@ -114,7 +114,7 @@ def test_wrong_usage_has_one_clear_message(words, message, tmp_path, capsys, mon
 )
 def test_plans_say_themselves_how_their_net_is_read(words, tmp_path, capsys):
     assert convert(PLANS / "measure", tmp_path / "n.xml", *words) == 2
-    assert "this is a plan, which has its own setting for it" in capsys.readouterr().err
+    assert "this is a plan, which has its own settings for that" in capsys.readouterr().err
 
 
 def test_every_format_has_its_own_endings():

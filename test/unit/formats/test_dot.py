@@ -119,7 +119,7 @@ def test_text_that_is_no_graph():
 
 
 def test_an_unknown_kind_of_picture():
-    with pytest.raises(UsageError, match="'gif' are not made"):
+    with pytest.raises(UsageError, match="'gif' is not supported"):
         dot.render("digraph {}", "gif")
 
 

@@ -361,7 +361,7 @@ def test_a_wrong_value_is_reported_in_words_with_its_name(name):
         ({"robots": {"r": 5}}, "robots.r", "5 is not text"),
         ({"robots": ["r"]}, "robots.0", '"r" is not an object'),
         ({"robots": [{"name": "r", "plcae": "P"}]}, "robots.0", "'plcae' was unexpected"),
-        ({"robots": 3}, "robots", "3 is none of what is possible: an object; a list"),
+        ({"robots": 3}, "robots", "3 is not one of the possible values: an object; a list"),
         (
             {"actions": {"P": {"server": "s", "gaol": {}}}},
             "actions.P",

@@ -135,7 +135,7 @@ def test_capacities_are_written_as_inhibitor_arcs(tmp_path):
         .build()
     )
     notes = write_net(net, tmp_path / "n.pnpro")
-    assert notes == ["capacities are written as inhibitor arcs, which say the same"]
+    assert notes == ["capacities are written as equivalent inhibitor arcs"]
     back = read_net(tmp_path / "n.pnpro")
     assert back.inhibitors == (((1, 2),),)
     for marking in [(2, 0), (2, 1), (2, 2), (2, 3), (0, 0)]:

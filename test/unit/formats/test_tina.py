@@ -64,7 +64,7 @@ def test_a_transition_may_be_told_twice(tmp_path):
         ("tr t a b", 1, "'->' was expected"),
         ("tr t a -> b (2)", 1, "'(2)' is not possible there"),
         ("tr", 1, "the name of a transition was expected"),
-        ("tr t a -> b?1", 1, "cannot test it"),
+        ("tr t a -> b?1", 1, "cannot be a test arc"),
         ("pl a (x)", 1, "cannot be read"),
         ("pl a (%s)" % ("9" * 40), 1, "a number of"),
         ("tr t a -> t", 1, "already taken"),

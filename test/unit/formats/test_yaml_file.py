@@ -69,9 +69,9 @@ def test_deep_nesting_is_refused_before_it_ends_the_process(opening: str) -> Non
         ("a: 1\nb: !!python/name:os.abort ''", 2, "tag '!!python/name:os.abort' is not plain"),
         ("a: 1\nb: !mine 2", 2, "tag '!mine' is not plain"),
         ("a: 1\na: 2", 2, "the key 'a' occurs twice"),
-        ("a: 1\nb: &b [*b]", 2, "holds itself"),
+        ("a: 1\nb: &b [*b]", 2, "contains itself"),
         ("a: 1\nb: 2026-13-45", 2, "is not a value of its kind"),
-        ("# nothing", None, "there is nothing in it"),
+        ("# nothing", None, "the file is empty"),
     ],
 )
 def test_a_refusal_has_the_line(text: Union[str, bytes], line: int, said: str) -> None:

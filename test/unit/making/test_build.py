@@ -53,9 +53,9 @@ def test_a_map_of_the_field(tmp_path):
         "edges from a node to itself are left out (1)",
         "left out: 1",
         "'robot_short & ~robot_tall' (1 times) is not applied",
-        "'obstacleFree_1' (2 times) is one for the run",
+        "'obstacleFree_1' (2 times) applies at run time",
         "no type for the action 'row_change'",
-        "no robot gets there: island",
+        "no robot can get there: island",
     ):
         assert said in notes
     assert {name for name in plan.actions if name.startswith("At_")} == {
@@ -231,7 +231,7 @@ def test_the_command_tells_what_it_made(tmp_path, capsys):
     done = json.loads(capsys.readouterr().out)
     assert done["robots"] == 2 and "plan_ros.json" in done["files"]
     assert main(["build", str(SITE), "--robots", "2", "-o", folder]) == 2
-    assert "the file exists already" in capsys.readouterr().err
+    assert "the folder exists already" in capsys.readouterr().err
 
 
 LEVELS = {"full": 0.2, "half": 0.2, "low": 0.2}

@@ -145,7 +145,7 @@ REFUSED = {
     "      action: {name: go}\n": (7, "not the name of an action", ""),
     "nodes:\n- meta: {pointset: a}\n  node: {name: A, pose: {position: {x: 0, y: 0}}}\n"
     "- meta: {pointset: b}\n  node: {name: A, pose: {position: {x: 0, y: 0}}}\n": (
-        5, "the node 'A' is there twice", "give each a map of its own"),
+        5, "the node 'A' is there twice", "make a separate map of each"),
     "nodes:\n- meta:\n    tag: {a: b}\n  node: {name: A, pose: {position: {x: 0, y: 0}}}\n": (
         3, "not a list of tags", ""),
     "nodes:\n- node:\n    name: A\n    pose:\n      position: {x: 0, y: 0}\n      orientation: {w: up}\n": (
@@ -276,7 +276,7 @@ def test_robots_of_several_types_keep_to_their_part_of_the_map(tmp_path: Path) -
 def test_a_way_that_leads_nowhere_back_is_noted(tmp_path: Path) -> None:
     look = {"tasks": {"Look": {"at": ["A", "B"], "seconds": 1.0}}}
     assert built(tmp_path, two({}), look).notes[-1] == (
-        "no way leads back from B to A, where a task or a dock is"
+        "there is no way back from B to A, where there is a task or a dock"
     )
     both = two({}, nodes=[entry("A", 0.0, {"node": "B"}), entry("B", 4.0, {"node": "A"})])
     assert built(tmp_path, both, look).notes == []

@@ -105,7 +105,7 @@ def test_the_hazard_is_finite_far_out_in_the_tail():
         ({"mean": 1, "distribution": "gamma"}, "'shape' is missing"),
         ({"distribution": "uniform", "low": 2, "high": 2}, "is not below high"),
         ({"distribution": "uniform", "low": 1, "high": 3, "mean": 9}, "the mean is given as 9"),
-        ({"distribution": "empirical", "quantiles": [2, 1]}, "do not rise"),
+        ({"distribution": "empirical", "quantiles": [2, 1]}, "do not increase"),
         (
             {
                 "distribution": "hyper-erlang",

@@ -209,7 +209,7 @@ def test_a_check_that_fails_shows_the_course_of_the_run() -> None:
         run.check_not_fired("low", "take")
     with pytest.raises(AssertionError, match="the run does not end within 5 s"):
         run.to_end(within=5.0)
-    with pytest.raises(AssertionError, match="Orders >= 2 does not come true"):
+    with pytest.raises(AssertionError, match="Orders >= 2 does not become true"):
         run.until("Orders >= 2", within=5.0)
 
 
@@ -229,7 +229,7 @@ def test_mistakes_of_a_test_are_reported() -> None:
         with pytest.raises(GspnError):
             mistake()
     run.advance(10.0)
-    with pytest.raises(UsageError, match="5 s is over"):
+    with pytest.raises(UsageError, match="5 s is in the past"):
         run.submit("order", at=5.0)
 
 

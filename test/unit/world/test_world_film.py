@@ -120,14 +120,14 @@ def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(recording):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("", "no recording"),
-        ("{}\n", "no recording"),
-        ('{"format": "other", "robots": [], "room": ""}\n', "its format is 'other'"),
+        ("", "not a recording"),
+        ("{}\n", "not a recording"),
+        ('{"format": "other", "robots": [], "room": ""}\n', "the format is 'other'"),
         (json.dumps({"format": "gspn_world_1", "robots": ["a"], "room": "walls: 1"}), "run.jsonl"),
         (
             json.dumps({"format": "gspn_world_1", "robots": ["a"], "room": ROOM_TEXT})
             + "\n[0.1, [[0,0,0],[1,1,0]]]\n",
-            "run.jsonl:2: no recording of a world: 2 poses of 1 robots",
+            "run.jsonl:2: not a recording of a world: 2 poses of 1 robots",
         ),
     ],
 )
@@ -182,8 +182,8 @@ def test_a_film_file_has_all_pictures(kind, tmp_path):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["film.avi"], "not a kind of film"),
-        (["/no/such/folder/film.gif"], "no such folder"),
+        (["film.avi"], "not a film format"),
+        (["/no/such/folder/film.gif"], "the folder does not exist"),
         (["pictures", "--size", "huge"], "--size"),
         (["pictures", "--speed", "0"], "argument --speed: '0' is not a number above 0"),
         (["pictures", "--recording", "/no/such/file"], "cannot read the recording"),

@@ -86,9 +86,9 @@ def refusal(text):
             "spawn[0]: a robot does not fit there",
         ),
         ("spawn:\n", "spawn:\n  - [3, 0]\n", 14, "spawn[1]: no way leads from there to spawn[0]"),
-        ("[[-0.5, -0.5], [0.5, 0.5]]", "[[0.5, 0.5], [-0.5, -0.5]]", 6, "no inside"),
+        ("[[-0.5, -0.5], [0.5, 0.5]]", "[[0.5, 0.5], [-0.5, -0.5]]", 6, "no interior"),
         ("spawn:", "name: again\nspawn:", 12, "the key 'name' occurs twice"),
-        ("name: small", "name: &n [*n]", 1, "an alias that holds itself"),
+        ("name: small", "name: &n [*n]", 1, "an alias that contains itself"),
         ("name: small", "name: *n", 1, "undefined alias"),
         ("name: small", "name: !!python/object/apply:os.abort []", 1, "not plain data"),
         ("name: small", "name: 2026-13-45", 1, "not YAML"),
@@ -133,8 +133,8 @@ def test_a_bad_addition_is_refused_with_its_line(more, words):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("", "there is nothing in it"),
-        ("# to do\n", "there is nothing in it"),
+        ("", "the file is empty"),
+        ("# to do\n", "the file is empty"),
         ("hello", "'hello' is not a mapping"),
         ("- 1", "is not a mapping"),
         ("name: x\nwalls: " + "[" * 5000 + "]" * 5000, "nested too deeply"),
