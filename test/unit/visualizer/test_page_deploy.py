@@ -99,7 +99,7 @@ def test_a_run_goes_on_under_the_plan_that_is_deployed(client):
         ("renamed.json", {"map": ["A"]}, "'map' must be an object"),
         ("broken.json", {}, "none"),
         ("partial.json", {}, "it changes 'synchronisation'"),
-        ("none.json", {}, "the file does not exist"),
+        ("none.json", {}, "there is no such file"),
         ("../four.json", {}, "only files of the served folder"),
         ("renamed.json", {"run": "another"}, "the order is for run 'another'"),
     ],
