@@ -4,6 +4,7 @@ and none at all."""
 from __future__ import annotations
 
 import random
+from typing import Any, Dict, Mapping, Tuple
 
 ROUNDS = 4
 """Rounds of the loop in one action."""
@@ -26,6 +27,13 @@ def brief(is_cancelled) -> str:  # type: ignore[no-untyped-def]
     """Take about a tenth of a second: the team is busy but not overloaded."""
     is_cancelled.wait(random.uniform(0.05, 0.15))
     return ""
+
+
+def noting(is_cancelled: Any, data: Mapping[str, Any]) -> Tuple[str, Dict[str, Any]]:
+    """Take as long as :func:`brief`, and count the robot's actions, in its data and the team's."""
+    brief(is_cancelled)
+    count = int(data.get("robot.count", 0)) + 1
+    return "", {"robot.count": count, "team.count": count}
 
 
 def short(is_cancelled) -> str:  # type: ignore[no-untyped-def]

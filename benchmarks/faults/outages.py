@@ -4,8 +4,8 @@ Run by :mod:`.main` (``--outages ROUNDS``), so many rounds in one team. That the
 restarted is told to the nodes by another id of their boot; a loss of power is SIGKILL to all at
 once, after which every log is cut somewhere behind what had been synced. In turn:
 
-- the team rests, and ends in order: it goes on where it was;
-- the team rests, its logs are synced, and the power fails: it goes on where it was;
+- the team rests, and ends in order: it goes on where it was, with its tasks and data;
+- the team rests, its logs are synced, and the power fails: it goes on where it was, likewise;
 - the power fails while it works: it goes on from what was synced;
 - the power fails, and one machine stays off: the others wait and say so, until the operator has
   them go on; then the last one comes back.
@@ -25,16 +25,50 @@ from benchmarks.faults.team import FaultyTeam, require
 from benchmarks.harness.log_tail import LogTail
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.log_damage import BOOT_ID
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier.merge import Merged
 from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.model.plan import Synchronisation
+from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation
 
 MOVES = 3
 """Moves of each robot that show that the team goes on."""
 
+NOTING = "benchmarks.load.noting"
+
 Position = Tuple[int, str]
 """The number of a slot, and its hash, which covers all slots up to it."""
+
+
+def couriers() -> Plan:
+    """Robots fetch an order where there is one, and bring it away; each action writes data."""
+    net = (
+        NetBuilder("couriers")
+        .place("Home", 1)
+        .place("Shop")
+        .place("Way")
+        .place("Orders", capacity=20)
+        .exponential("order", rate=1, outputs="Orders")
+        .exponential("go", rate=1, inputs="Home", outputs="Shop")
+        .immediate("fetch", inputs=["Shop", "Orders"], outputs="Way")
+        .immediate("return", inputs="Shop", outputs="Home")
+        .exponential("bring", rate=1, inputs="Way", outputs="Home")
+        .build()
+    )
+    return Plan(
+        net,
+        name="couriers",
+        actions={"Shop": None, **{p: FunctionAction(NOTING, p) for p in ("Home", "Way")}},
+        resource_places=frozenset(["Orders"]),
+        robots=(RobotSpec("robot_1", "Home"),),
+        spawn=("Home",),
+        events={"order": EventSource("/orders", "std_msgs/String", json="data")},
+        tasks=Tasks(("Orders",), ("bring",)),
+        on_evict={"Way": {"Orders": 1}},
+    ).validate()
 
 
 class Outages:
@@ -56,7 +90,8 @@ class Outages:
         self.injected: Counter[str] = Counter()
         self._boots = 0
         self._boot()
-        self.team = FaultyTeam(robots, mode, 0.0)
+        self._tasks = 0
+        self.team = FaultyTeam(robots, mode, 0.0, couriers())
 
     def _boot(self) -> None:
         self._boots += 1
@@ -132,7 +167,8 @@ class Outages:
     # -- steps -------------------------------------------------------------------------------------
 
     def _rest(self) -> List[Any]:
-        """Pause the team; returns where everybody and everything is, and what everybody knows."""
+        """Give the team tasks, and pause it; returns where everybody and everything is."""
+        self._submit()
         self.team.rest()
         return self._where()
 
@@ -144,12 +180,25 @@ class Outages:
             lambda: all(s["synced_length"] >= length for s in team.statuses().values()),
             "all logs to be synced",
         )
+        self._submit()
         team.wait_for_moves(team.robots, self._random.randint(1, MOVES))
+
+    def _submit(self) -> None:
+        """Give every robot a few tasks."""
+        for name in self.team.robots:
+            for _ in range(MOVES):
+                self._tasks += 1
+                task = json.dumps({"transition": "order", "id": "o%d" % self._tasks})
+                self.team.wait(
+                    lambda: not self.team.order("submit", at=name, argument=task),  # noqa: B023
+                    "%s to take a task" % name,
+                )
 
     def _where(self) -> List[Any]:
         status = next(iter(self.team.statuses().values()))
         robots = [[r["robot"], r["place"], r["visit"]] for r in status["robots"]]
-        return [status["marking"], robots, status["paused"]]
+        where = [status["marking"], robots, status["paused"]]
+        return [where, *(cargo(read_log(self.team.log_file(name))) for name in self.team.robots)]
 
     def _is_as_before(self, before: List[Any]) -> None:
         team = self.team
@@ -193,6 +242,17 @@ class Outages:
         self.team.logs[name] = LogTail(path)
         kept = [json.loads(line) for line in data[:synced].splitlines()]
         return [(r["slot"], r["hash"]) for r in kept if r["kind"] == "slot"][-1:]
+
+
+def cargo(log: EventLog) -> List[Any]:
+    """The tasks and data at the end of a log."""
+    state: Any = None
+    for slot in replay(log):
+        state = slot.state
+    queues = {p: [task.id for task in queue] for p, queue in state.queues.items() if queue}
+    known = {t: sorted(tasks) for t, tasks in state.known.items()}
+    robots = {r.name: [r.data, r.task and r.task.id] for r in state.robots.values()}
+    return [queues, [task.id for _, task in state.submitted], known, state.data, robots]
 
 
 def check_kept(logs: Sequence[EventLog], kept: Mapping[str, Position]) -> None:
