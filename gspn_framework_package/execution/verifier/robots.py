@@ -195,6 +195,9 @@ class RobotCheck:
             elif kind == "offered":
                 entry = record["entry"]
                 self._offered.add((entry["transition"], entry["id"]))
+            if given_up and kind == "slot":  # the team had these tasks, and lost them with the slot
+                submits = (e for e in record["entries"] if e["entry"] == "submit")
+                self._offered -= {(e["transition"], e["id"]) for e in submits}
             if not given_up:
                 self._compare(record, known)
             elif kind in ("invoked", "private"):  # until it forgets, its log is another one

@@ -246,3 +246,22 @@ def test_a_robot_that_waits_for_an_event_costs_the_others_no_slots() -> None:
     for result in ("ab", "ba", "ab"):
         world.done("r1", result)
     assert world.length() == slots
+
+
+def test_a_task_that_was_given_up_with_its_slot_is_not_missed() -> None:
+    """r1 alone is a quorum and takes a task in. Then it stops, and the operator goes on without
+    what it knew."""
+    world = team()
+    world.given_up = True
+    world.blocked |= {("r1", "r2"), ("r2", "r1")}
+    world.submit("r1", 1)
+    assert len(world.entries("submit")) == 1
+    world.nodes["r1"].crash()
+    world.nodes["r2"].give(interface.ForceEvict("off", "r1"))
+    world.run(world.now + 1)
+    world.blocked.clear()
+    world.nodes["r1"].start()
+    world.acting = False
+    assert world.run(world.now + 6, world.has_settled)
+    logs = [EventLog(d.header["log"], d.header, d.records(), world.plan) for d in world.logs()]
+    assert verify(logs, settled=True).violation is None
