@@ -14,12 +14,13 @@ import hashlib
 import importlib
 import importlib.machinery
 import importlib.util
+import itertools
 import os
 import re
 import sys
 import threading
 from types import ModuleType
-from typing import Any, Dict, Iterable, Mapping, Optional, Set, Tuple
+from typing import Any, Dict, Iterable, Mapping, Optional, Tuple
 
 from gspn_framework_package.formats.source import is_inside
 from gspn_framework_package.model.errors import PlanError, UsageError
@@ -257,9 +258,12 @@ def _forget_changed(folder: str) -> None:
     importlib.invalidate_caches()
 
 
-def _remember_files(folder: str, before: Set[str]) -> None:
-    """Remember the state of the files of modules that were just imported from a plan's folder."""
-    for name in set(sys.modules) - before:
+def _remember_files(folder: str, loaded: str) -> None:
+    """Remember the state of the files that the module ``loaded`` imported from a plan's folder.
+
+    Only the modules after it are looked at: in a forked robot, a look at all of them would copy
+    most pages that it shares with the others."""
+    for name in list(itertools.takewhile(lambda name: name != loaded, reversed(sys.modules))):
         file = getattr(sys.modules[name], "__file__", None)
         root = getattr(sys.modules.get(name.partition(".")[0]), "__file__", None)
         if not file or not root or name.partition(".")[0] == __name__.partition(".")[0]:
@@ -287,22 +291,20 @@ def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, file, loader=_FromSource(name, file))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    before, stamp = set(sys.modules), _stamp(file)
+    stamp, whole = _stamp(file), False
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
+        whole = True
     except PlanError as error:
-        del sys.modules[name]
         raise error.located(file=file) from None
     except Exception as error:
-        del sys.modules[name]
         raise _import_failed(error, file, element) from error
-    except BaseException:  # it is incomplete as well
-        del sys.modules[name]
-        raise
     finally:
-        _remember_files(folder, before)
-        if name in sys.modules and stamp is not None:
+        _remember_files(folder, name)
+        if not whole:
+            del sys.modules[name]
+        elif stamp is not None:
             _stamps[name] = folder, file, stamp
     return module
 

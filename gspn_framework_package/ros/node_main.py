@@ -9,6 +9,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Callable, Dict, List, Sequence, Tuple
 
+import rosgraph
 import rospy
 
 from gspn_framework_package.execution.plan_modules import allow_modules, names_of
@@ -225,6 +226,7 @@ def _fork(options: NodeOptions) -> int:
 
     plan.hash()
     share_log_configuration()
+    rosgraph.network.get_local_addresses()  # rosgraph keeps them
     members = []
     for robot, namespace in namespaces.items():
         members.append(_member(plan, robot, namespace, "executor", options, _run_robot))

@@ -155,7 +155,7 @@ class Reactions:
         elif order_id:
             team, net = state.ledger.state, state.ledger.game.net
             here = [text for text in team.tasks_left(net) if text.startswith(task.id + " ")]
-            where = "it is " + here[0][len(task.id) + 1 :] if here else "it is no more"
+            where = "it is " + here[0][len(task.id) + 1 :] if here else "the team no longer has it"
             text = "the task was submitted before and is not taken again: %s" % where
             self.outbox.order_result(order_id, True, text)
         return ""

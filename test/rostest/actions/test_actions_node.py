@@ -540,7 +540,7 @@ class ActionsTest(unittest.TestCase):
         server.server.status_list = []  # as after a restart
         ended = robot.ended.get(timeout=20)
         self.assertEqual(ended.outcome, "server died")
-        self.assertIn("does not know the goal", ended.detail)
+        self.assertIn("no longer knows the goal", ended.detail)
 
     def test_a_goal_is_sent_once_and_its_late_result_is_reported(self):
         # The topics of a server, and a status that never lists a goal.
@@ -569,7 +569,9 @@ class ActionsTest(unittest.TestCase):
         )
         ended = robot.do("P1")
         self.assertEqual(ended.outcome, "lost")
-        self.assertIn("within 0.9 s that it has the goal (~acknowledgement_timeout)", ended.detail)
+        self.assertIn(
+            "did not acknowledge the goal within 0.9 s (~acknowledgement_timeout)", ended.detail
+        )
         wait_for(lambda: cancelled, what="the request to cancel it")
         goal = goals.get(timeout=20)
         self.assertEqual(parse_goal_id(goal.goal_id.id).robot, "robot_1")

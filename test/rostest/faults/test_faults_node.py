@@ -271,7 +271,7 @@ class FullTest(Faults, RobotTestCase):
             (robot,) = [r for r in team["first"].status()["robots"] if r["robot"] == "first"]
             return robot["waits_for"]
 
-        for victim, why in (("decides", "no policy row applies"), ("measures", "lets it wait")):
+        for victim, why in (("decides", "no policy row applies"), ("measures", "makes it wait")):
             wait_for(lambda why=why: why in reason(), 40, "a robot at the gate: " + why)
             self.assertEqual(team.transitions(), [])
             team[victim].kill()

@@ -183,7 +183,7 @@ class Reacting(RobotTestCase):
         wait_for(lambda: self.told("robot_1", "delivers", "mine"), what="the delivery")
         code, output = gspn("submit", "order", "--id", "mine", "--json")
         self.assertEqual(code, 0, output)
-        self.assertIn("it came before", json.loads(output)["message"])
+        self.assertIn("was submitted before", json.loads(output)["message"])
         code, output = gspn("submit", "finish")
         self.assertEqual(code, 1, output)
         self.assertIn("'finish' does not take tasks", output)
