@@ -55,4 +55,4 @@ def test_an_edited_plan_is_deployed_to_the_run(serve_folder, open_page, tmp_path
     site.session("file-three.json").command("stop", {})
     page.click("dialog button:has-text('Close')")
     page.click("#ed-deploy")
-    page.wait_for_selector("text=no run is shown that could take the plan")
+    page.wait_for_selector("text=there is no run that could take the plan")

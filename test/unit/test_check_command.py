@@ -191,7 +191,7 @@ def test_all_commands_refuse_a_plan_that_would_end_at_once(tmp_path, capsys):
     (tmp_path / "plan.json").write_text(json.dumps({**data, "actions": {"P": None, "Q": None}}))
     plan, log = str(tmp_path), str(tmp_path / "run.jsonl")
     assert main(["check", plan]) == 1
-    assert "P, Q, and pass at once: give one of these places an action" in capsys.readouterr().out
+    assert "P, Q and pass at once: give one of these places an action" in capsys.readouterr().out
     assert main(["run", plan]) == 1
     assert main(["simulate", plan, "--time", "5"]) == 1
     assert main(["simulate", plan, "--time", "5", "--log", log]) == 1

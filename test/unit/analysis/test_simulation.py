@@ -175,7 +175,7 @@ def test_a_dead_marking_is_kept_until_the_end():
         ({"time": 10, "replications": 0}, UsageError, "replications"),
         ({"time": 10, "confidence": 1}, UsageError, "confidence"),
         ({"until": "nowhere > 1"}, ExpressionError, "no place 'nowhere'"),
-        ({"until": "left1 > 1"}, RefusedError, "stays in .* without end"),
+        ({"until": "left1 > 1"}, RefusedError, "stays in .* forever"),
     ],
 )
 def test_what_makes_no_sense(options, error, message):
