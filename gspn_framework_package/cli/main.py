@@ -2,7 +2,7 @@
 
 A verb is a module with ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
 :data:`VERB_GROUPS`, or an order to a team. Only the module of the requested verb is imported, so
-    that ``gspn --help`` and simple verbs start quickly.
+that ``gspn --help`` and simple verbs start quickly.
 
 Exit codes: 0 the answer is yes, 1 the answer is no or a plan was refused, 2 the input or the usage
 is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has exited.

@@ -6,36 +6,45 @@ separate file, see ``stored_policy``). Every other line is a *record*: a JSON ob
 ``kind``, its fields, the wall clock (``wall``, seconds since 1970) and a monotonic clock (``mono``,
 seconds, comparable between the processes of one host). Kinds:
 
-============== ====================================================================================
-``slot`` a slot of the agreed log: ``slot``, ``entries``, ``origins`` (each entry's robot,
-incarnation and sequence number; empty in a local log), the ``firings`` that followed, ``hash`` (of
-the chain), ``ballot`` if a team agreed on it ``snapshot`` the state after slot ``slot``, taken over
-from a peer or kept as a starting point: ``state``, ``seen`` (origin -> newest entry), ``logs``
-(robot -> the log with which it was admitted), ``cast_out`` (robot -> slot of its eviction by
-force), ``hash`` ``reset`` earlier records no longer count (``why``); the robot gets the log from
-the others, and its log has the id ``log`` from here on; ``keep`` if the slots count, ``damaged`` if
-the log was, and its whole file is kept elsewhere ``outage`` the machine lost power, so records may
-be missing here (``why``); earlier records count, and the log has the id ``log`` from here on
-``synced`` the first ``bytes`` bytes of the file, with ``length`` slots, are on the disk ``closed``
-the process shut down properly, and everything before is on the disk ``active`` this replica takes
-part from now on ``life`` the node started: ``incarnation``; ``joining`` if it was not in the first
-team; ``host`` as in the header; ``fsync``: whether the log is synced to the disk ``promised``
-acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later; ``torn`` if the slot
-needs the votes of all (robot whose log lost its end -> the ids of its log and of those that it
-continues) ``accepted`` acceptor: accepted ``batch`` under ``ballot`` in ``slot``; ``torn`` as above
-``invoked`` a proposal of this robot for the log: ``entry``, ``origin`` ``offered`` a task reached
-this robot and waits to get into the log: ``entry`` ``order`` an operator gave this robot an order:
-``command``, ``robot``, ``argument`` (shortened), ``operator`` (its name) and ``proof`` (how the
-name was authenticated) ``void`` an ``invoked`` proposal can no longer take effect (``why``)
-``private`` partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
-``firing`` ``goal`` the goal of an action is sent: ``place``, ``incarnation``, ``visit``,
-``attempt``; if the action reads data, ``reads``, a digest of it, and ``resumed_from`` as in
-                :class:`~gspn_framework_package.execution.firing.StartAction` ``cancel`` the goals
-of visits up to ``visit`` are void ``peer`` first contact with a robot: ``robot``, ``log`` (the id
-of its log); or, with ``torn``, its log lost its end: the ids of the logs that this one continues
-``forced`` the operator asserts that these ``robots`` (robot -> incarnation) are off ``ended`` the
-run is over: ``reason``, ``finished`` ==============
-====================================================================================
+==============  ====================================================================================
+``slot``        a slot of the agreed log: ``slot``, ``entries``, ``origins`` (each entry's
+                robot, incarnation and sequence number; empty in a local log), the
+                ``firings`` that followed, ``hash`` (of the chain), ``ballot`` if a team agreed on
+                it
+``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
+                ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which
+                it was admitted), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
+``reset``       earlier records no longer count (``why``); the robot gets the log from the others,
+                and its log has the id ``log`` from here on; ``keep`` if the slots count,
+                ``damaged`` if the log was, and its whole file is kept elsewhere
+``outage``      the machine lost power, so records may be missing here (``why``); earlier records
+                count, and the log has the id ``log`` from here on
+``synced``      the first ``bytes`` bytes of the file, with ``length`` slots, are on the disk
+``closed``      the process shut down properly, and everything before is on the disk
+``active``      this replica takes part from now on
+``life``        the node started: ``incarnation``; ``joining`` if it was not in the first team;
+                ``host`` as in the header; ``fsync``: whether the log is synced to the disk
+``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later; ``torn``
+                if the slot needs the votes of all (robot whose log lost its end -> the ids of
+                its log and of those that it continues)
+``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``; ``torn`` as above
+``invoked``     a proposal of this robot for the log: ``entry``, ``origin``
+``offered``     a task reached this robot and waits to get into the log: ``entry``
+``order``       an operator gave this robot an order: ``command``, ``robot``, ``argument``
+                (shortened), ``operator`` (its name) and ``proof`` (how the
+                name was authenticated)
+``void``        an ``invoked`` proposal can no longer take effect (``why``)
+``private``     partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
+                ``firing``
+``goal``        the goal of an action is sent: ``place``, ``incarnation``, ``visit``, ``attempt``;
+                if the action reads data, ``reads``, a digest of it, and ``resumed_from`` as in
+                :class:`~gspn_framework_package.execution.firing.StartAction`
+``cancel``      the goals of visits up to ``visit`` are void
+``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log); or, with
+                ``torn``, its log lost its end: the ids of the logs that this one continues
+``forced``      the operator asserts that these ``robots`` (robot -> incarnation) are off
+``ended``       the run is over: ``reason``, ``finished``
+==============  ====================================================================================
 
 ``kill -9`` may truncate the last line. Nothing that depends on that line has left the process, so
 readers drop it, and a writer that resumes the file removes it first. What is in this file reads

@@ -92,7 +92,7 @@ def gather(
         difference = net_difference(reference, file.plan)
         if difference:
             raise LogError(
-                "it is a log of another net than that of %s: %s" % (whose, difference),
+                "its net differs from that of %s: %s" % (whose, difference),
                 file=path,
                 hint="give logs of runs of the same net only",
             )

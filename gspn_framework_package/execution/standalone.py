@@ -456,7 +456,7 @@ class StandaloneExecutor:
             more = (
                 ""
                 if self._fired == limit
-                else "  (%d fired, because an event may cause several)" % self._fired
+                else " (%d fired, because an event may cause several)" % self._fired
             )
             self._reduce([log_entries.Stop("the limit of %s firings%s" % (limit, more))])
 
@@ -782,7 +782,7 @@ class StandaloneExecutor:
             command.incarnation,
             command.visit,
             command.attempt,
-            reason,
+            reason.value,
             detail[:500],
         )
 

@@ -424,7 +424,7 @@ class VirtualRun:
 def failed(command: StartAction, reason: Outcome, detail: str) -> log_entries.Failed:
     """Make the entry of an attempt that failed."""
     return log_entries.Failed(
-        command.robot, command.incarnation, command.visit, command.attempt, reason, detail
+        command.robot, command.incarnation, command.visit, command.attempt, reason.value, detail
     )
 
 

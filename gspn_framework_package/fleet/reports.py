@@ -129,7 +129,8 @@ def moments(store: Store, question: Question) -> List[Dict[str, Any]]:
     A row has ``day``, ``happened``, ``run``, ``slot``, ``robot``, ``place``, ``kind`` ("wait" for a
     wait) and ``detail``.
 
-    :param question: its groups are ignored. :raises UsageError: the question is invalid.
+    :param question: its groups are ignored.
+    :raises UsageError: the question is invalid.
     """
     question.check()
     where, values = question.where()

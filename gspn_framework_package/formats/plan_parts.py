@@ -1,7 +1,7 @@
 """A plan as written: its JSON object, its net and its policy, and their files.
 
 :func:`~gspn_framework_package.formats.plan_file.read_plan` combines them, replacing references to
-    subnets by the subnets. An editor needs the parts as they are in the files.
+subnets by the subnets. An editor needs the parts as they are in the files.
 """
 
 from __future__ import annotations

@@ -195,7 +195,10 @@ class YamlDocument:
 
 
 def read_yaml(path: str) -> YamlDocument:
-    """Read a YAML file. :raises InputError: it cannot be read, or as :class:`YamlDocument`."""
+    """Read a YAML file.
+
+    :raises InputError: it cannot be read, or as :class:`YamlDocument`.
+    """
     return YamlDocument(read_bytes(path), path)
 
 

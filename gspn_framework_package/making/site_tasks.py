@@ -59,8 +59,8 @@ class SiteTasks(NamedTuple):
     :ivar edges: (node, node) -> capacity and seconds that the file gives that edge, in both
         directions; a capacity of None is any number.
     :ivar node_capacity: how many robots may be in a node by default; None for any number.
-    :ivar nodes: node -> how many robots may be there; None for any number. :ivar groups: the groups
-    of mutual exclusion, including the map's.
+    :ivar nodes: node -> how many robots may be there; None for any number.
+    :ivar groups: the groups of mutual exclusion, including the map's.
     :ivar battery: level, from full to low -> probability that it ends on an edge; empty: robots do
         not need to charge.
     :ivar docks: node -> how many robots can charge there at a time.

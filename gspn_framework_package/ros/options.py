@@ -159,8 +159,8 @@ def launched_file(given: str, parameter: str) -> str:
     roslaunch runs nodes in a different folder.
 
     :param given: the value of the parameter.
-    :param parameter: the name of the parameter, for messages. :raises UsageError: the file is in
-    neither folder.
+    :param parameter: the name of the parameter, for messages.
+    :raises UsageError: the file is in neither folder.
     """
     path = os.path.expanduser(given)
     shell = os.environ.get("PWD", "")

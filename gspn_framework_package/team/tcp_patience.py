@@ -23,7 +23,8 @@ class SilenceLimit:
     """Sets the option on the sockets of this process that listen at one of the ports (accepted
     sockets inherit it) or are connected to one.
 
-    :param listens: local ports. :param connects: remote ports.
+    :param listens: local ports.
+    :param connects: remote ports.
     """
 
     def __init__(self, listens: Iterable[int] = (), connects: Iterable[int] = ()) -> None:

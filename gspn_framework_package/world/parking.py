@@ -17,8 +17,8 @@ from gspn_framework_package.world.room import Pose
 class Park:
     """Drives the robot to a free slot, unless it is already in one.
 
-    :param slots: poses ``[x, y, yaw]`` in the map, in metres and radians. :param radius: radius of
-    a robot, in metres.
+    :param slots: poses ``[x, y, yaw]`` in the map, in metres and radians.
+    :param radius: radius of a robot, in metres.
     """
 
     def __init__(self, slots: Sequence[Sequence[float]], radius: float = 0.105) -> None:

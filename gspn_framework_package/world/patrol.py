@@ -162,7 +162,8 @@ def park(
 ) -> Generator[str, None, None]:
     """Drive to a free slot of a bay, unless the robot stands in one already.
 
-    :param first: the slot that it tries first. :param radius: radius of a robot, in metres.
+    :param first: the slot that it tries first.
+    :param radius: radius of a robot, in metres.
     :raises ActionFailed: no slot can be reached.
     """
     here = robot.pose()

@@ -69,7 +69,8 @@ class CustomerOrder:
 class Shop:
     """The customers and the batteries.
 
-    :param settings: an object that fits :data:`_SCHEMA`. :param seed: seed of all random numbers.
+    :param settings: an object that fits :data:`_SCHEMA`.
+    :param seed: seed of all random numbers.
     :param run: prefix of the ids of the orders.
 
     :ivar ordered: the ids of all orders so far.

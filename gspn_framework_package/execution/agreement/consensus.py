@@ -16,8 +16,8 @@ Only one slot is open at a time; throughput comes from batching.
 
 Owns the ballots, votes and the running attempt of the open slot (the fields of consensus in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`). Asks the electorate who
-    may decide and the proposals what to propose, writes and sends through the outbox, and passes
-    chosen batches to the log (:class:`ConsensusLog`).
+may decide and the proposals what to propose, writes and sends through the outbox, and passes
+chosen batches to the log (:class:`ConsensusLog`).
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ class LocalRobot:
             return
         entry: log_entries.Entry
         if isinstance(given, interface.AttemptFailed):
-            entry = log_entries.Failed(self.config.name, *goal, given.reason, given.detail)
+            entry = log_entries.Failed(self.config.name, *goal, given.reason.value, given.detail)
         else:
             result = given.result if given.result not in (None, "None") else ""
             assert self.state.position is not None  # _report has checked this

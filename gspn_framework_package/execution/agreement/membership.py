@@ -464,8 +464,9 @@ class Membership:
         all of that quorum.
 
         :param owner: the robot whose log may be given up.
-        :param one: the forced evictions in that log: robot -> slot of the last one. :param length:
-        the number of slots of that log. :param other: the forced evictions in the other log.
+        :param one: the forced evictions in that log: robot -> slot of the last one.
+        :param length: the number of slots of that log.
+        :param other: the forced evictions in the other log.
         """
         by_one = {robot for robot, slot in one.items() if slot > other.get(robot, -1)}
         by_other = {robot for robot, slot in other.items() if slot > one.get(robot, -1)}

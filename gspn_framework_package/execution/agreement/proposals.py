@@ -222,7 +222,7 @@ class ProposalQueue:
             ones are known.
         :param unasked: members, as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.ends_life`: the
-                slot must contain the entries that end their lives.
+            slot must contain the entries that end their lives.
         :param accepted: items that come first, since they have been voted for.
         """
         held = {i.origin for i in accepted}
@@ -254,8 +254,8 @@ class ProposalQueue:
         after it noted the assertion.
 
         :param frozen: see :meth:`batch`.
-        :param accepted: a batch that was accepted before, if any. :param voters: the robots that
-        promised.
+        :param accepted: a batch that was accepted before, if any.
+        :param voters: the robots that promised.
         :param by_all: as in
             :meth:`~gspn_framework_package.execution.agreement.electorate.Electorate.may_decide`.
         """

@@ -5,7 +5,7 @@ it.
 Owns the timers of the open slot (the fields of proposer in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`) and drives the
 :class:`~gspn_framework_package.execution.agreement.consensus.Consensus`. Reads the proposals and
-    the electorate, and sends messages through the outbox.
+the electorate, and sends messages through the outbox.
 """
 
 from __future__ import annotations

@@ -58,7 +58,8 @@ class Replica:
     :param damage: what was damaged in our log, "" for nothing; ``records`` is then the intact part
         before it, our votes do not count, and we join like a robot that lost its log.
 
-    :ivar config: its configuration. :ivar state: its state.
+    :ivar config: its configuration.
+    :ivar state: its state.
     """
 
     def __init__(

@@ -103,7 +103,8 @@ def _check_text(text: str) -> None:
 def read_back(document: JsonObject, path: str) -> None:
     """Check that a document is a readable plan.
 
-    :param path: its future location. :raises GspnError: it is not.
+    :param path: its future location.
+    :raises GspnError: it is not.
     """
     try:
         plan_of_document(document, path)

@@ -114,6 +114,6 @@ def test_what_is_no_comparison_is_refused(plans, tmp_path, capsys):
     if not net.exists():
         net = next((Path(__file__).parents[3] / "plans").rglob("*.xml"))
     assert main(["simulate", str(net), "--rates", "nominal", "--time", "5"]) == 2
-    assert "apply only to plans" in capsys.readouterr().err
+    assert "are for plans" in capsys.readouterr().err
     assert compare((str(net), plans[1]), *TRIPS) == 2
     assert "this is a net" in capsys.readouterr().err

@@ -59,7 +59,7 @@ def test_an_event_is_no_outcome_of_the_action():
     assert PlanTiming(guards()).places[work].duration == Duration.exponential(1.0)
     assert timing.events[work] == (net.transition_index["low"],)
     assert guards().of_action(work) == (finish,)
-    assert any("the events low come at the rates" in text for text in timing.assumptions)
+    assert any("the events low occur at the rates" in text for text in timing.assumptions)
 
 
 def waiting_for_a_partner(event=EVENT):

@@ -195,7 +195,7 @@ def test_the_command_line_has_the_limits(tmp_path, capsys):
     assert data["limits"] == expected
     for option in ("--limit-tree", "--limit-structure", "--limit-time", "--limit-memory"):
         assert main(["analyse", str(path), option, "0"]) == 2
-        assert "%s 0: a limit is a number above 0" % option in capsys.readouterr().err
+        assert "%s 0: a limit must be greater than 0" % option in capsys.readouterr().err
 
 
 def test_memory_that_there_is_not_is_a_limit_too():

@@ -344,10 +344,10 @@ def test_the_command_stays_in_memory_if_that_is_enough(kanban, capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--memory", "much"], "a size was expected"),
+        (["--memory", "much"], "expected a size"),
         (["--memory", "100"], "at least 17 KB"),
         (["--memory", "1GB", "--limit-memory", "1"], "exclude each other"),
-        (["--scratch", "/tmp"], "goes with --memory"),
+        (["--scratch", "/tmp"], "requires --memory"),
         (["--memory", "1GB", "--scratch", "/nowhere"], "cannot create a temporary file"),
     ],
 )

@@ -86,7 +86,7 @@ def test_analysis_of_an_unbounded_net():
     analysis = Analysis(producer_consumer(), limit=2000)
     assert analysis.boundedness.bounded is False
     assert analysis.boundedness.bounds["buffer"] is None
-    with pytest.raises(LimitError, match=r"unbounded \(buffer can grow without end\)"):
+    with pytest.raises(LimitError, match=r"unbounded \(buffer can grow without bound\)"):
         _ = analysis.properties
     found = analysis.reach("buffer == 7")
     assert found.reachable and [step.transition for step in found.witness] == ["make", "put"] * 7

@@ -509,5 +509,5 @@ def test_firings_alone_tell_of_the_places_where_nobody_waits() -> None:
     assert {a.log for a in found} == {3}
     assert any("robots may wait in B" in note for note in notes)  # t3 needs the resource
     assert any("1 firings are missing" in note for note in notes)
-    with pytest.raises(LogError, match="does not belong to this net"):
+    with pytest.raises(LogError, match="is not of this net"):
         attempts_between(ring(), [fired(1.0, "t9", "a", "B")])

@@ -257,5 +257,5 @@ def test_a_snapshot_has_a_task_for_each_token_of_a_queue(tasks):
 def test_a_snapshot_has_tasks_in_queues_only():
     net = NetBuilder("n").place("P", 1).build()
     data = TeamState((1,), queues={0: [Task("a")]}).to_json(net)
-    with pytest.raises(LogError, match="no queue"):
+    with pytest.raises(LogError, match="not a queue has tasks"):
         TeamState.from_json(data, net, frozenset())

@@ -106,7 +106,7 @@ def test_a_robot_keeps_a_task_until_another_can_wait(monkeypatch: Any) -> None:
     world.give("r1", interface.Order("full", log_entries.Submit("order", "one more")))
     result = world.nodes["r1"].results["full"]
     assert not result.ok
-    assert result.text.endswith("tasks wait for 'order' already")
+    assert result.text.endswith("tasks are already waiting for 'order'")
     world.give("r1", interface.Order("resume", log_entries.Resume()))
     assert [e["id"] for e in world.entries("submit")] == ["t1", "t2", "t3", "t4"]
     world.check()

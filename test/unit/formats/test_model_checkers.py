@@ -398,7 +398,7 @@ def test_a_chain_that_starts_by_chance(tmp_path, capsys):
     )
     write_net(net, tmp_path / "n.xml")
     assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.tra")]) == 1
-    assert "starts in one of 2 states by chance" in capsys.readouterr().err
+    assert "the initial state is random (2 states)" in capsys.readouterr().err
 
 
 def test_the_command_writes_the_three_files_of_prism(tmp_path, capsys):

@@ -66,7 +66,7 @@ def test_a_flood_is_braked_and_hurts_no_other_node(inbound):
 def test_a_team_that_does_not_talk_over_ros_takes_nothing_there():
     inbound = InboundMessages(is_open=False)
     assert inbound.read(HELLO, NODE, ASKED, "robot_2") is None
-    assert inbound.refusals()[0].why == "the team does not talk over ROS"
+    assert inbound.refusals()[0].why == "the team does not communicate over ROS"
 
 
 def keyed(name, run="run", key=KEY):

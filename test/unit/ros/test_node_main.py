@@ -59,7 +59,7 @@ from gspn_framework_package.team import agent, plan_examination
 
 plan = read_plan("plans/patrol")
 plan_examination.check_plan(plan, print)
-plan_examination.why_refused(plan)
+plan_examination.why_refused_in_own_process(plan)
 print("imported", *sys.modules)
 """
 

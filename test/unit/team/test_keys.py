@@ -100,7 +100,7 @@ def test_revoked_members_leave_every_allow_list_and_come_back_under_another_comm
     assert again.serial != first.serial
     allowed = keys.read_keys(own(team, "hub")).members
     assert "robot_1" not in [m.common_name for m in allowed]
-    with pytest.raises(KeysError, match=r"'bob' is not in the team \(there is: ann, hub"):
+    with pytest.raises(KeysError, match=r"'bob' is not in the team \(members: ann, hub"):
         keys.revoke(team, "bob")
 
 

@@ -291,7 +291,7 @@ def test_a_subnet_outside_the_served_folder_is_not_read(tmp_path: Path) -> None:
     assert elements(found) == ["place:B"] and "outside the folder" in errors(found)[0]["text"]
     document = a_document()
     document["net"] = {"file": "/etc/passwd"}
-    assert "names a file" in errors(checked(document))[0]["text"]
+    assert "not in a file" in errors(checked(document))[0]["text"]
 
 
 # -- what would happen -----------------------------------------------------------------------------

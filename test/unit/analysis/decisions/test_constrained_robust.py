@@ -229,7 +229,7 @@ def test_one_uncertain_rate_in_one_place_is_solved():
 
 def test_an_interval_that_is_none_is_refused():
     automaton, rewards, _ = two_loops()
-    with pytest.raises(UsageError, match="no interval"):
+    with pytest.raises(UsageError, match="is not an interval"):
         robust(automaton, Aim.LONG_RUN, rewards, {0: (2.0, 1.0)})
 
 
