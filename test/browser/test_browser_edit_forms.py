@@ -528,7 +528,7 @@ def test_the_goal_of_an_action_has_the_fields_of_its_type(editor, axe, picture):
     enter(page, goal + ".target_pose.header.frame_id", "map")
     enter(page, goal + ".target_pose.header.stamp", "now")
     enter(page, goal + ".target_pose.header.seq", "-1")
-    page.wait_for_selector("#ed-properties .wrong:has-text('uint32 is 0 to 4294967295')")
+    page.wait_for_selector("#ed-properties .wrong:has-text('uint32 must be from 0 to 4294967295')")
     enter(page, goal + ".target_pose.header.seq", "")
     enter(page, goal + ".target_pose.pose.position.x", "2.5")
     control(page, goal + ".target_pose.pose.orientation source").click()
@@ -668,7 +668,7 @@ def test_the_policy_as_a_table(editor, axe, picture):
     row = "policy.rows.0"
     # probabilities enter the plan when they add up to 1
     enter(page, row + ".choose.sorted", "0.5")
-    page.wait_for_selector("#ed-policy .wrong:has-text('add up to 0.7, not to 1')")
+    page.wait_for_selector("#ed-policy .wrong:has-text('add up to 0.7, not 1')")
     assert state(page)["policy"] == PLAN["policy"]
     enter(page, row + ".choose.plug_in", "0.5")
     assert state(page)["policy"]["rows"][0]["choose"] == {"sorted": 0.5, "plug_in": 0.5}

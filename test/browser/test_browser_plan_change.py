@@ -32,7 +32,7 @@ def test_a_replay_changes_its_net_with_the_plan(serve_folder, open_page, tmp_pat
         assert page.locator("#net .place").count() == len(drawn(page))
     assert page.inner_text("#title") == "again"
     log = page.inner_text("#log")
-    assert "leave_X" in log and "goes on under the plan “again”" in log
+    assert "leave_X" in log and "the team now follows the plan “again”" in log
     # played across the change, and stepped back over it
     show(page, changes[0] - 2)
     page.evaluate("(n) => window.gspn.model.forward(n)", changes[0] + 3)
