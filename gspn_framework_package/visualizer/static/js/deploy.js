@@ -1,6 +1,6 @@
 // Deploying: the changes that another plan makes in a running team, the confirmation, the votes and the outcome.
 
-import { h, ask, plural } from "./dom.js";
+import { h, ask, cancelOr, plural } from "./dom.js";
 import { get, post } from "./api.js";
 import { changeList } from "./edit/diff_view.js";
 
@@ -122,12 +122,7 @@ async function deployTo(id, what, run) {
       changeList(look.changes),
       !look.refused && element,
     ],
-    look.refused
-      ? [["Close", "", "primary"]]
-      : [
-          ["Cancel", ""],
-          ["Deploy to the team", "deploy", "primary"],
-        ],
+    look.refused ? [["Close", "", "primary"]] : cancelOr("Deploy to the team", "deploy"),
     begin,
   );
   return answer === "deploy" && follow(id, look.plan);

@@ -138,6 +138,12 @@ export async function attempt(action) {
   }
 }
 
+/** The buttons of a dialog that can be cancelled. */
+export const cancelOr = (label, value, kind = "primary") => [
+  ["Cancel", ""],
+  [label, value, kind],
+];
+
 /** Asks in a dialog; resolves to the value of the button pressed, or "" if it is closed. An error of `act(value)` is
  * shown in the dialog, which stays open and keeps the input. */
 export function ask(title, content, buttons, act = null) {

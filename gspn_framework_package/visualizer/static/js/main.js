@@ -1,6 +1,6 @@
 // The page: opens a net, follows its hub, and keeps all views on the same board.
 
-import { $, h, ask, attempt, announce, clock, nextTab } from "./dom.js";
+import { $, h, ask, cancelOr, attempt, announce, clock, nextTab } from "./dom.js";
 import { get, post, NewsStream } from "./api.js";
 import { Model } from "./model.js";
 import { NetView } from "./net_view.js";
@@ -551,10 +551,7 @@ class Page {
         h("p", `The actions of the plan “${scene.plan.name}” will run on this server now.`),
         h("p.muted", robots.length > 600 ? `${scene.plan.robots.length} robots` : robots),
       ],
-      [
-        ["Cancel", ""],
-        ["Start", "start", "primary"],
-      ],
+      cancelOr("Start", "start"),
     );
     if (answer === "start") await attempt(() => this.tools.do("start", { confirmed: true }));
   }

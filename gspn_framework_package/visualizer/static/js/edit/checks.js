@@ -54,8 +54,7 @@ export class Checks {
       title: "Results of the check",
       onclick: () => mode.showPanel("checks"),
     });
-    this.changed = () => this.later();
-    mode.document.addEventListener("change", this.changed);
+    mode.onDocument(() => this.later(), "change");
     this.check();
   }
 
@@ -209,6 +208,5 @@ export class Checks {
   close() {
     this.closed = true;
     clearTimeout(this.timer);
-    this.mode.document.removeEventListener("change", this.changed);
   }
 }

@@ -102,12 +102,7 @@ export function fields(
         "div.named",
         h("span.name", name),
         valueField(form, inside(name), `${label} ${name}`, {
-          remove: form.remove(
-            inside(name).key,
-            `${label} ${name}`,
-            () => form.put(inside(name), undefined, `Remove ${label} ${name}`),
-            `${lens.key} add`,
-          ),
+          remove: form.removal(inside(name), `${label} ${name}`, `${lens.key} add`),
         }),
       ),
     ),
@@ -137,12 +132,7 @@ function items(form, lens, label) {
     { role: "group", "aria-label": label },
     value.map((_, i) =>
       valueField(form, inside(i), `${label} ${i + 1}`, {
-        remove: form.remove(
-          inside(i).key,
-          `${label} ${i + 1}`,
-          () => form.put(inside(i), undefined, `Remove ${label} ${i + 1}`),
-          `${lens.key} add`,
-        ),
+        remove: form.removal(inside(i), `${label} ${i + 1}`, `${lens.key} add`),
       }),
     ),
     form.button(

@@ -93,9 +93,7 @@ export class DiffView {
       onclick: () => this.showUnsaved(),
     });
     this.hide();
-    this.changed = () => this.later();
-    mode.document.addEventListener("change", this.changed);
-    mode.document.addEventListener("saved", this.changed);
+    mode.onDocument(() => this.later(), "change", "saved");
   }
 
   showUnsaved() {
@@ -205,7 +203,5 @@ export class DiffView {
   close() {
     this.asked += 1;
     clearTimeout(this.timer);
-    this.mode.document.removeEventListener("change", this.changed);
-    this.mode.document.removeEventListener("saved", this.changed);
   }
 }

@@ -50,11 +50,10 @@ export class ElementList extends RestingList {
       if (row) this.choose(row.dataset.key, event.shiftKey || event.ctrlKey || event.metaKey);
     };
     $("ed-list-box").append(h("div.find", this.search), list);
-    this.changed = ({ detail }) => {
+    mode.onDocument(({ detail }) => {
       if (detail.before.net !== mode.document.net || detail.before.plan !== mode.document.plan)
         this.later();
-    };
-    mode.document.addEventListener("change", this.changed);
+    }, "change");
     mode.addEventListener("select", () => {
       this.at = [...mode.selection].pop() ?? null;
       this.mark();
@@ -220,10 +219,5 @@ export class ElementList extends RestingList {
     const top = row.offsetTop;
     if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight)
       this.list.scrollTop = top - this.list.clientHeight / 2;
-  }
-
-  close() {
-    super.close();
-    this.mode.document.removeEventListener("change", this.changed);
   }
 }

@@ -1,6 +1,6 @@
 // The files of the document: saving, conflicts with changes by somebody else, drafts, export.
 
-import { $, h, ask, attempt, toast } from "../dom.js";
+import { $, h, ask, cancelOr, attempt, toast } from "../dom.js";
 import { post } from "../api.js";
 import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
@@ -67,9 +67,7 @@ export class Files {
     });
     this.note = h("span.muted", { id: "ed-draft-state" });
     $("ed-foot").append(this.note);
-    this.changed = () => this.later();
-    mode.document.addEventListener("change", this.changed);
-    mode.document.addEventListener("saved", this.changed);
+    mode.onDocument(() => this.later(), "change", "saved");
     this.banner = h("div.ed-banner", { id: "ed-banner", hidden: true });
     $("ed-frame").before(this.banner);
     if (this.draft) this.offerDraft();
@@ -220,10 +218,7 @@ export class Files {
         this.readOnly && h("p", `It cannot be saved here: ${this.readOnly}.`),
         h("div.form", h("label", { for: "ed-save-name", text: "Name of the new folder" }), name),
       ],
-      [
-        ["Cancel", ""],
-        ["Save", "save", "primary"],
-      ],
+      cancelOr("Save", "save"),
       async () => {
         found = await this.request("save_as", { document: state, name: name.value.trim() });
       },
@@ -326,10 +321,7 @@ export class Files {
         h("label", { for: "ed-export-format", text: "Export the document as" }),
         format,
       ),
-      [
-        ["Cancel", ""],
-        ["Export", "export", "primary"],
-      ],
+      cancelOr("Export", "export"),
       () => this.exportAs(format.value),
     );
   }
@@ -368,7 +360,5 @@ export class Files {
     this.closed = true;
     clearTimeout(this.timer);
     if (!this.draft && !this.saving) this.keepDraft(); // edits made just before
-    this.mode.document.removeEventListener("change", this.changed);
-    this.mode.document.removeEventListener("saved", this.changed);
   }
 }

@@ -88,11 +88,9 @@ export class FormPanel {
     this.element.addEventListener("focusout", () => setTimeout(() => this.settle()));
     this.element.addEventListener("toggle", ({ target }) => this.fold(target), true);
     this.element.addEventListener("keydown", (event) => this.key(event));
-    this.ends = new AbortController();
-    mode.document.addEventListener(
-      "change",
+    mode.onDocument(
       ({ detail }) => this.concerns(detail.before, this.state) && this.refresh(),
-      { signal: this.ends.signal },
+      "change",
     );
     new ResizeObserver(() => this.stale && this.settle()).observe(this.element);
     mode.panel(name, title, this.element);
@@ -100,7 +98,7 @@ export class FormPanel {
 
   /** Redraw whenever an event comes, until the mode is left. */
   listen(target, event) {
-    target.addEventListener(event, () => this.refresh(), { signal: this.ends.signal });
+    target.addEventListener(event, () => this.refresh(), { signal: this.mode.bound.signal });
   }
 
   /** Undo and redo also work in a field, unless the user is typing in it: then they are the field's own. */
@@ -119,10 +117,6 @@ export class FormPanel {
   /** Whether this panel may look different in two states. Moving nodes affects few panels. */
   concerns(before, after) {
     return !onlyMoved(before, after);
-  }
-
-  close() {
-    this.ends.abort();
   }
 
   get document() {
@@ -438,6 +432,11 @@ export class FormPanel {
       },
       { class: "icon", "aria-label": `Remove ${what}`, title: `Remove ${what}` },
     );
+  }
+
+  /** The button that removes the value of a lens. */
+  removal(lens, what, next, label = `Remove ${what}`) {
+    return this.remove(lens.key, what, () => this.put(lens, undefined, label), next);
   }
 
   /** A menu that adds the entry chosen. */

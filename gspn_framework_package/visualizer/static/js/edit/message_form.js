@@ -68,7 +68,7 @@ function message(form, lens, label, tree, drop) {
         h("span.name", name),
         h("p.wrong", "The type has no field of this name."),
         valueField(form, at, `${label} ${name}`, {
-          remove: removal(form, at, `${label} ${name}`, lens.key),
+          remove: form.removal(at, `${label} ${name}`, lens.key),
         }),
       );
     }),
@@ -126,12 +126,9 @@ const fromData = (form, lens, label) =>
 function misfit(form, lens, label, wanted) {
   return [
     h("p.wrong", `The value is ${kindOf(lens.get())}; the type requires ${wanted}.`),
-    valueField(form, lens, label, { remove: removal(form, lens, label, `${lens.key} source`) }),
+    valueField(form, lens, label, { remove: form.removal(lens, label, `${lens.key} source`) }),
   ];
 }
-
-const removal = (form, lens, label, next) =>
-  form.remove(lens.key, label, () => form.put(lens, undefined, `Remove ${label}`), next);
 
 const BITS = /^(u?)int(8|16|32|64)$/;
 

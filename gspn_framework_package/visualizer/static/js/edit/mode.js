@@ -44,17 +44,15 @@ export class EditMode extends EventTarget {
     this.witness = null; // the sequence being played
     this.files = null; // the part that saves
     this.added = null; // {key, state}: the node last added by key, and the state of the document then
+    this.bound = new AbortController(); // aborts when the mode is left
     this.build(crumbs);
     this.canvas = new Canvas($("ed-net"), this.document, opened.scale);
     this.actions = new Actions(this);
     this.pointer = new CanvasPointer(this);
     this.list = new ElementList(this);
-    this.bound = new AbortController();
     bindEditKeys(this, this.bound.signal);
     this.canvas.addEventListener("frame", () => this.dispatchEvent(new CustomEvent("frame")));
-    this.changed = () => this.refresh();
-    this.document.addEventListener("change", this.changed);
-    this.document.addEventListener("saved", this.changed);
+    this.onDocument(() => this.refresh(), "change", "saved");
     this.buttons();
     this.parts = PARTS.map((Part) => new Part(this));
     this.refresh();
@@ -128,6 +126,12 @@ export class EditMode extends EventTarget {
   }
 
   // -- services for the parts --------------------------------------------------------------------------
+
+  /** Call `act` at these events of the document, until the mode is left. */
+  onDocument(act, ...events) {
+    for (const event of events)
+      this.document.addEventListener(event, act, { signal: this.bound.signal });
+  }
 
   /** Show a text under the drawing and announce it to screen readers. */
   say(text) {
@@ -521,8 +525,6 @@ export class EditMode extends EventTarget {
     for (const part of this.parts) part.close?.();
     this.witness?.end();
     this.list.close();
-    this.document.removeEventListener("change", this.changed);
-    this.document.removeEventListener("saved", this.changed);
     this.canvas.close();
     $("ed-page").replaceChildren();
   }

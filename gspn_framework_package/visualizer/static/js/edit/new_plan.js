@@ -1,6 +1,6 @@
 // Creates a new plan in the served folder.
 
-import { h, ask } from "../dom.js";
+import { h, ask, cancelOr } from "../dom.js";
 import { post } from "../api.js";
 
 /** Whether the viewer may edit the files of the folder. */
@@ -31,10 +31,7 @@ export async function newPlan(hello) {
       h("label", { for: "ed-new-template", text: "Start from" }),
       template,
     ),
-    [
-      ["Cancel", ""],
-      ["Make it", "make", "primary"],
-    ],
+    cancelOr("Make it", "make"),
     async () => {
       const body = { name: name.value.trim(), template: template.value };
       ({ id } = await post("edit/new", body));

@@ -116,12 +116,7 @@ export function robotRow(form, lens, robot, i, places) {
         places.map((place) => [place, place]),
         { "aria-label": `Initial place of ${robot.name}` },
       ),
-      form.remove(
-        at.key,
-        `the robot ${robot.name}`,
-        () => form.put(at, undefined, `Remove the robot ${robot.name}`),
-        "plan.robots add",
-      ),
+      form.removal(at, `the robot ${robot.name}`, "plan.robots add"),
     ),
     form.section(
       actions.key,

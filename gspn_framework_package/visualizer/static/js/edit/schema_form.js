@@ -204,12 +204,7 @@ function objectsForm(form, schema, lens, title) {
       return group(
         `${title} ${i + 1}`,
         schemaField(form, schema.items, at, `${title} ${i + 1}`),
-        form.remove(
-          at.key,
-          `${title} ${i + 1}`,
-          () => form.put(at, undefined, `Remove from ${title}`),
-          `${lens.key} add`,
-        ),
+        form.removal(at, `${title} ${i + 1}`, `${lens.key} add`, `Remove from ${title}`),
       );
     }),
     form.button(`${lens.key} add`, `Add to ${title}`, () =>
@@ -282,12 +277,7 @@ function mapForm(form, schema, lens, title, hint) {
     form.put(inside(name), start, `Add ${title} of '${called(name)}'`);
   };
   const remove = (name) =>
-    form.remove(
-      inside(name).key,
-      `${title} of ${called(name)}`,
-      () => form.put(inside(name), undefined, `Remove ${title} of '${called(name)}'`),
-      `${lens.key} add`,
-    );
+    form.removal(inside(name), `${title} of ${called(name)}`, `${lens.key} add`);
   const offered = hint.keys?.(form.state).filter((name) => !(name in value));
   return group(
     title,

@@ -42,8 +42,7 @@ export class WhatHappens {
         return this.ask();
       },
     });
-    this.changed = () => this.clear();
-    mode.document.addEventListener("change", this.changed);
+    mode.onDocument(() => this.clear(), "change");
   }
 
   /** The marking typed by the user, or the one on the drawing: of a witness, or the initial one. */
@@ -131,6 +130,5 @@ export class WhatHappens {
 
   close() {
     this.asked += 1;
-    this.mode.document.removeEventListener("change", this.changed);
   }
 }
