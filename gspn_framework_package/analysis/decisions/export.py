@@ -50,9 +50,7 @@ class Decided(NamedTuple):
     choices: Tuple[Mapping[str, float], ...]
 
 
-def policy_of(
-    plan: Plan, decided: Decided, *, merge: bool = True, cancel: Optional[Cancel] = None
-) -> Policy:
+def policy_of(plan: Plan, decided: Decided, *, cancel: Optional[Cancel] = None) -> Policy:
     """Return a policy that makes the given decisions in each of the markings, for every place in
     which the marking enables an immediate transition. In other markings, its decisions are
     unspecified.
@@ -60,13 +58,12 @@ def policy_of(
     The same decisions give the same rows in any order.
 
     :param plan: the plan; its own policy is not used.
-    :param merge: write few rows, with wildcards; otherwise one row for each marking.
     :raises PolicyError: a transition is unknown or exponential, or one marking has two decisions.
     :raises CancelledError: ``cancel`` returned true.
     """
     watch = Watch(cancel=cancel)
     asked = _Asked(plan, decided)
-    found = _merged(asked, watch) if merge else _one_by_one(asked)
+    found = _merged(asked, watch)
     policy = _written(plan.net, found)
     _verify(asked, policy, watch)
     return policy
@@ -110,7 +107,7 @@ class _Asked:
             dtype=np.int64,
         )
         self.kinds = [_choice(net, written) for written in numbers]
-        self.enabled = {t: _enabled(net, t, self.markings) for t in immediate}
+        self.enabled = {t: enabled_in(net, t, self.markings) for t in immediate}
         self.groups = [_Group(places, net, immediate) for places in _joint(net, acts, immediate)]
 
     def __len__(self) -> int:
@@ -159,7 +156,8 @@ def _restricted(choice: Sequence[Tuple[int, float]], inside: set[int]) -> Probab
     return tuple((t, v / total) for t, v in kept)
 
 
-def _enabled(net: Net, t: int, markings: Indices) -> Booleans:
+def enabled_in(net: Net, t: int, markings: Indices) -> Booleans:
+    """Boolean array: which of the markings enable transition number ``t``."""
     found = np.ones(len(markings), dtype=bool)
     for p, weight in net.inputs[t]:
         found &= markings[:, p] >= weight
@@ -168,7 +166,7 @@ def _enabled(net: Net, t: int, markings: Indices) -> Booleans:
     for p, change in net.effect(t):
         capacity = net.places[p].capacity
         if capacity is not None and change > 0:
-            found &= markings[:, p] + change <= capacity
+            found &= markings[:, p].astype(np.int64) + change <= capacity
     return found
 
 
@@ -187,27 +185,6 @@ def _joint(net: Net, acts: Sequence[int], immediate: Sequence[int]) -> List[List
 
 
 # -- rows ------------------------------------------------------------------------------------------
-
-
-def _one_by_one(asked: _Asked) -> Dict[Cells, List[Probabilities]]:
-    """A row for each marking in which some robot could fire a transition, over all places whose
-    counts differ."""
-    care = np.zeros(len(asked), dtype=bool)
-    for enabled in asked.enabled.values():
-        care |= enabled
-    varying = np.flatnonzero((asked.markings != asked.markings[:1]).any(axis=0)).tolist()
-    found: Dict[Cells, List[Probabilities]] = {}
-    for number in np.flatnonzero(care).tolist():
-        counts = asked.markings[number, varying].tolist()
-        choice = asked.kinds[asked.kind[number]]
-        _enter(found, tuple(zip(varying, counts)), choice)
-    return found
-
-
-def _enter(found: Dict[Cells, List[Probabilities]], cells: Cells, choice: Probabilities) -> None:
-    """Add a row. :raises PolicyError: the same marking has another one."""
-    if found.setdefault(cells, [choice]) != [choice]:
-        raise PolicyError("one marking has two decisions")
 
 
 def _merged(asked: _Asked, watch: Watch) -> Dict[Cells, List[Probabilities]]:

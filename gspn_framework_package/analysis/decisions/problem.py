@@ -27,6 +27,7 @@ from gspn_framework_package.analysis.decisions.building import (
     build_automaton,
     part_of,
 )
+from gspn_framework_package.analysis.decisions.export import enabled_in
 from gspn_framework_package.analysis.decisions.playing import (
     ROUNDING,
     Answers,
@@ -411,18 +412,7 @@ class DecisionProblem:
     def enabled(self, team: Team, t: int) -> Booleans:
         """Boolean array: which of the team's distinct markings enable transition number ``t`` of
         the plan's net."""
-        net = self.plan.net
-        counts = team.distinct
-        found = np.ones(len(counts), dtype=bool)
-        for p, w in net.inputs[t]:
-            found &= counts[:, p] >= w
-        for p, w in net.inhibitors[t]:
-            found &= counts[:, p] < w
-        for p, change in net.effect(t):
-            capacity = net.places[p].capacity
-            if change > 0 and capacity is not None:
-                found &= counts[:, p].astype(np.int64) + change <= capacity
-        return found
+        return enabled_in(self.plan.net, t, team.distinct)
 
     def rewards(self, team: Team, objective: Objective) -> Rewards:
         """The rewards of a run in a team's automaton.
