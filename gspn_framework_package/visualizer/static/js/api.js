@@ -25,31 +25,22 @@ async function answerOf(response) {
   return data;
 }
 
-async function request(path, options) {
+async function request(path, query, options) {
+  const text = new URLSearchParams(query).toString();
+  const address = `/api/${path}${text ? `?${text}` : ""}`;
   let response;
   try {
-    response = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
+    response = await fetch(address, { credentials: "same-origin", cache: "no-store", ...options });
   } catch {
     throw new ApiError("the server does not answer", 0);
   }
   return answerOf(response);
 }
 
-export function get(path, query = {}, options = {}) {
-  const text = new URLSearchParams(query).toString();
-  return request(`/api/${path}${text ? `?${text}` : ""}`, options);
-}
-
-/** A signal that aborts a request after the given number of milliseconds. */
-function within(milliseconds) {
-  const controller = new AbortController();
-  setTimeout(() => controller.abort(), milliseconds);
-  return controller.signal;
-}
+export const get = (path, query = {}, options = {}) => request(path, query, options);
 
 export function post(path, body = {}, query = {}) {
-  const text = new URLSearchParams(query).toString();
-  return request(`/api/${path}${text ? `?${text}` : ""}`, {
+  return request(path, query, {
     method: "POST",
     headers: { "Content-Type": "application/json", "X-Gspn-Page": "1" },
     body: JSON.stringify(body),
@@ -127,7 +118,7 @@ export class NewsStream {
       const news = await get(
         "poll",
         this.cursor ? { id: this.id, since: this.cursor } : { id: this.id },
-        { signal: within(SILENCE) },
+        { signal: AbortSignal.timeout(SILENCE) },
       );
       if (this.closed) return;
       this.hear();

@@ -110,6 +110,17 @@ export const isPressed = (element) =>
 const collator = new Intl.Collator("en", { numeric: true });
 export const natural = (a, b) => collator.compare(a, b);
 
+/** The index of the first item for which `holds` is true, as for all after it; the number of items if there is none. */
+export function firstWhere(items, holds) {
+  let [low, high] = [0, items.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (holds(items[middle])) high = middle;
+    else low = middle + 1;
+  }
+  return low;
+}
+
 /** How far a key moves the choice in a list. */
 export const LIST_STEPS = {
   ArrowDown: 1,

@@ -88,26 +88,15 @@ export class NodeList extends RestingList {
     this.items = groups.flatMap(([, items]) => items);
     let left = ROWS_DRAWN;
     const rows = [];
+    const heading = (text) => rows.push(h("li.heading", { role: "presentation", text }));
     for (const [title, items, on] of groups) {
       if (!items.length) continue;
-      rows.push(h("li.heading", { role: "presentation", text: title }));
+      heading(title);
       for (const item of items.slice(0, Math.max(0, left))) rows.push(this.row(item, on));
-      if (items.length > left)
-        rows.push(
-          h("li.heading", {
-            role: "presentation",
-            text: `${items.length - Math.max(0, left)} more: search`,
-          }),
-        );
+      if (items.length > left) heading(`${items.length - Math.max(0, left)} more: search`);
       left -= items.length;
     }
-    if (!this.items.length)
-      rows.push(
-        h("li.heading", {
-          role: "presentation",
-          text: wanted ? "No match" : "The net is empty",
-        }),
-      );
+    if (!this.items.length) heading(wanted ? "No match" : "The net is empty");
     this.list.replaceChildren(...rows);
     this.mark();
   }
@@ -138,11 +127,8 @@ export class NodeList extends RestingList {
 
   move(steps, fly) {
     if (!this.items.length) return;
-    const at = this.chosen
-      ? this.items.findIndex(
-          (item) => item.kind === this.chosen.kind && item.index === this.chosen.index,
-        )
-      : -1;
+    const { kind, index } = this.chosen || {};
+    const at = this.items.findIndex((item) => item.kind === kind && item.index === index);
     const next = at < 0 ? 0 : Math.min(this.items.length - 1, Math.max(0, at + steps));
     this.choose(this.items[next], fly);
   }

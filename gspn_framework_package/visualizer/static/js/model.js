@@ -2,6 +2,7 @@
 // The server plays the token game; the page only applies the server's events.
 
 import { get } from "./api.js";
+import { firstWhere } from "./dom.js";
 import { applyEvent, boardOf, copyOf } from "./board.js";
 
 const KEPT = 20000; // events kept for the log and the time line
@@ -317,14 +318,7 @@ export class Model extends EventTarget {
   }
 
   indexAfter(n) {
-    let low = 0,
-      high = this.events.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (this.events[middle].n <= n) low = middle + 1;
-      else high = middle;
-    }
-    return low;
+    return firstWhere(this.events, (event) => event.n > n);
   }
 
   /** Step one firing forward or backward while the view is paused. */

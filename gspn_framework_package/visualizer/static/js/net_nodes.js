@@ -39,6 +39,12 @@ export function buildTransition(node, transition) {
   );
 }
 
+/** Take a part of a symbol away, if it has it. */
+function take(node, part) {
+  node[part]?.remove();
+  node[part] = null;
+}
+
 /** Draw a place with the given number of tokens, some of which may be robots. */
 export function drawPlace(node, tokens, robots) {
   const count = Math.max(0, tokens);
@@ -56,10 +62,7 @@ function drawDots(node, count, robotsHere = false) {
   if (node.count > 0 !== count > 0)
     node.element.classList.toggle("marked", count > 0 || robotsHere);
   node.count = count;
-  if (node.dots) {
-    node.dots.remove();
-    node.dots = null;
-  }
+  take(node, "dots");
   if (count === 0) return;
   node.dots =
     count <= MOST
@@ -70,10 +73,7 @@ function drawDots(node, count, robotsHere = false) {
 }
 
 function drawRobots(node, robots) {
-  if (node.robots) {
-    node.robots.remove();
-    node.robots = null;
-  }
+  take(node, "robots");
   if (!robots.length) return;
   const { radius, centres, square } = discs(robots.length);
   node.robots = s(
@@ -126,10 +126,7 @@ export function drawEnabled(node, enabled) {
 
 /** Draw the robots that were lost in a place: crossed out, at its edge. */
 export function drawLost(node, robots) {
-  if (node.lost) {
-    node.lost.remove();
-    node.lost = null;
-  }
+  take(node, "lost");
   if (!robots.length) return;
   node.lost = s(
     "g",
@@ -158,10 +155,7 @@ export function paintNode(node, wanted) {
   node.element.classList.remove(...MARKS.map((kind) => `paint-${kind}`));
   const body = node.element.querySelector(node.kind === "place" ? "circle" : "rect.body");
   body.style.fill = "";
-  if (node.value) {
-    node.value.remove();
-    node.value = null;
-  }
+  take(node, "value");
   if (!wanted) return;
   if (wanted.kind === "heat") {
     body.style.fill = `color-mix(in srgb, var(--accent) ${Math.round(8 + 62 * wanted.level)}%, var(--sheet))`;

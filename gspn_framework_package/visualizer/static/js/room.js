@@ -70,18 +70,12 @@ export class Room {
     }
     for (const spot of world?.hot_spots || []) {
       const [x, y] = at(spot.at);
-      c.fillStyle = "rgba(214, 72, 40, .35)";
-      c.beginPath();
-      c.arc(x, y, spot.radius * k, 0, 7);
-      c.fill();
+      disc(c, x, y, spot.radius * k, "rgba(214, 72, 40, .35)");
     }
     c.fillStyle = ink("--node-line");
     for (const box of room.boxes || []) polygon(c, boxCorners(box).map(at));
     for (const pillar of room.cylinders || []) {
-      const [x, y] = at(pillar.at);
-      c.beginPath();
-      c.arc(x, y, pillar.radius * k, 0, 7);
-      c.fill();
+      disc(c, ...at(pillar.at), pillar.radius * k, ink("--node-line"));
     }
     c.font = "600 10px system-ui, sans-serif";
     c.textAlign = "center";
@@ -109,23 +103,14 @@ export class Room {
     for (const person of world?.people || []) {
       const [x, y] = at(person.at);
       const radius = Math.max(7, person.radius * k);
-      c.fillStyle = person.color;
-      c.beginPath();
-      c.ellipse(x, y, radius, radius * 0.7, 0, 0, 7);
-      c.fill();
-      c.fillStyle = ink("--ink");
-      c.beginPath();
-      c.arc(x, y, radius * 0.4, 0, 7);
-      c.fill();
+      disc(c, x, y, radius, person.color, 0.7);
+      disc(c, x, y, radius * 0.4, ink("--ink"));
     }
     for (const [name, robot] of Object.entries(world?.robots || {})) {
       const [px, py, yaw] = robot.pose;
       const [x, y] = at([px, py]);
       const radius = Math.max(7, (room.robot_radius || 0.2) * k);
-      c.fillStyle = colourOf(name);
-      c.beginPath();
-      c.arc(x, y, radius, 0, 7);
-      c.fill();
+      disc(c, x, y, radius, colourOf(name));
       c.strokeStyle = colourOf(name);
       c.lineWidth = 2.5;
       c.beginPath();
@@ -162,6 +147,14 @@ function extent(room) {
   if (!room?.bounds) return [0, 0, 10, 10];
   const [[x0, y0], [x1, y1]] = room.bounds;
   return [x0, y0, x1, y1];
+}
+
+/** A disc, or an ellipse so many times as high as it is wide. */
+function disc(c, x, y, radius, colour, height = 1) {
+  c.fillStyle = colour;
+  c.beginPath();
+  c.ellipse(x, y, radius, radius * height, 0, 0, 7);
+  c.fill();
 }
 
 function polygon(c, points) {

@@ -1,7 +1,7 @@
 // The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits). A simulation
 // has no robots, so the lanes show token counts of places. The scrubber is below.
 
-import { $, h, attempt, natural, seconds } from "./dom.js";
+import { $, firstWhere, h, attempt, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 import { courseOf, lanesOf } from "./course.js";
 import { reportOf, robotReport } from "./phases.js";
@@ -17,16 +17,7 @@ const spanText = (t) => (t < 60 ? `${t} s` : t < 3600 ? `${t / 60} min` : `${t /
 const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
 
 /** Index of the first event at or after `t`; `events` are sorted by time. */
-function firstAt(events, t) {
-  let low = 0,
-    high = events.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (events[middle].t < t) low = middle + 1;
-    else high = middle;
-  }
-  return low;
-}
+const firstAt = (events, t) => firstWhere(events, (event) => event.t >= t);
 
 /** Fires "visit" (detail n). */
 export class TimeLine extends EventTarget {
