@@ -120,22 +120,13 @@ class Condition:
         """
         return bool(_run(self.program, marking, labels, _SCALAR))
 
-    def holds_in(self, markings: Any, labels: Mapping[str, Any] = {}) -> Any:
-        """Evaluate the condition in many markings at once.
-
-        :param markings: integer array with one row per marking and one column per place.
-        :param labels: label -> boolean array with one value per row.
-        :return: boolean array with one value per row.
-        """
-        import numpy
-
-        columns = numpy.asarray(markings).T
-        return self.holds_in_columns(columns, columns.shape[1] if columns.ndim == 2 else 0, labels)
-
     def holds_in_columns(self, columns: Any, rows: int, labels: Mapping[str, Any] = {}) -> Any:
-        """As :meth:`holds_in`, with the markings in columns: ``columns[p]`` has the counts of place
-        number ``p`` in each of the ``rows`` markings, and is read only for the places that the
-        condition names."""
+        """In which of many markings the condition holds, as a boolean array.
+
+        :param columns: ``columns[p]`` has the counts of place number ``p`` in each of the ``rows``
+            markings; it is read only for the places that the condition names.
+        :param labels: label -> boolean array with a value for each marking.
+        """
         import numpy
 
         with numpy.errstate(all="ignore"):
