@@ -578,7 +578,7 @@ class ActionsTest(unittest.TestCase):
         self.assertTrue(goals.empty(), "it was sent again")
         answer(goal)
         wait_for(lambda: faults, what="the report of the late result")
-        self.assertIn("/late reports 'succeeded' for a goal that was given up", faults[0])
+        self.assertIn("/late reports 'succeeded' for an abandoned goal", faults[0])
         robot.send("P1")
         answer(goals.get(timeout=20))  # before any status: it counts
         self.assertEqual(robot.ended.get(timeout=20).result, "T_late")
