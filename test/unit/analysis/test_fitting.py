@@ -567,7 +567,7 @@ def test_a_folder_that_cannot_be_made_is_reported(recorded, capsys) -> None:
     ("plan", "log", "message"),
     [
         ("plans/patrol/net.xml", "log.jsonl", "this is a net, not a plan"),
-        ("plans/tokens", "log.jsonl", "another net"),
+        ("plans/tokens", "log.jsonl", "its net differs"),
         (".", "plan.json", "not an event log"),
         (".", "missing.jsonl", "cannot be read"),
         (".", "empty", "contains no event logs"),
