@@ -720,3 +720,17 @@ def test_strangers_of_the_same_run_cost_little_and_do_not_stop_a_team(partial: b
     world.run(world.now + 4)
     assert world.length() > before + 10
     assert set(replica.state.peers.all) == {"r2", "r3", "r4", "r5"}
+
+
+def test_what_another_memory_of_a_life_announced_does_not_stand_before_its_return():
+    """A process that lacks the memory of its robot returns with the incarnation that the memory
+    had. What the memory announced would hide the return."""
+    world = team(TOKENS, 3, partial=True)
+    world.run(1.0)
+    queue = world.nodes["r1"].replica.proposals
+    lost = Item(log_entries.Done("r2", 1, 1, "t1"), Origin("r2", 1, 1, "lost"))
+    back = Item(log_entries.Join("r2", 1, "p1", "back"), Origin("r2", 1, 1, "back"))
+    other = Item(log_entries.Retry("r3"), Origin("r3", 0, 1, "log"))
+    kept = list(queue.batch(False, {"r2": True}, [lost, back, other]).items)
+    assert kept == [back, other]
+    assert lost in queue.batch(False, {}, [lost, back, other]).items
