@@ -30,11 +30,16 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import LogClock, Record
 from gspn_framework_package.execution.firing import CancelAction, StartAction
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.replayer import Replayed, Replayer
+from gspn_framework_package.execution.replayer import (
+    RECORD_FAULTS,
+    Replayed,
+    Replayer,
+    unusable,
+)
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.turn import ASKS_POLICY
-from gspn_framework_package.model.errors import LogError, NetError
+from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind, Plan
 
@@ -176,10 +181,8 @@ class AttemptFollower:
         """
         try:
             return self._take(record)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise LogError("the record is damaged (%r)" % error) from None
-        except NetError as error:
-            raise LogError("the record is not of this plan (%s)" % error) from None
+        except RECORD_FAULTS as error:
+            raise unusable(error) from None
 
     def running(self, now: float) -> List[Attempt]:
         """The attempts still running at ``now`` (s, on the clock of the log), as censored ones."""

@@ -11,6 +11,19 @@ from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError, NetError
 
+RECORD_FAULTS = (KeyError, TypeError, ValueError, AttributeError, IndexError, NetError)
+"""What the use of a record raises that is damaged, or of another plan."""
+
+
+def unusable(fault: Exception) -> LogError:
+    """The error that says why a record cannot be used.
+
+    :param fault: one of :data:`RECORD_FAULTS`.
+    """
+    if isinstance(fault, NetError):
+        return LogError("the record is not of this plan (%s)" % fault)
+    return LogError("the record is damaged (%r)" % fault)
+
 
 class Replayed(NamedTuple):
     """A replayed slot of a log. ``state`` is the state after it; replaying the next slot changes it
@@ -53,10 +66,8 @@ class Replayer:
         """
         try:
             return self._take(record)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise LogError("the record is damaged (%r)" % error) from None
-        except NetError as error:
-            raise LogError("the record is not of this plan (%s)" % error) from None
+        except RECORD_FAULTS as error:
+            raise unusable(error) from None
 
     def _take(self, record: Record) -> Optional[Replayed]:
         if record["kind"] == "snapshot":

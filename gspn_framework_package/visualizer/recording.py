@@ -19,7 +19,7 @@ from typing import BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequenc
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.displayed_data import decided_order_text, order_text
 from gspn_framework_package.execution.event_log import ORDER_GIVEN, LogClock, LogFile, Record
-from gspn_framework_package.execution.replayer import Replayer
+from gspn_framework_package.execution.replayer import RECORD_FAULTS, Replayer, unusable
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -135,8 +135,8 @@ class _Reader:
             return []
         except LogError as error:
             raise error.located(line=self.line) from None
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            raise LogError("the record is damaged (%r)" % error, line=self.line) from None
+        except RECORD_FAULTS as error:
+            raise unusable(error).located(line=self.line) from None
 
     def _orders_elsewhere(
         self, entries: Sequence[log_entries.Entry], record: Record, t: float

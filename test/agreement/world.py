@@ -151,14 +151,23 @@ class SimulatedNode:
         self.trusted, self.damage = True, ""
         self.plan = world.plan
         self.shows = {}
-        self.inside = False
-        for record in records:
-            self.inside = is_in_team_after(self.name, record, self.inside)
+        self.slots_as_member(records)
         resets = [r for r in records if r["kind"] in ("reset", "outage")]
         self.log_id = str((resets or [self.disk.header])[-1]["log"])
         self.carry_out(self.replica.start(world.now))
         if world.robot_events and self.replica is not None and not self.replica.witness:
             world.watch_sources(self)
+
+    def slots_as_member(self, records: List[Record]) -> Dict[int, str]:
+        """Note whether it is in the team at the end of its log; returns the hashes of the slots
+        that it took as a member."""
+        slots: Dict[int, str] = {}
+        self.inside = False
+        for record in records:
+            if record["kind"] == "slot" and self.inside:
+                slots[record["slot"]] = record["hash"]
+            self.inside = is_in_team_after(self.name, record, self.inside)
+        return slots
 
     def crash(self) -> None:
         """``kill -9``."""
@@ -662,11 +671,7 @@ class World:
         known: Dict[int, str] = {}
         for node in self.nodes.values():
             records = node.disk.records() if node.disk is not None else []
-            node.inside = False
-            for record in records:
-                if record["kind"] == "slot" and node.inside:
-                    known[record["slot"]] = record["hash"]
-                node.inside = is_in_team_after(node.name, record, node.inside)
+            known.update(node.slots_as_member(records))
         self._chain = {slot: hash_ for slot, hash_ in self._chain.items() if slot in known}
 
     def keep_syncing(self, every: float) -> None:

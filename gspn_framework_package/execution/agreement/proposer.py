@@ -267,9 +267,9 @@ class Proposer:
 
     def _ask_members(self) -> None:
         """We have no vote: let a member that has one propose our proposals."""
-        others, voters = self.electorate.others(), self.electorate.whole()
-        late = voters if set(voters) & set(others) else self.electorate.heard_of_late()
-        heard = [m for m in others if m in late] or others
+        others = self.electorate.others()
+        near = self.electorate.whole() or self.electorate.heard_of_late()
+        heard = [m for m in others if m in near] or others
         if not heard:
             return
         leader = self.state.leader
