@@ -20,8 +20,8 @@ from benchmarks.harness.programs import Programs
 end_cleanly_on_signal()
 programs = Programs(sys.argv[1])
 programs.start("sleeps", ["sh", "-c", "sleep 600 & wait"])
-print(programs.pid("sleeps"), flush=True)
 try:
+    print(programs.pid("sleeps"), flush=True)  # from here on the signal may come
     time.sleep(600)
 except KeyboardInterrupt:
     programs.end()
