@@ -3,16 +3,17 @@ network is not touched."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import itertools
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import time
-from contextlib import contextmanager
 from typing import Any, Dict, Iterator, List, Optional, Sequence
+
+import psutil
 
 from benchmarks.harness import relay
 from benchmarks.harness.gateways import Gateways
@@ -243,7 +244,7 @@ def why_impossible(delay: float = 0.0) -> str:
     return ""
 
 
-@contextmanager
+@contextlib.contextmanager
 def inside(namespace: str) -> Iterator[None]:
     """Put this thread into a network namespace during the ``with`` block. Sockets and devices that
     it creates there stay there."""
@@ -287,16 +288,30 @@ def remove_namespaces(names: Sequence[str]) -> None:
             continue
         deadline = time.monotonic() + 5
         while time.monotonic() < deadline:
-            pids = _run("ip", "netns", "pids", name).split()
-            if not pids:
+            inside = list(_processes_of(name))
+            if not inside:
                 break
-            for pid in pids:
-                try:
-                    os.kill(int(pid), signal.SIGKILL)
-                except ProcessLookupError:
-                    continue
+            for process in inside:
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    process.kill()
             time.sleep(0.02)
         _run("ip", "netns", "delete", name)
+
+
+def _processes_of(name: str) -> Iterator[psutil.Process]:
+    """Processes in a namespace, and those on their way into it.
+
+    ``ip netns exec`` is in the namespace of its caller for a moment. Its words are read before
+    its namespace, so that none slips through between the two.
+    """
+    there = os.stat("/run/netns/" + name)
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            if process.status() == psutil.STATUS_ZOMBIE:
+                continue
+            enters = ["netns", "exec", name] == process.cmdline()[1:4]
+            if enters or os.path.samestat(os.stat("/proc/%d/ns/net" % process.pid), there):
+                yield process
 
 
 def _program(name: str) -> str:
