@@ -1,10 +1,53 @@
 // The analysis panel: sends questions to the server, shows the progress, and highlights the results on the net.
 
-import { $, h, number, plural, question, toast } from "./dom.js";
+import { $, h, labelled, menu, number, plural, question, refill, textField, toast } from "./dom.js";
 import { AnswerPieces } from "./answer_pieces.js";
 import { answersTo } from "./answers.js";
 import { BackgroundJob } from "./jobs.js";
-import { sweepFields, sweepOf } from "./sweep.js";
+import { unmark } from "./net_marks.js";
+
+const time = (value) => ({ type: "number", min: 0, step: "any", value });
+
+/** The fields of the questions: the end of the id -> [label, attributes]. */
+const FIELDS = {
+  limit: ["Max. states", { type: "number", min: 1, max: 2000000, value: 100000 }],
+  seconds: ["Max. seconds", { type: "number", min: 1, max: 120, value: 60 }],
+  reach: ["Reachable", { placeholder: "p1 >= 1 and p2 == 0, or deadlock" }],
+  cover: ["Coverable", { placeholder: "p1 = 2, p2 = 1" }],
+  passage: ["Condition", { placeholder: "p2 >= 1" }],
+  until: ["Until (s)", time(20)],
+  points: ["Points", { type: "number", min: 2, max: 200, value: 60 }],
+  settling: ["Settled within", time(0.001)],
+  rewards: ["Rewards", { placeholder: "p1 = 0.5, t2 = 3" }],
+  "sim-time": ["Length (s)", time(100)],
+  "sim-until": ["Or until", { placeholder: "p2 >= 1" }],
+  "sim-runs": ["Runs", { ...time(1000), min: 1, max: 100000 }],
+  "sim-warmup": ["Warm-up (s)", time(0)],
+  "sim-confidence": ["Confidence (%)", { ...time(95), min: 1, max: 99.99 }],
+  "sim-seed": ["Seed", time(0)],
+  "sweep-vary": ["Vary", { placeholder: "robots=1..5" }],
+  "sweep-also": ["and", { placeholder: "rate:t1=0.5,1,2" }],
+  "sweep-measure": ["Measure", { placeholder: "t1, p1 (default: throughputs)" }],
+};
+
+/** "a, b" as ["a", "b"]. */
+const listed = (text) =>
+  text
+    .split(",")
+    .map((part) => part.trim())
+    .filter(Boolean);
+
+/** "a = 1, b = 2" as {a: 1, b: 2}. */
+function namedNumbers(text, whole) {
+  const numbers = new Map();
+  for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
+    const found = /^\s*(.*?)\s*(?:=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*$/i.exec(part);
+    if (!found || (whole && !/^\d+$/.test(found[2])))
+      throw new Error(`'${part.trim()}' is not of the form name = number`);
+    numbers.set(found[1].replace(/^['"]|['"]$/g, ""), Number(found[2]));
+  }
+  return Object.fromEntries(numbers);
+}
 
 /** The question of a request in readable words. */
 function questionText(request) {
@@ -45,72 +88,45 @@ export class AnalysisPanel extends EventTarget {
 
   build() {
     const plan = this.model.scene.plan;
-    const field = (id, label, input) => [h("label", { for: id, text: label }), input];
-    const text = (id, placeholder) =>
-      h("input", { id, type: "text", placeholder, spellcheck: "false", autocomplete: "off" });
-    const ask = (label, request) =>
-      h("button", { text: label, onclick: () => this.ask(request, label) });
-    this.settings = {
-      limit: h("input", { id: "an-limit", type: "number", min: 1, max: 2000000, value: 100000 }),
-      seconds: h("input", { id: "an-seconds", type: "number", min: 1, max: 120, value: 60 }),
-      from: h(
-        "select",
-        { id: "an-from" },
-        h("option", { value: "initial", text: "the initial marking" }),
-        h("option", { value: "marking", text: "the current marking" }),
-      ),
-      reading: h(
-        "select",
-        { id: "an-reading" },
-        h("option", { value: "run", text: "as the plan runs" }),
-        h("option", { value: "net", text: "as in its net alone" }),
-      ),
-      policy: h("input", {
-        id: "an-policy",
-        type: "checkbox",
-        checked: Boolean(plan),
-      }),
-    };
-    const { policy, reading } = this.settings;
-    policy.addEventListener("change", () => {
-      reading.disabled = !policy.checked; // a net has no run
+    const inputs = Object.entries(FIELDS).map(([name, [, attributes]]) => [
+      name,
+      textField({ id: `an-${name}`, ...attributes }),
+    ]);
+    this.inputs = Object.fromEntries(inputs);
+    this.from = menu(
+      [
+        ["initial", "the initial marking"],
+        ["marking", "the current marking"],
+      ],
+      { id: "an-from" },
+    );
+    this.reading = menu(
+      [
+        ["run", "as the plan runs"],
+        ["net", "as in its net alone"],
+      ],
+      { id: "an-reading" },
+    );
+    this.policy = h("input", { id: "an-policy", type: "checkbox", checked: Boolean(plan) });
+    this.policy.addEventListener("change", () => {
+      this.reading.disabled = !this.policy.checked; // a net has no run
     });
-    const reach = text("an-reach", "p1 >= 1 and p2 == 0, or deadlock");
-    const cover = text("an-cover", "p1 = 2, p2 = 1");
-    const passage = text("an-passage", "p2 >= 1");
-    const until = h("input", { id: "an-until", type: "number", min: 0, step: "any", value: 20 });
-    const points = h("input", { id: "an-points", type: "number", min: 2, max: 200, value: 60 });
-    const settling = h("input", {
-      id: "an-settling",
-      type: "number",
-      min: 0,
-      step: "any",
-      value: 0.001,
-    });
-    const rewards = text("an-rewards", "p1 = 0.5, t2 = 3");
-    const runs = this.simulationFields(text);
-    const sweep = sweepFields(text);
-    const fields = (named) =>
-      h(
-        "div.form",
-        ...Object.values(named).flatMap(({ label, input }) => field(input.id, label, input)),
-      );
-    const times = () => {
-      const end = Math.max(0, Number(until.value) || 0),
-        count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
-      return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
-    };
+    const rows = (...names) => names.map((name) => labelled(FIELDS[name][0], this.inputs[name]));
+    const form = (...names) => h("div.form", rows(...names));
+    const ask = (label, request, attributes = {}) =>
+      h("button", { text: label, onclick: () => this.ask(request, label), ...attributes });
+    const says = (text) => h("p.muted", text);
     this.status = h("div.answer", { role: "status" });
     this.job = new BackgroundJob(this.model.session, this.status, "an-cancel");
     this.answers = h("div", { id: "answers" });
-    this.panel.replaceChildren(
-      this.refusal ? h("p.muted", `Analysis is not available: ${this.refusal}.`) : "",
+    refill(
+      this.panel,
+      this.refusal && says(`Analysis is not available: ${this.refusal}.`),
       h(
         "div.buttons",
-        h("button.primary", {
+        ask("Analyse", () => ({ structure: true, timing: true }), {
           id: "an-all",
-          text: "Analyse",
-          onclick: () => this.ask(() => ({ structure: true, timing: true }), "Analyse"),
+          class: "primary",
         }),
         ask("Structure", () => ({ structure: true })),
         ask("State space", () => ({})),
@@ -122,118 +138,97 @@ export class AnalysisPanel extends EventTarget {
         false,
         h(
           "div.form",
-          ...field("an-limit", "Max. states", this.settings.limit),
-          ...field("an-seconds", "Max. seconds", this.settings.seconds),
-          ...field("an-from", "Start from", this.settings.from),
-          ...(plan
-            ? [
-                ...field("an-policy", "Under the policy", this.settings.policy),
-                ...field("an-reading", "Time", this.settings.reading),
-              ]
-            : []),
+          rows("limit", "seconds"),
+          labelled("Start from", this.from),
+          plan && [labelled("Under the policy", this.policy), labelled("Time", this.reading)],
         ),
       ),
       question(
         "Is it reachable?",
         false,
-        h("div.form", ...field("an-reach", "Reachable", reach)),
-        ask("Reachable?", () => ({ reach: [reach.value] })),
-        h("div.form", ...field("an-cover", "Coverable", cover)),
-        ask("Coverable?", () => ({ cover: [this.namedNumbers(cover.value, true)] })),
+        form("reach"),
+        ask("Reachable?", () => ({ reach: [this.value("reach")] })),
+        form("cover"),
+        ask("Coverable?", () => ({ cover: [namedNumbers(this.value("cover"), true)] })),
       ),
       question(
         "How long until?",
         false,
-        h("div.form", ...field("an-passage", "Condition", passage)),
-        ask("Mean time", () => ({ mean_time_to: [passage.value], at: times() })),
+        form("passage"),
+        ask("Mean time", () => ({ mean_time_to: [this.value("passage")], at: this.times() })),
       ),
       question(
         "How does it evolve?",
         false,
-        h(
-          "div.form",
-          ...field("an-until", "Until (s)", until),
-          ...field("an-points", "Points", points),
-          ...field("an-settling", "Settled within", settling),
-        ),
+        form("until", "points", "settling"),
         h(
           "div.buttons",
-          ask("Tokens over time", () => ({ at: times() })),
-          ask("Time to steady state", () => ({ settling: Number(settling.value) })),
+          ask("Tokens over time", () => ({ at: this.times() })),
+          ask("Time to steady state", () => ({ settling: Number(this.value("settling")) })),
         ),
       ),
       question(
         "What is it worth?",
         false,
-        h("p.muted", "Reward per token and second in a place, or per firing of a transition."),
-        h("div.form", ...field("an-rewards", "Rewards", rewards)),
+        says("Reward per token and second in a place, or per firing of a transition."),
+        form("rewards"),
         ask("Reward per second", () => ({
           timing: true,
-          rewards: this.namedNumbers(rewards.value, false),
+          rewards: namedNumbers(this.value("rewards"), false),
         })),
       ),
       question(
         "Simulated runs",
         false,
-        h(
-          "p.muted",
+        says(
           "Many independent runs, with confidence intervals; also for unbounded nets and nets too large to analyse.",
         ),
-        fields(runs),
-        ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) })),
+        form(...Object.keys(FIELDS).filter((name) => name.startsWith("sim-"))),
+        ask("Simulate runs", () => ({ simulate: this.simulation() })),
       ),
       question(
         "Sweep",
         false,
-        h(
-          "p.muted",
+        says(
           "The runs above for each value of robots, rate:TRANSITION, duration:, failure: or tokens:PLACE.",
         ),
-        fields(sweep),
-        ask("Sweep", () => ({ sweep: sweepOf(sweep, this.simulationOf(runs)) })),
+        form("sweep-vary", "sweep-also", "sweep-measure"),
+        ask("Sweep", () => ({ sweep: this.sweep() })),
       ),
       this.answers,
     );
   }
 
-  simulationFields(text) {
-    const numeric = (id, value, min, max = null) =>
-      h("input", { id, type: "number", min, max, step: "any", value });
+  /** The text in a field. */
+  value(name) {
+    return this.inputs[name].value.trim();
+  }
+
+  /** The times of a curve, in seconds. */
+  times() {
+    const end = Math.max(0, Number(this.value("until")) || 0),
+      count = Math.max(2, Math.min(200, Math.round(Number(this.value("points"))) || 2));
+    return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
+  }
+
+  simulation() {
+    const [length, until] = [this.value("sim-time"), this.value("sim-until")];
     return {
-      time: { label: "Length (s)", input: numeric("an-sim-time", 100, 0) },
-      until: { label: "Or until", input: text("an-sim-until", "p2 >= 1") },
-      replications: { label: "Runs", input: numeric("an-sim-runs", 1000, 1, 100000) },
-      warmup: { label: "Warm-up (s)", input: numeric("an-sim-warmup", 0, 0) },
-      confidence: { label: "Confidence (%)", input: numeric("an-sim-confidence", 95, 1, 99.99) },
-      seed: { label: "Seed", input: numeric("an-sim-seed", 0, 0) },
+      replications: Math.round(Number(this.value("sim-runs"))),
+      warmup: Number(this.value("sim-warmup")),
+      confidence: Number(this.value("sim-confidence")) / 100,
+      seed: Math.round(Number(this.value("sim-seed"))),
+      ...(length && { time: Number(length) }),
+      ...(until && { until }),
     };
   }
 
-  simulationOf(fields) {
-    const value = (key) => fields[key].input.value.trim();
-    const simulate = {
-      replications: Math.round(Number(value("replications"))),
-      warmup: Number(value("warmup")),
-      confidence: Number(value("confidence")) / 100,
-      seed: Math.round(Number(value("seed"))),
+  sweep() {
+    return {
+      ...this.simulation(),
+      vary: [this.value("sweep-vary"), this.value("sweep-also")].filter(Boolean),
+      measure: listed(this.value("sweep-measure")),
     };
-    if (value("time")) simulate.time = Number(value("time"));
-    if (value("until")) simulate.until = value("until");
-    return simulate;
-  }
-
-  /** "a = 1, b = 2" as {a: 1, b: 2}. */
-  namedNumbers(text, whole) {
-    const numbers = new Map();
-    for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
-      const found = /^\s*(.*?)\s*(?:=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*$/i.exec(
-        part,
-      );
-      if (!found || (whole && !/^\d+$/.test(found[2])))
-        throw new Error(`'${part.trim()}' is not of the form name = number`);
-      numbers.set(found[1].replace(/^['"]|['"]$/g, ""), Number(found[2]));
-    }
-    return Object.fromEntries(numbers);
   }
 
   /** Ask the question that `read()` returns; `label`: the button pressed. Replaces the previous answer. */
@@ -246,7 +241,7 @@ export class AnalysisPanel extends EventTarget {
       toast("an analysis is running: wait for it or cancel it", true);
       return;
     }
-    this.pieces.unpaint();
+    unmark(this.pieces.view);
     this.shownText = "";
     this.asked = h("p.asked", h("strong", label));
     this.answers.replaceChildren(this.asked);
@@ -258,15 +253,15 @@ export class AnalysisPanel extends EventTarget {
       this.status.replaceChildren();
       return;
     }
-    const { limit, seconds: most, from, policy, reading } = this.settings;
+    const { from, policy, reading } = this;
     const plan = Boolean(this.model.scene.plan);
     const body = {
       ...request,
-      limit: Math.round(Number(limit.value)),
-      seconds: Number(most.value),
+      limit: Math.round(Number(this.value("limit"))),
+      seconds: Number(this.value("seconds")),
       from: from.value,
       policy: policy.checked && plan,
-      ...(plan ? { reading: reading.value } : {}),
+      ...(plan && { reading: reading.value }),
       event: this.model.board.n,
     };
     const stage = this.stageFrom(from.value === "initial" ? null : [...this.model.board.marking]);

@@ -1,6 +1,7 @@
 // The pieces that answers of the analysis are made of, and what of them is highlighted on the net.
 
-import { h, number, plural, question, table, $ } from "./dom.js";
+import { h, menu, number, plural, question, table } from "./dom.js";
+import { mark, nodeLink } from "./net_marks.js";
 import { barPlot, CURVES } from "./plot.js";
 import { FiringSequence, sequenceControls } from "./sequence.js";
 
@@ -14,8 +15,6 @@ export class AnswerPieces {
     this.view = view;
     this.choose = choose;
     this.stage = null; // where the firing sequences in an answer are played (sequence.js)
-    this.places = new Map(model.scene.places.map((p, i) => [p.name, i]));
-    this.transitions = new Map(model.scene.transitions.map((t, i) => [t.name, i]));
   }
 
   section(title, ...content) {
@@ -51,14 +50,7 @@ export class AnswerPieces {
   }
 
   node(name) {
-    const kind = this.places.has(name) ? "place" : "transition";
-    const index = (kind === "place" ? this.places : this.transitions).get(name);
-    return index === undefined
-      ? name
-      : h("button.link", {
-          text: name,
-          onclick: () => this.choose({ kind, index, fly: true }),
-        });
+    return nodeLink(this.model.scene, name, this.choose);
   }
 
   names(list) {
@@ -71,8 +63,9 @@ export class AnswerPieces {
 
   way(steps) {
     if (!steps) return null;
-    const fired = steps.filter((name) => this.transitions.has(name)); // when time passes in steps, robots wait too
-    const { mode, session } = this.model;
+    const { mode, session, scene } = this.model;
+    const known = new Set(scene.transitions.map(({ name }) => name));
+    const fired = steps.filter((name) => known.has(name)); // when time passes in steps, robots wait too
     return h(
       "div",
       this.wayText(steps),
@@ -114,54 +107,28 @@ export class AnswerPieces {
     return (result[key] || []).map((found) => (found ? draw(found) : h("p", why)));
   }
 
-  /** A button that highlights a result on the net and shows a legend for it. */
-  painter(label, title, marks, ramp = null) {
+  /** A button that marks nodes: [[name, mark], ...]; `legend` follows the title in the legend. */
+  painter(label, title, marks, ...legend) {
     return h("button", {
       text: label,
-      onclick: () => {
-        this.view.paint({ places: marks.places || {}, transitions: marks.transitions || {} });
-        $("legend").replaceChildren(
-          h("strong", title),
-          ...(ramp ? [h("span", number(ramp[0])), h("span.ramp"), h("span", number(ramp[1]))] : []),
-          h("button.icon.small", {
-            "aria-label": "Clear highlighting",
-            text: "×",
-            onclick: () => this.unpaint(),
-          }),
-        );
-        $("legend").hidden = false;
-      },
+      onclick: () => mark(this.view, marks, h("strong", title), ...legend),
     });
   }
 
-  unpaint() {
-    this.view.paint(null);
-    $("legend").hidden = true;
-  }
-
-  marked(names, kind) {
-    const marks = { places: {}, transitions: {} };
-    for (const name of names) {
-      if (this.places.has(name)) marks.places[this.places.get(name)] = { kind };
-      else if (this.transitions.has(name)) marks.transitions[this.transitions.get(name)] = { kind };
-    }
-    return marks;
-  }
-
-  heat(values) {
-    const marks = { places: {}, transitions: {} };
-    const most = Math.max(...Object.values(values).filter(Number.isFinite), 0);
-    for (const [name, value] of Object.entries(values)) {
-      if (!Number.isFinite(value)) continue;
-      const mark = {
+  /** A button that colours nodes by their values. */
+  heat(label, title, values) {
+    const known = Object.entries(values).filter(([, value]) => Number.isFinite(value));
+    const most = Math.max(...known.map(([, value]) => value), 0);
+    const marks = known.map(([name, value]) => [
+      name,
+      {
         kind: "heat",
         level: most ? value / most : 0,
         text: number(Number(value.toPrecision(3))),
-      };
-      if (this.places.has(name)) marks.places[this.places.get(name)] = mark;
-      else if (this.transitions.has(name)) marks.transitions[this.transitions.get(name)] = mark;
-    }
-    return [marks, [0, most]];
+      },
+    ]);
+    const ends = [0, most].map((value) => h("span", number(value)));
+    return this.painter(label, title, marks, ends[0], h("span.ramp"), ends[1]);
   }
 
   /** A table whose first column holds text or elements, and whose others hold numbers. */
@@ -185,21 +152,21 @@ export class AnswerPieces {
   distribution(byPlace) {
     const names = Object.keys(byPlace);
     if (!names.length) return null;
-    const chosen = h(
-      "select",
-      { "aria-label": "Place" },
-      names.map((name) => h("option", { value: name, text: name })),
-    );
-    const bars = h("div");
-    chosen.onchange = () =>
-      bars.replaceChildren(
-        barPlot(
-          Object.entries(byPlace[chosen.value])
-            .filter(([, p]) => p > 5e-7)
-            .slice(0, 30),
-        ),
+    const bars = (name) =>
+      barPlot(
+        Object.entries(byPlace[name])
+          .filter(([, p]) => p > 5e-7)
+          .slice(0, 30),
       );
-    chosen.onchange();
-    return [h("h3", "Distribution of tokens"), chosen, bars];
+    return [h("h3", "Distribution of tokens"), this.chosen("Place", names, bars)];
+  }
+
+  /** A menu of names, and what `draw(name)` returns for the one chosen. */
+  chosen(label, names, draw) {
+    const shown = h("div");
+    const choice = menu(names, { "aria-label": label });
+    choice.onchange = () => shown.replaceChildren(...[draw(choice.value)].flat());
+    choice.onchange();
+    return [choice, shown];
   }
 }

@@ -18,16 +18,45 @@ function fill(create, selector, content) {
     else if (key === "text") element.textContent = value;
     else element.setAttribute(key, value === true ? "" : value);
   }
-  for (const child of children.flat(Infinity))
-    if (child !== null && child !== undefined && child !== false && child !== "")
-      element.append(child);
+  element.append(...present(children));
   return element;
 }
+
+const present = (children) =>
+  children.flat(Infinity).filter((child) => ![null, undefined, false, ""].includes(child));
+
+/** Replace what is in an element; `children` as in `h`. */
+export const refill = (element, ...children) => element.replaceChildren(...present(children));
 
 export const h = (selector, ...content) =>
   fill((name) => document.createElement(name), selector, content);
 export const s = (selector, ...content) =>
   fill((name) => document.createElementNS(SVG, name), selector, content);
+
+/** The options of a menu: [value, text], or values that are their own texts. */
+export const options = (choices) =>
+  choices.map((choice) => {
+    const [value, text = value] = [choice].flat();
+    return h("option", { value, text });
+  });
+
+/** A menu; `choices`: as in `options`. */
+export const menu = (choices, attributes = {}) => h("select", attributes, options(choices));
+
+/** A field for a short text. */
+export const textField = (attributes) =>
+  h("input", { type: "text", spellcheck: "false", autocomplete: "off", ...attributes });
+
+/** A label and its control, as two cells of a form. */
+export const labelled = (label, control) => [h("label", { for: control.id, text: label }), control];
+
+/** Mark a field as wrong for the reason in the element `why`; null: as right. */
+export function markWrong(field, why) {
+  for (const name of ["aria-invalid", "aria-describedby"]) field.removeAttribute(name);
+  if (!why) return;
+  field.setAttribute("aria-invalid", "true");
+  field.setAttribute("aria-describedby", why.id);
+}
 
 /** A section that can be folded. */
 export const question = (title, open, ...body) =>

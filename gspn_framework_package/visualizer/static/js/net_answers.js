@@ -3,32 +3,29 @@
 import { facts, h, number, plural } from "./dom.js";
 import { LIST } from "./answer_pieces.js";
 
+/** Marks of the same kind for some nodes. */
+const marked = (names, kind) => names.map((name) => [name, { kind }]);
+
 export function structure(show, result) {
   const sum = (weights) =>
     Object.entries(weights)
       .map(([name, weight]) => `${weight === 1 ? "" : `${weight}·`}${name}`)
       .join(" + ");
+  const line = (title, names, kind, says) =>
+    h("p", show.painter("show", title.slice(0, 160), marked(names, kind)), ` ${says}`);
   const sets = (title, key, say, members, kind) => {
     const found = result[key];
     if (!found) return [h("h3", title), h("p", show.answer(result, key))];
+    const one = title.replace(/s$/, "");
     return [
       h("h3", `${title} (${found.length})`),
       found
         .slice(0, LIST)
-        .map((item) =>
-          h(
-            "p",
-            show.painter(
-              "show",
-              `${title.replace(/s$/, "")}: ${say(item)}`.slice(0, 160),
-              show.marked(members(item), kind),
-            ),
-            ` ${say(item)}`,
-          ),
-        ),
+        .map((item) => line(`${one}: ${say(item)}`, members(item), kind, say(item))),
       found.length > LIST && h("p.muted", `and ${found.length - LIST} more`),
     ];
   };
+  const conflicts = result.conflict_sets?.filter((c) => c.length > 1);
   const classes = Object.entries(result.classes || {})
     .filter(([, is]) => is)
     .map(([name]) => name.replace(/_/g, " "));
@@ -70,18 +67,9 @@ export function structure(show, result) {
       (t) => t.places,
       "good",
     ),
-    result.conflict_sets && [
-      h("h3", `Conflicts (${result.conflict_sets.filter((c) => c.length > 1).length})`),
-      result.conflict_sets
-        .filter((c) => c.length > 1)
-        .slice(0, LIST)
-        .map((c) =>
-          h(
-            "p",
-            show.painter("show", "Transitions in conflict", show.marked(c, "mark")),
-            ` ${c.join(", ")}`,
-          ),
-        ),
+    conflicts && [
+      h("h3", `Conflicts (${conflicts.length})`),
+      conflicts.slice(0, LIST).map((c) => line("Transitions in conflict", c, "mark", c.join(", "))),
     ],
   );
 }
@@ -177,30 +165,30 @@ export function behaviour(show, result, body) {
         show.painter(
           "Show the dead transitions",
           "Transitions that never fire",
-          show.marked(dead, "bad"),
+          marked(dead, "bad"),
         ),
       live.length > 0 &&
-        show.painter("Show liveness", "Live (L4): green; dead (L0): red", {
-          transitions: Object.fromEntries(
-            live.map(([name, level]) => [
-              show.transitions.get(name),
-              { kind: level === "L4" ? "good" : level === "L0" ? "bad" : "mark", text: level },
-            ]),
-          ),
-        }),
+        show.painter(
+          "Show liveness",
+          "Live (L4): green; dead (L0): red",
+          live.map(([name, level]) => [
+            name,
+            { kind: level === "L4" ? "good" : level === "L0" ? "bad" : "mark", text: level },
+          ]),
+        ),
       result.bounds &&
-        show.painter("Show the bounds", "Most tokens in each place", {
-          places: Object.fromEntries(
-            Object.entries(result.bounds).map(([name, bound]) => [
-              show.places.get(name),
-              {
-                kind: bound === "infinite" ? "bad" : "heat",
-                level: 0,
-                text: bound === null ? "?" : bound === "infinite" ? "∞" : String(bound),
-              },
-            ]),
-          ),
-        }),
+        show.painter(
+          "Show the bounds",
+          "Most tokens in each place",
+          Object.entries(result.bounds).map(([name, bound]) => [
+            name,
+            {
+              kind: bound === "infinite" ? "bad" : "heat",
+              level: 0,
+              text: bound === null ? "?" : bound === "infinite" ? "∞" : String(bound),
+            },
+          ]),
+        ),
     ),
   );
 }

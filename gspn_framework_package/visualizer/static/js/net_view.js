@@ -240,14 +240,9 @@ export class NetView extends EventTarget {
     this.container.classList.toggle("no-enabled", !on);
   }
 
-  /** `paint`: {places: {index: what}, transitions: {index: what}}, see paintNode; null clears all highlighting. */
-  paint(paint) {
-    for (const node of this.nodes) {
-      paintNode(
-        node,
-        paint && (node.kind === "place" ? paint.places : paint.transitions)?.[node.index],
-      );
-    }
+  /** `marks`: name of a node -> what paintNode shows; null clears all highlighting. */
+  paint(marks) {
+    for (const node of this.nodes) paintNode(node, marks?.get(node.name));
     this.labels.later();
   }
 

@@ -1,6 +1,6 @@
 // The form of the Optimise tab: the aim of the policy to compute. Errors are shown at their fields.
 
-import { h, natural, question } from "./dom.js";
+import { h, labelled, markWrong, menu, natural, options, question, textField } from "./dom.js";
 
 const AIMS = [
   ["long_run", "reward in the long run"],
@@ -21,6 +21,9 @@ const USES = {
 
 const id = (name) => `op-${name.replaceAll(".", "-")}`;
 
+const number = (attributes) => textField({ type: "number", step: "any", ...attributes });
+const amount = () => number({ value: "" });
+
 export class OptimiseForm {
   constructor(model) {
     this.model = model;
@@ -29,6 +32,7 @@ export class OptimiseForm {
     this.lists = {};
     this.element = h("div", this.aim(), this.constraints(), this.settings());
     this.element.addEventListener("input", ({ target }) => this.forget(target));
+    this.addEntry("rewards");
     this.showParts();
   }
 
@@ -38,94 +42,63 @@ export class OptimiseForm {
   field(name, label, control) {
     control.id = id(name);
     this.controls.set(name, control);
-    const cells = [h("label", { for: control.id, text: label }), control];
-    this.parts[name] = cells;
-    return cells;
-  }
-
-  select(options, attributes = {}) {
-    return h(
-      "select",
-      attributes,
-      options.map(([value, text]) => h("option", { value, text })),
-    );
-  }
-
-  numeric(attributes) {
-    return h("input", { type: "number", step: "any", ...attributes });
-  }
-
-  text(attributes) {
-    return h("input", { type: "text", spellcheck: "false", autocomplete: "off", ...attributes });
+    this.parts[name] = labelled(label, control);
+    return this.parts[name];
   }
 
   aim() {
-    const aim = this.select(AIMS);
-    aim.addEventListener("change", () => this.showParts());
+    const direction = [
+      ["most", "as high as possible"],
+      ["least", "as low as possible"],
+    ];
     return question(
       "Aim",
       true,
       h(
         "div.form",
-        this.field("aim", "Aim", aim),
-        this.field(
-          "direction",
-          "Make it",
-          this.select([
-            ["most", "as high as possible"],
-            ["least", "as low as possible"],
-          ]),
-        ),
-        this.field("goal", "Condition", this.text({ placeholder: "p1 >= 1 and p2 == 0" })),
-        this.field("discount", "Discount (per second)", this.numeric({ min: 0, value: 0.01 })),
+        this.field("aim", "Aim", menu(AIMS, { onchange: () => this.showParts() })),
+        this.field("direction", "Make it", menu(direction)),
+        this.field("goal", "Condition", textField({ placeholder: "p1 >= 1 and p2 == 0" })),
+        this.field("discount", "Discount (per second)", number({ min: 0, value: 0.01 })),
       ),
-      this.list(
-        "rewards",
-        "Rewards",
-        "Per token and second in a place, or per firing of a transition. Costs are negative.",
-        "Add a reward",
-        (name) => [
-          this.nodes(`${name}.name`, "Rewarded"),
-          this.amount(`${name}.value`, "Reward", 1),
-        ],
-        ({ name, value }) => ({ name: name.value, value: value.value }),
-      ),
+      this.list("rewards", ["Rewards", "", "Add a reward"], {
+        name: ["Rewarded", () => this.nodes()],
+        value: ["Reward", () => number({ value: 1 })],
+      }),
     );
   }
 
   constraints() {
-    const plain = (label, name) => this.entryControl(name, label, this.text({}));
     return question(
       "Constraints",
       false,
       this.list(
         "never",
-        "Never",
-        "Conditions that must never hold, even when robots are lost.",
-        "Add a condition",
-        (name) => [plain("Condition", name)],
-        ({ entry }) => entry.value,
+        ["Never", "Conditions that must never hold, even when robots are lost.", "Add a condition"],
+        { entry: ["Condition", textField] },
       ),
       this.list(
         "at_least",
-        "At least",
-        "Mean tokens of a place, or firings of a transition per second.",
-        "Add a lower bound",
-        (name) => [this.nodes(`${name}.name`, "Bounded"), this.amount(`${name}.bound`, "At least")],
-        ({ name, bound }) => ({ name: name.value, bound: bound.value }),
+        [
+          "At least",
+          "Mean tokens of a place, or firings of a transition per second.",
+          "Add a lower bound",
+        ],
+        { name: ["Bounded", () => this.nodes()], bound: ["At least", amount] },
       ),
       this.waiting(),
       this.list(
         "uncertain",
-        "Uncertain rates",
-        "Lowest and highest rate (1/s) of an exponential transition: the policy is the best for the worst rate.",
-        "Add a rate",
-        (name) => [
-          this.nodes(`${name}.name`, "Uncertain", true),
-          this.amount(`${name}.low`, "Lowest"),
-          this.amount(`${name}.high`, "Highest"),
+        [
+          "Uncertain rates",
+          "Lowest and highest rate (1/s) of an exponential transition: the policy is the best for the worst rate.",
+          "Add a rate",
         ],
-        ({ name, low, high }) => ({ name: name.value, low: low.value, high: high.value }),
+        {
+          name: ["Uncertain", () => this.nodes(true)],
+          low: ["Lowest", amount],
+          high: ["Highest", amount],
+        },
       ),
     );
   }
@@ -173,135 +146,100 @@ export class OptimiseForm {
   }
 
   settings() {
+    const time = [
+      ["run", "as the plan runs"],
+      ["net", "as in its net alone"],
+    ];
+    const rates = [
+      ["fitted", "as learned, where the plan has them"],
+      ["nominal", "those of the net"],
+    ];
+    const teams = [
+      ["plan", "the plan's, and the smaller ones after losses"],
+      ["own", "the plan's only"],
+      ["all", "of every size up to the plan's"],
+    ];
     return question(
       "Settings",
       false,
       h(
         "div.form",
-        this.field(
-          "timing",
-          "Time",
-          this.select([
-            ["run", "as the plan runs"],
-            ["net", "as in its net alone"],
-          ]),
-        ),
-        this.field(
-          "fitted",
-          "Rates",
-          this.select([
-            ["fitted", "as learned, where the plan has them"],
-            ["nominal", "those of the net"],
-          ]),
-        ),
-        this.field(
-          "teams",
-          "Teams",
-          this.select([
-            ["plan", "the plan's, and the smaller ones after losses"],
-            ["own", "the plan's only"],
-            ["all", "of every size up to the plan's"],
-          ]),
-        ),
-        this.field(
-          "simulated",
-          "Compare by simulation (s)",
-          this.numeric({ min: 0, max: 60, value: 5 }),
-        ),
-        this.field("limit", "Max. states", this.numeric({ min: 1, max: 2000000, value: 500000 })),
-        this.field("seconds", "Max. seconds", this.numeric({ min: 1, max: 600, value: 120 })),
+        this.field("timing", "Time", menu(time)),
+        this.field("fitted", "Rates", menu(rates)),
+        this.field("teams", "Teams", menu(teams)),
+        this.field("simulated", "Compare by simulation (s)", number({ min: 0, max: 60, value: 5 })),
+        this.field("limit", "Max. states", number({ min: 1, max: 2000000, value: 500000 })),
+        this.field("seconds", "Max. seconds", number({ min: 1, max: 600, value: 120 })),
       ),
     );
   }
 
-  /** A list to which entries can be added. `controls(name)` creates the controls of an entry, `value(controls)` reads
-   * them. */
-  list(name, title, says, adds, controls, value) {
+  /** A list to which entries can be added. `fields`: those of an entry, key -> [label, maker of the control]; an entry
+   * with the only key "entry" is a value, others are objects. */
+  list(name, [title, about, adds], fields) {
     const entries = h("div.entries");
-    const list = (this.lists[name] = { entries, items: [], value, controls });
     const add = h("button", {
       type: "button",
       id: id(name),
       text: adds,
-      onclick: () => this.addEntry(name).focus(),
+      onclick: () => this.addEntry(name),
     });
     this.controls.set(name, add);
-    list.legend = h("legend", title);
-    list.says = h("p.muted", says);
-    const group = h("fieldset", list.legend, list.says, entries, add);
+    const list = {
+      entries,
+      fields,
+      items: [],
+      legend: h("legend", title),
+      about: h("p.muted", about),
+    };
+    this.lists[name] = list;
+    const group = h("fieldset", list.legend, list.about, entries, add);
     this.parts[name] = [group];
-    if (name === "rewards") this.addEntry(name);
     return group;
   }
 
-  /** Add an empty entry to a list; returns its first control. */
+  /** Add an empty entry to a list; its first control gets the focus. */
   addEntry(name) {
     const list = this.lists[name];
-    const made = new Map();
-    this.making = made;
-    const controls = list.controls(name);
-    const item = { controls: made };
-    item.element = h(
-      "div.entry",
-      controls,
-      h("button.icon", {
-        type: "button",
-        text: "×",
-        onclick: () => {
-          const at = list.items.indexOf(item);
-          list.items.splice(at, 1);
-          item.element.remove();
-          this.number(list);
-          const next = list.items[Math.min(at, list.items.length - 1)];
-          (next ? next.element.querySelector("button") : this.controls.get(name)).focus();
-        },
-      }),
-    );
+    const controls = new Map(Object.entries(list.fields).map(([key, [, make]]) => [key, make({})]));
+    const item = { controls };
+    const remove = () => {
+      const at = list.items.indexOf(item);
+      list.items.splice(at, 1);
+      item.element.remove();
+      this.nameControls(list);
+      const next = list.items[Math.min(at, list.items.length - 1)];
+      (next ? next.element.querySelector("button") : this.controls.get(name)).focus();
+    };
+    const removes = h("button.icon", { type: "button", text: "×", onclick: remove });
+    item.element = h("div.entry", [...controls.values()], removes);
     list.items.push(item);
     list.entries.append(item.element);
-    this.number(list);
-    return controls[0];
+    this.nameControls(list);
+    controls.values().next().value.focus();
   }
 
   /** Name the controls of a list's entries by their position, for screen readers. */
-  number(list) {
-    list.items.forEach(({ controls, element }, i) => {
-      for (const { control, label } of controls.values())
-        control.setAttribute("aria-label", `${label} ${i + 1}`);
+  nameControls({ items, fields }) {
+    items.forEach(({ controls, element }, i) => {
+      for (const [key, control] of controls)
+        control.setAttribute("aria-label", `${fields[key][0]} ${i + 1}`);
       element.querySelector("button").setAttribute("aria-label", `Remove entry ${i + 1}`);
     });
   }
 
-  entryControl(name, label, control) {
-    this.making.set(name.includes(".") ? name.split(".").pop() : "entry", { control, label });
-    return control;
-  }
-
-  amount(name, label, value = "") {
-    return this.entryControl(name, label, this.numeric({ value }));
-  }
-
   /** A menu of all places and transitions, or of the exponential transitions. */
-  nodes(name, label, timed = false) {
+  nodes(timed = false) {
     const { places, transitions } = this.model.scene;
-    const group = (title, nodes) =>
-      h(
-        "optgroup",
-        { label: title },
-        nodes
-          .map((node) => node.name)
-          .sort(natural)
-          .map((text) => h("option", { value: text, text })),
-      );
-    return this.entryControl(
-      name,
-      label,
-      h(
-        "select",
-        h("option", { value: "", text: "choose …" }),
-        !timed && group("Places", places),
-        group("Transitions", timed ? transitions.filter((t) => t.timed) : transitions),
-      ),
+    const group = (title, nodes) => {
+      const names = nodes.map((node) => node.name).sort(natural);
+      return h("optgroup", { label: title }, options(names));
+    };
+    return h(
+      "select",
+      options([["", "choose …"]]),
+      !timed && group("Places", places),
+      group("Transitions", timed ? transitions.filter((t) => t.timed) : transitions),
     );
   }
 
@@ -313,7 +251,7 @@ export class OptimiseForm {
       for (const element of this.parts[name]) element.hidden = !USES[value].includes(name);
     const { rewards } = this.lists;
     rewards.legend.textContent = costs ? "Costs" : "Rewards";
-    rewards.says.textContent = `Per token and second in a place, or per firing of a transition.${
+    rewards.about.textContent = `Per token and second in a place, or per firing of a transition.${
       costs ? "" : " Costs are negative."
     }`;
     this.controls.get("rewards").textContent = costs ? "Add a cost" : "Add a reward";
@@ -328,13 +266,12 @@ export class OptimiseForm {
   /** The fields of the request: {optimise, limit, seconds}. */
   read() {
     const aim = this.value("aim");
+    const valueOf = ({ controls }) =>
+      controls.get("entry")?.value ??
+      Object.fromEntries([...controls].map(([key, control]) => [key, control.value]));
     const entries = (name) =>
       USES[aim].includes(name) || ["never", "uncertain"].includes(name)
-        ? this.lists[name].items.map(({ controls }) =>
-            this.lists[name].value(
-              Object.fromEntries([...controls].map(([key, { control }]) => [key, control])),
-            ),
-          )
+        ? this.lists[name].items.map(valueOf)
         : [];
     return {
       optimise: {
@@ -361,7 +298,7 @@ export class OptimiseForm {
   control(name) {
     const [list, at, key] = name.split(".");
     const item = this.lists[list]?.items[Number(at)];
-    if (item) return (item.controls.get(key || "entry") || [...item.controls.values()][0]).control;
+    if (item) return item.controls.get(key || "entry") || item.controls.values().next().value;
     return this.controls.get(list) || this.controls.get("aim");
   }
 
@@ -376,8 +313,7 @@ export class OptimiseForm {
       else if (control.tagName === "FIELDSET") control.append(error);
       else control.after(error);
       error.control = control;
-      control.setAttribute("aria-invalid", "true");
-      control.setAttribute("aria-describedby", error.id);
+      markWrong(control, error);
       control.closest("details").open = true;
     }
     this.element.querySelector("[aria-invalid='true']")?.focus();
@@ -394,8 +330,7 @@ export class OptimiseForm {
   }
 
   remove(error) {
-    error.control.removeAttribute("aria-invalid");
-    error.control.removeAttribute("aria-describedby");
+    markWrong(error.control, null);
     error.remove();
   }
 }

@@ -1,10 +1,23 @@
 // The Optimise tab: asks the server for the best policy, compares it with the present one, and saves it if the operator
 // accepts. It never replaces anything unasked.
 
-import { $, h, announce, ask, attempt, question, toast } from "./dom.js";
+import {
+  $,
+  h,
+  announce,
+  ask,
+  attempt,
+  labelled,
+  markWrong,
+  question,
+  refill,
+  textField,
+  toast,
+} from "./dom.js";
 import { get, post } from "./api.js";
 import { deployToARun } from "./deploy.js";
 import { BackgroundJob } from "./jobs.js";
+import { nodeLink } from "./net_marks.js";
 import { OptimiseForm } from "./optimise_form.js";
 import { ChoiceList, ChoicePainter, OptimiseViews, markingText } from "./optimise_views.js";
 import { PolicyTable, choiceText } from "./policy_table.js";
@@ -20,8 +33,10 @@ export class OptimisePanel extends EventTarget {
     this.refusal = refusal;
     this.panel = $("optimise");
     this.panel.replaceChildren();
-    this.painter = new ChoicePainter(model, view);
-    this.views = new OptimiseViews((name) => this.node(name));
+    this.view = view;
+    this.painter = new ChoicePainter(view);
+    const choose = (detail) => this.dispatchEvent(new CustomEvent("choose", { detail }));
+    this.views = new OptimiseViews((name) => nodeLink(model.scene, name, choose));
     this.status = h("div.answer", { role: "status" });
     this.answers = h("div", { id: "optimised" });
     this.job = new BackgroundJob(model.session, this.status, "op-cancel");
@@ -36,51 +51,24 @@ export class OptimisePanel extends EventTarget {
 
   build() {
     this.built = true;
-    const muted = (text) => h("p.muted", text);
+    const show = (text, ...parts) => refill(this.panel, h("p.muted", text), parts);
     if (!this.model.scene.plan) {
-      this.panel.replaceChildren(
-        muted("A policy needs a plan. This is a net without robots and actions."),
-      );
+      show("A policy needs a plan. This is a net without robots and actions.");
       return;
     }
     if (this.refusal) {
-      this.panel.replaceChildren(
-        muted(`Policies cannot be computed here: ${this.refusal}.`),
-        this.status,
-        this.answers,
-      );
+      show(`Policies cannot be computed here: ${this.refusal}.`, this.status, this.answers);
       return;
     }
     this.form = new OptimiseForm(this.model);
-    this.panel.replaceChildren(
-      muted("Computes the best policy for an aim. Nothing is changed until you save it."),
+    const start = { id: "op-start", text: "Optimise", onclick: () => this.optimise() };
+    show(
+      "Computes the best policy for an aim. Nothing is changed until you save it.",
       this.form.element,
-      h(
-        "div.buttons",
-        h("button.primary", {
-          id: "op-start",
-          text: "Optimise",
-          onclick: () => this.optimise(),
-        }),
-      ),
+      h("div.buttons", h("button.primary", start)),
       this.status,
       this.answers,
     );
-  }
-
-  node(name) {
-    const { places, transitions } = this.model.scene;
-    const [p, t] = [places, transitions].map((nodes) => nodes.findIndex((n) => n.name === name));
-    const detail =
-      p >= 0
-        ? { kind: "place", index: p, fly: true }
-        : t >= 0 && { kind: "transition", index: t, fly: true };
-    return detail
-      ? h("button.link", {
-          text: name,
-          onclick: () => this.dispatchEvent(new CustomEvent("choose", { detail })),
-        })
-      : name;
   }
 
   // -- asking ----------------------------------------------------------------------------------------
@@ -99,14 +87,8 @@ export class OptimisePanel extends EventTarget {
     } catch (error) {
       const { fields } = error.data || {};
       if (fields) this.form.tell(fields);
-      this.status.replaceChildren(
-        h(
-          "p",
-          { "data-state": "refused" },
-          h("span.badge.bad", "not started"),
-          ` ${error.message}`,
-        ),
-      );
+      const badge = h("span.badge.bad", "not started");
+      this.status.replaceChildren(h("p", { "data-state": "refused" }, badge, ` ${error.message}`));
     }
   }
 
@@ -133,7 +115,8 @@ export class OptimisePanel extends EventTarget {
     this.choices = new ChoiceList(answer, ({ marking, place, present, best }) => {
       this.stopFollowing();
       this.painter.paint([{ place, present, best }], `When ${markingText(marking)}`);
-      this.painter.flyTo(place);
+      const index = this.model.scene.places.findIndex(({ name }) => name === place);
+      if (index >= 0) this.view.flyTo("place", index);
       announce(`${place}: present ${choiceText(present)}, best ${choiceText(best)}`);
     });
     const rows = new PolicyTable(report.key, (marking, choose, title) => {
@@ -143,17 +126,16 @@ export class OptimisePanel extends EventTarget {
     });
     const table = question("Policy", false, rows.element);
     table.addEventListener("toggle", () => table.open && rows.start === undefined && rows.show());
-    this.answers.replaceChildren(
-      ...[
-        this.views.result(answer),
-        this.keeping(report),
-        this.views.constraints(answer),
-        this.choices.element,
-        table,
-        this.views.teams(answer),
-        this.views.sensitivities(answer),
-        this.views.assumptions(answer),
-      ].filter(Boolean),
+    refill(
+      this.answers,
+      this.views.result(answer),
+      this.keeping(report),
+      this.views.constraints(answer),
+      this.choices.element,
+      table,
+      this.views.teams(answer),
+      this.views.sensitivities(answer),
+      this.views.assumptions(answer),
     );
     this.choices.element.querySelector(".body").prepend(this.following());
     this.answers.scrollIntoView({ block: "nearest" });
@@ -245,11 +227,8 @@ export class OptimisePanel extends EventTarget {
 
   keeping(report) {
     const { session } = this.model;
-    const name = h("input", {
+    const name = textField({
       id: "op-name",
-      type: "text",
-      spellcheck: "false",
-      autocomplete: "off",
       value: report.saves_as || "",
       oninput: () => this.tellSaving(""),
     });
@@ -267,7 +246,7 @@ export class OptimisePanel extends EventTarget {
                 "p.muted",
                 "Saves the plan with the new policy as a new file next to the present one, which is not changed.",
               ),
-              h("div.form", h("label", { for: "op-name", text: "Save as" }), name),
+              h("div.form", labelled("Save as", name)),
             ],
         this.saving,
         h(
@@ -303,14 +282,8 @@ export class OptimisePanel extends EventTarget {
     this.saving.hidden = !text;
     this.saving.className = wrong ? "wrong" : "";
     this.saving.replaceChildren(text, ...more);
-    if (wrong) {
-      name.setAttribute("aria-invalid", "true");
-      name.setAttribute("aria-describedby", "op-saving");
-      name.focus();
-    } else {
-      name.removeAttribute("aria-invalid");
-      name.removeAttribute("aria-describedby");
-    }
+    markWrong(name, wrong && this.saving);
+    if (wrong) name.focus();
   }
 
   async save(key, name) {

@@ -1,6 +1,7 @@
 // Compares a computed policy with the present one: in words and tables, and highlighted on the net.
 
 import { $, facts, h, natural, number, plural, question, table, LIST_STEPS } from "./dom.js";
+import { mark, unmark } from "./net_marks.js";
 import { choiceText, percent } from "./policy_table.js";
 
 const SENSITIVITIES = 12;
@@ -19,6 +20,11 @@ const alike = (a, b) => {
   const names = Object.keys(a);
   return names.length === Object.keys(b).length && names.every((name) => a[name] === b[name]);
 };
+
+const gainText = (gain) =>
+  Math.abs(gain) < 5e-7
+    ? "none: the present policy is already optimal"
+    : `${gain > 0 ? "+" : ""}${percent(gain)}`;
 
 const sentences = (list) =>
   h(
@@ -57,27 +63,21 @@ export class OptimiseViews {
   /** Compare present and best. */
   result(answer) {
     const { objective, present_policy: present, gain, simulation } = answer;
+    const known = (value) => value !== null && value !== undefined;
     const rows = [
       [
         "Present policy",
-        present.value === null || present.value === undefined
-          ? h("span.muted", `not known: ${present.why || "no reason given"}`)
-          : this.worth(present.value, objective),
+        known(present.value)
+          ? this.worth(present.value, objective)
+          : h("span.muted", `not known: ${present.why || "no reason given"}`),
       ],
       [
         "Best policy",
-        answer.value === null || answer.value === undefined
-          ? h("span.badge.warn", "none")
-          : h("strong", this.worth(answer.value, objective)),
+        known(answer.value)
+          ? h("strong", this.worth(answer.value, objective))
+          : h("span.badge.warn", "none"),
       ],
-      [
-        "Gain",
-        gain === null || gain === undefined
-          ? "–"
-          : Math.abs(gain) < 5e-7
-            ? "none: the present policy is already optimal"
-            : `${gain > 0 ? "+" : ""}${percent(gain)}`,
-      ],
+      ["Gain", known(gain) ? gainText(gain) : "–"],
     ];
     const interval = `between ${precise(answer.lower)} and ${precise(answer.upper)}`;
     const bounds =
@@ -263,10 +263,8 @@ export class ChoiceList {
 
 /** Highlights choices on the net: present and best differ in line style and wording. */
 export class ChoicePainter {
-  constructor(model, view) {
+  constructor(view) {
     this.view = view;
-    this.places = new Map(model.scene.places.map((p, i) => [p.name, i]));
-    this.transitions = new Map(model.scene.transitions.map((t, i) => [t.name, i]));
     this.legend = h("span.legend-words");
   }
 
@@ -277,30 +275,24 @@ export class ChoicePainter {
 
   /** `choices`: [{place, present, best}], `present` is null if unknown. `title` says which marking they are for. */
   paint(choices, title) {
-    const marks = { places: {}, transitions: {} };
+    const marks = [];
     for (const { place, present, best } of choices) {
       const waits = [
         present && !Object.keys(present).length && "present",
         best && !Object.keys(best).length && "best",
       ].filter(Boolean);
-      if (this.places.has(place))
-        marks.places[this.places.get(place)] = {
-          kind: "mark",
-          text: waits.length ? `${waits.join(" and ")}: wait` : "",
-        };
+      const text = waits.length ? `${waits.join(" and ")}: wait` : "";
+      marks.push([place, { kind: "mark", text }]);
       for (const name of new Set([...Object.keys(best), ...Object.keys(present || {})])) {
         const [now, then] = [present?.[name], best[name]];
         const said = [
           now !== undefined && ["present", now],
           then !== undefined && ["best", then],
         ].filter(Boolean);
-        marks.transitions[this.transitions.get(name)] = {
-          kind: said.length === 2 ? "both" : said[0][0],
-          text: this.words(said),
-        };
+        const kind = said.length === 2 ? "both" : said[0][0];
+        marks.push([name, { kind, text: this.words(said) }]);
       }
     }
-    this.view.paint(marks);
     const sign = (kind) => h("span", { class: `key-sign ${kind}`, "aria-hidden": "true" });
     this.legend.replaceChildren(
       h("strong", title),
@@ -309,20 +301,7 @@ export class ChoicePainter {
       sign("best"),
       h("span", "best (solid)"),
     );
-    $("legend").replaceChildren(
-      this.legend,
-      h("button.icon.small", {
-        "aria-label": "Clear highlighting",
-        text: "×",
-        onclick: () => this.clear(),
-      }),
-    );
-    $("legend").hidden = false;
-  }
-
-  /** Move the view to a place, unless it is in sight. */
-  flyTo(place) {
-    if (this.places.has(place)) this.view.flyTo("place", this.places.get(place));
+    mark(this.view, marks, this.legend);
   }
 
   words(said) {
@@ -333,8 +312,6 @@ export class ChoicePainter {
   }
 
   clear() {
-    if (!this.on) return;
-    this.view.paint(null);
-    $("legend").hidden = true;
+    if (this.on) unmark(this.view);
   }
 }

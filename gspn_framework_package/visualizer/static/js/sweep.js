@@ -1,36 +1,10 @@
-// A sweep: its form, and its points as a table, and plots of each measure over the varied parameter.
+// The answer to a sweep: its points as a table, and plots of each measure over the varied parameter.
 
 import { h, number, table } from "./dom.js";
 import { curvePlot, CURVES } from "./plot.js";
 
 const PLOTS = 8;
 const CURVES_SHOWN = 8;
-
-/** "a, b" as ["a", "b"]. */
-const listed = (text) =>
-  text
-    .split(",")
-    .map((part) => part.trim())
-    .filter(Boolean);
-
-/** The fields of a sweep in addition to those of simulated runs: {key: {label, input}}. */
-export function sweepFields(text) {
-  return {
-    vary: { label: "Vary", input: text("an-sweep-vary", "robots=1..5") },
-    also: { label: "and", input: text("an-sweep-also", "rate:t1=0.5,1,2") },
-    measure: { label: "Measure", input: text("an-sweep-measure", "t1, p1 (default: throughputs)") },
-  };
-}
-
-/** The request for a sweep. `simulate`: the request for the runs at each point. */
-export function sweepOf(fields, simulate) {
-  const value = (key) => fields[key].input.value.trim();
-  return {
-    ...simulate,
-    vary: [value("vary"), value("also")].filter(Boolean),
-    measure: listed(value("measure")),
-  };
-}
 
 const estimate = ({ mean, half_width: half }) => {
   const digits = (value, count) => number(Number(value.toPrecision(count)));
@@ -59,7 +33,7 @@ function pointsOf(names, points, measures) {
 }
 
 /** The curves of a measure over the first of `names`, one for each combination of the others. */
-export function sweepCurves(names, points, { measure, name }) {
+function sweepCurves(names, points, { measure, name }) {
   const curves = new Map();
   for (const { values, measures } of points) {
     const found = measures[measure]?.[name];

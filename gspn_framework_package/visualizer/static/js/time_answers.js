@@ -40,8 +40,8 @@ export function steadyState(show, result) {
     ],
     h(
       "div.buttons",
-      show.painter("Show mean tokens", "Mean number of tokens", ...show.heat(steady.mean_tokens)),
-      show.painter("Show throughput", "Firings a second", ...show.heat(steady.throughput)),
+      show.heat("Show mean tokens", "Mean number of tokens", steady.mean_tokens),
+      show.heat("Show throughput", "Firings a second", steady.throughput),
     ),
     h("h3", "Tokens"),
     show.table(
@@ -110,16 +110,8 @@ export function simulated(show, found) {
     ]),
     h(
       "div.buttons",
-      show.painter(
-        "Show mean tokens",
-        "Mean number of tokens (simulated)",
-        ...show.heat(means(found.mean_tokens)),
-      ),
-      show.painter(
-        "Show throughput",
-        "Firings a second (simulated)",
-        ...show.heat(means(found.throughput)),
-      ),
+      show.heat("Show mean tokens", "Mean number of tokens (simulated)", means(found.mean_tokens)),
+      show.heat("Show throughput", "Firings a second (simulated)", means(found.throughput)),
     ),
     h("h3", "Tokens"),
     estimates(["Place", "mean"], found.mean_tokens),
@@ -183,14 +175,7 @@ export function transient(show, result) {
 
 /** The probability of each token count of a chosen place, over time. */
 function distributionOverTime(show, found, order) {
-  const chosen = h(
-    "select",
-    { "aria-label": "Place whose distribution is shown" },
-    order.map((name) => h("option", { value: name, text: name })),
-  );
-  const plot = h("div");
-  chosen.onchange = () => {
-    const name = chosen.value;
+  const draw = (name) => {
     const weight = new Map();
     for (const entry of found)
       for (const [count, p] of Object.entries(entry.token_distribution[name]))
@@ -202,16 +187,12 @@ function distributionOverTime(show, found, order) {
       .map(([count]) => count)
       .sort((a, b) => a - b);
     const curves = counts.map((count) => ({
-      name: `${plural(Number(count), "token")}`,
+      name: plural(Number(count), "token"),
       points: found.map((entry) => [entry.time, entry.token_distribution[name][count] || 0]),
     }));
-    plot.replaceChildren(
-      curvePlot(curves, "time (s)"),
-      show.key(curves.map((curve) => curve.name)),
-    );
+    return [curvePlot(curves, "time (s)"), show.key(curves.map((curve) => curve.name))];
   };
-  chosen.onchange();
-  return [chosen, plot];
+  return show.chosen("Place whose distribution is shown", order, draw);
 }
 
 export function settling(show, result) {
