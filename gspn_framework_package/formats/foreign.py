@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import Callable, NamedTuple, Optional, Tuple
-
-from lxml import etree
+from typing import TYPE_CHECKING, Callable, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats.format import NetFile
 from gspn_framework_package.formats.pnml_family import TAPAAL, member
 from gspn_framework_package.formats.xml_tree import line_of, tag
 from gspn_framework_package.model.errors import InputError
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 
 class Foreign(NamedTuple):

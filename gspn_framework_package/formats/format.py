@@ -9,15 +9,16 @@ from __future__ import annotations
 import codecs
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Callable, List, Mapping, Optional, Tuple, Union
-
-from lxml import etree
+from typing import TYPE_CHECKING, Callable, List, Mapping, Optional, Tuple, Union
 
 from gspn_framework_package.formats.draft import ReadOptions
 from gspn_framework_package.formats.xml_tree import line_of, parse_xml, tag
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 Bounds = Mapping[str, int]
 """Place -> the maximum number of tokens it can hold, where that is known."""

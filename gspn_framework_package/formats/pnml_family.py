@@ -5,11 +5,12 @@ have pages. TAPAAL has them in attributes of places."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Optional
-
-from lxml import etree
+from typing import TYPE_CHECKING, NamedTuple, Optional
 
 from gspn_framework_package.formats.xml_tree import tag
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 STOCHASTIC = "StochasticPetriNet"
 OWN = "gspn_framework_package"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple, cast
-
-from lxml import etree
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Sequence, Tuple, cast
 
 from gspn_framework_package.model.errors import InputError, NetError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net, Point
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 
 def xml_parser(**options: Any) -> etree.XMLParser:
@@ -20,6 +21,8 @@ def xml_parser(**options: Any) -> etree.XMLParser:
 
     :param options: options of ``lxml.etree.XMLParser`` for what to keep.
     """
+    from lxml import etree  # imported by the first XML file: most plans have none
+
     return etree.XMLParser(
         resolve_entities=False,
         no_network=True,
@@ -38,6 +41,8 @@ def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
 
     :raises InputError: the document is not well-formed (with the line), or it declares entities.
     """
+    from lxml import etree
+
     parser = xml_parser(remove_comments=True, remove_pis=True, remove_blank_text=False)
     try:
         root = etree.fromstring(data, parser)
@@ -235,6 +240,8 @@ def writing_names(net: Net) -> Iterator[None]:
 def serialise(root: etree._Element, depth: int = 2) -> bytes:
     """Return the document as UTF-8 with an XML declaration, with line breaks down to ``depth``
     levels."""
+    from lxml import etree
+
     _break_lines(root, 0, depth)
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8")
 

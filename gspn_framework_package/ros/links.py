@@ -52,6 +52,10 @@ _SERVICES: Dict[str, Tuple[type, Callable[[str, str], genpy.Message]]] = {
     "set_place": (SetPlace, lambda me, body: SetPlaceRequest(agreement=body)),
 }
 
+RECEIVE_BUFFER = 4096
+"""Bytes that are read at once from a peer; longer messages take several reads. rospy allocates them
+anew for each read on each connection, 65,536 unless told otherwise."""
+
 MOST_ADDRESSES = 1000
 """Maximum number of unknown senders whose addresses are noted between two hellos."""
 
@@ -138,9 +142,7 @@ class Link(RosFacts):
         self._heard: Dict[str, float] = {}
         self._calls = ServiceCalls()
         self._publisher = eager_publisher(AGREEMENT_TOPIC, Agreement)
-        self._subscriber = rospy.Subscriber(
-            AGREEMENT_TOPIC, Agreement, self._on_message, tcp_nodelay=True
-        )
+        self._subscriber = self._subscribe(AGREEMENT_TOPIC)
         _NEIGHBOURS.add(self)
 
     def serve_at(self, service_uri: str) -> None:
@@ -197,6 +199,11 @@ class Link(RosFacts):
             service_uri=self._service_uri,
             to=to,
             body=self._inbound.sealed(to, body, said(self._namespace, self._service_uri)),
+        )
+
+    def _subscribe(self, topic: str) -> rospy.Subscriber:
+        return rospy.Subscriber(
+            topic, Agreement, self._on_message, buff_size=RECEIVE_BUFFER, tcp_nodelay=True
         )
 
     def _on_message(self, news: Agreement) -> None:
@@ -290,9 +297,7 @@ class TopicLink(Link):
         super().__init__(robot, run, namespace, received, serve, quiet, inbound, knows)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
-        self._inbox = rospy.Subscriber(
-            _inbox_of(namespace), Agreement, self._on_message, tcp_nodelay=True
-        )
+        self._inbox = self._subscribe(_inbox_of(namespace))
 
     def send(self, sends: List[Send]) -> None:
         """Send messages; a message to several robots is sent once, to everybody."""

@@ -30,6 +30,7 @@ from gspn_framework_package.ros.transport.node_process import (
     report_error,
     run_node,
     share_log_configuration,
+    share_source_lines,
 )
 from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 from gspn_framework_package.ros.transport.registration import (
@@ -226,6 +227,7 @@ def _fork(options: NodeOptions) -> int:
 
     plan.hash()
     share_log_configuration()
+    share_source_lines()
     rosgraph.network.get_local_addresses()  # rosgraph keeps them
     members = []
     for robot, namespace in namespaces.items():

@@ -394,15 +394,19 @@ class PlaceServer(ActionServer):
                 super().publish_status()
 
     def _forget_ended(self) -> None:
+        """Drop the ended goals that a status no longer reports. The library drops those that ended
+        a while ago too, but first formats each as YAML, for a debug message."""
+        never, now = rospy.Time(), rospy.Time.now()
+        ended = [t for t in self.status_list if t.status.status in _ENDED]
         surplus = len(self.status_list) - KEPT_ENDED
-        if surplus > 0:
-            kept = []
-            for tracker in self.status_list:
-                if surplus > 0 and tracker.status.status in _ENDED:
-                    surplus -= 1
-                else:
-                    kept.append(tracker)
-            self.status_list = kept
+        dropped = {
+            id(tracker)
+            for number, tracker in enumerate(ended)
+            if number < surplus
+            or never != tracker.handle_destruction_time < now - self.status_list_timeout
+        }
+        if dropped:
+            self.status_list = [t for t in self.status_list if id(t) not in dropped]
 
 
 _ENDED = (

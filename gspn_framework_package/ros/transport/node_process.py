@@ -7,6 +7,7 @@ from __future__ import annotations
 import configparser  # noqa: F401
 import contextlib
 import encodings.ascii  # noqa: F401
+import linecache
 import logging
 import logging.handlers
 import os
@@ -22,7 +23,7 @@ from typing import Any, Callable, MutableMapping, Optional, Tuple
 import rosgraph
 import rospkg
 import rospy
-from rospy.impl import tcpros_base
+from rospy.impl import tcpros_base, tcpros_pubsub
 from rospy.impl.masterslave import ROSHandler
 from rospy.impl.paramserver import get_param_server_cache
 from rospy.impl.rosout import RosOutHandler
@@ -158,6 +159,13 @@ def share_log_configuration() -> None:
                 if os.path.isfile(file):
                     os.environ["ROS_PYTHON_LOG_CONFIG_FILE"] = file
                     return
+
+
+def share_source_lines() -> None:
+    """Read the lines of source that appear in the traceback of a lost connection once for all nodes
+    that this process forks. For its debug log, rospy formats one whenever a connection ends."""
+    for module in (threading, tcpros_base, tcpros_pubsub):
+        linecache.getlines(str(module.__file__))
 
 
 def await_master(ending: Ending) -> None:

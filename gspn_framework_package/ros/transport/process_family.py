@@ -51,12 +51,21 @@ def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     if threading.active_count() > 1:
         raise RuntimeError("cannot fork: there are %d threads" % threading.active_count())
     gc.collect()
+    _look_up_in_all_classes()
     gc.freeze()  # existing objects are shared: garbage collection should not write to their pages
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
     try:
         return _Parent(members, ENDING_PATIENCE, respawn, mask).run()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _look_up_in_all_classes() -> None:
+    """Let Python number all classes for its cache of attributes, as the first look-up in a class
+    does. Otherwise each process writes these numbers into pages that it could share."""
+    for found in gc.get_objects():
+        if isinstance(found, type):
+            getattr(found, "__doc__", None)
 
 
 class _Parent:

@@ -1,5 +1,6 @@
 """What a node says of its plan before it starts."""
 
+import json
 import os
 import subprocess
 import sys
@@ -74,6 +75,32 @@ def test_the_process_of_a_robot_has_no_analysis():
     assert [n for n in imported if n.startswith((PACKAGE + "analysis", "scipy", "numba"))] == []
     of_others = (PACKAGE + "visualizer", PACKAGE + "cli", PACKAGE + "benchmark")
     assert [n for n in imported if n.startswith(of_others)] == []
+
+
+OF_A_PLAN_IN_JSON = """
+import sys
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.ros import execution_node, node_main
+
+read_plan(sys.argv[1])
+print("imported", *sys.modules)
+"""
+
+
+def test_robots_of_a_plan_without_xml_have_no_reader_of_xml(tmp_path):
+    """It would take 5 MB of a team."""
+    net = {"places": [{"name": "P", "tokens": 1}], "transitions": [], "arcs": []}
+    plan = tmp_path / "plan.json"
+    plan.write_text(json.dumps({"plan": "p", "net": net, "actions": {"P": None}}))
+    done = subprocess.run(
+        [sys.executable, "-c", OF_A_PLAN_IN_JSON, str(plan)],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    imported = done.stdout.split()
+    assert PACKAGE + "ros.execution_node" in imported
+    assert [n for n in imported if n.startswith("lxml")] == []
 
 
 AFTER_THE_FORK = """

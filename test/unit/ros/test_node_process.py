@@ -1,6 +1,8 @@
 """What a node's process says, and what it leaves out."""
 
+import linecache
 import threading
+import traceback
 
 import pytest
 
@@ -8,10 +10,13 @@ pytest.importorskip("rospy")
 
 import rospy
 from rospy.impl.masterslave import ROSHandler
+from rospy.impl.tcpros_base import TCPROSTransport, TCPROSTransportProtocol
+from rospy.impl.tcpros_pubsub import robust_connect_subscriber
 
 from gspn_framework_package.ros.transport.node_process import (
     connect_once,
     say_nothing_of_sockets_after_the_end,
+    share_source_lines,
 )
 
 
@@ -58,3 +63,30 @@ def test_a_publisher_that_is_reported_of_twice_in_a_moment_is_connected_once(mon
     for thread in threads:
         thread.join(20.0)
     assert sorted(made) == sorted(set(asks))
+
+
+def test_the_traceback_of_a_lost_connection_reads_no_source_file(monkeypatch):
+    """rospy formats one whenever a connection ends: 0.5 MB of lines in each robot."""
+    linecache.clearcache()
+    share_source_lines()
+    read, formatted = [], []
+    monkeypatch.setattr(linecache, "updatecache", lambda file, *_: read.append(file) or [])
+    told = traceback.format_exc
+    monkeypatch.setattr(traceback, "format_exc", lambda: formatted.append(told()) or formatted[-1])
+
+    def lose(*_, **__):
+        raise rospy.exceptions.TransportTerminated("lost")
+
+    connection = TCPROSTransport(TCPROSTransportProtocol("/topic", None), "/topic")
+    monkeypatch.setattr(connection, "socket", object())
+    monkeypatch.setattr(connection, "connect", lambda *_, **__: None)
+    monkeypatch.setattr(connection, "receive_once", lose)
+    monkeypatch.setattr(connection, "close", lambda: None)
+    thread = threading.Thread(
+        target=robust_connect_subscriber,
+        args=(connection, "localhost", 1, "http://localhost:1", lose, "/topic"),
+    )
+    thread.start()
+    thread.join(30)
+    assert not thread.is_alive() and "lost" in formatted[0]
+    assert [file for file in read if file != __file__] == []
