@@ -6,16 +6,17 @@ import argparse
 import json
 import math
 import sys
-from typing import Any, List, Union
+from typing import List, Union
 
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.simulation.against import BATCH_SECONDS, compare_plans
 from gspn_framework_package.analysis.simulation.against_result import Against
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.aims import add_aim_arguments, objective_of
+from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of
 from gspn_framework_package.cli.net_input import NOMINAL, print_notes
 from gspn_framework_package.cli.on import working_on
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
@@ -27,22 +28,17 @@ _OTHER = ("csv", "log", "batches", "measure", "only_net")
 """Options of the verb that do not apply here."""
 
 
-def add_against_arguments(group: Any) -> None:
-    """Declare the options, on a group of a parser's arguments."""
-    group.add_argument(
-        "--against",
-        metavar="OTHER_PLAN",
-        help="simulate both plans as they run, and report whether OTHER_PLAN (the new one) is "
-        "better for an aim, with a confidence interval",
-    )
-    group.add_argument(
-        "--seconds",
-        type=numbers.duration,
-        metavar="S",
-        help="with --against: how long to compute (default %g, unless --replications or "
-        "--precision is given)" % BATCH_SECONDS,
-    )
-    add_aim_arguments(group)
+AGAINST_OPTIONS: Arguments = {
+    Argument("--against", "OTHER_PLAN"): (
+        "simulate both plans as they run, and report whether OTHER_PLAN (the new one) is better "
+        "for an aim, with a confidence interval"
+    ),
+    Argument("--seconds", "S", numbers.duration): (
+        "with --against: how long to compute (default %g, unless --replications or --precision is "
+        "given)" % BATCH_SECONDS
+    ),
+    **AIM_OPTIONS,
+}
 
 
 def refuse_aims(args: argparse.Namespace) -> None:

@@ -12,8 +12,14 @@ from typing import Optional
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, wait_for
-from gspn_framework_package.cli.modules import add_modules
-from gspn_framework_package.cli.team_client import access_of, add_way
+from gspn_framework_package.cli.options import (
+    MODULES_OPTION,
+    Argument,
+    Arguments,
+    add_options,
+    repeated,
+)
+from gspn_framework_package.cli.team_client import access_of, way_options
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
@@ -22,58 +28,35 @@ LEAVING_TIME = 5.0
 """Seconds that an agent has to end when asked to."""
 
 
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("--robot", "NAME", required=True): "name of this robot in the plan",
+    **way_options("a router of the team: tls/HOST:7447 with keys, tcp/HOST:7447 without"),
+    repeated("--listen", "ENDPOINT"): (
+        "address at which other robots reach this one without a router"
+    ),
+    Argument("--run", "NAME", default="run", dest="run_name"): (
+        "name of the run (default: run); an agent restarted under the same name continues where it "
+        "was"
+    ),
+    Argument("--log", "FILE"): "the robot's log (default: ~/.ros/gspn/RUN/ROBOT.jsonl)",
+    Argument("--place", "PLACE", default=""): (
+        "the place where a robot that is not in the plan joins the running team"
+    ),
+    "--stay": "keep running and answering after the end of the run",
+    "--allow-commands": "let the plan run programs on this computer (actions with 'command')",
+    Argument("--robots", "N", numbers.robots): (
+        "size of the team at the start (default: as in the plan)"
+    ),
+    **MODULES_OPTION,
+    "--quiet": "print only warnings and errors",
+    "--json": "print a JSON object per line: messages, diagnoses, and how the robot ended",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument(
-        "--robot", required=True, metavar="NAME", help="name of this robot in the plan"
-    )
-    add_way(parser, "a router of the team: tls/HOST:7447 with keys, tcp/HOST:7447 without")
-    parser.add_argument(
-        "--listen",
-        action="append",
-        default=[],
-        metavar="ENDPOINT",
-        help="address at which other robots reach this one without a router",
-    )
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        default="run",
-        metavar="NAME",
-        help="name of the run (default: run); an agent restarted under the same name continues "
-        "where it was",
-    )
-    parser.add_argument(
-        "--log", metavar="FILE", help="the robot's log (default: ~/.ros/gspn/RUN/ROBOT.jsonl)"
-    )
-    parser.add_argument(
-        "--place",
-        default="",
-        metavar="PLACE",
-        help="the place where a robot that is not in the plan joins the running team",
-    )
-    parser.add_argument(
-        "--stay", action="store_true", help="keep running and answering after the end of the run"
-    )
-    parser.add_argument(
-        "--allow-commands",
-        action="store_true",
-        help="let the plan run programs on this computer (actions with 'command')",
-    )
-    parser.add_argument(
-        "--robots",
-        type=numbers.robots,
-        metavar="N",
-        help="size of the team at the start (default: as in the plan)",
-    )
-    add_modules(parser)
-    parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="print a JSON object per line: messages, diagnoses, and how the robot ended",
-    )
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Start one agent for each robot; they communicate through 'gspn router' and wait until it "
         "is running. Reach them with 'gspn status --connect ENDPOINT' and the orders. Exit "

@@ -4,49 +4,32 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from typing import Any, Callable, Dict, Sequence, TypeVar
+from typing import Callable, Dict, Sequence, TypeVar
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.options import Argument, Arguments, repeated
 from gspn_framework_package.model.errors import UsageError
 
 _Value = TypeVar("_Value")
 
 
-def add_aim_arguments(group: Any) -> None:
-    """Declare the options, on a parser or on a group of its arguments."""
-    group.add_argument(
-        "--reward",
-        action="append",
-        default=[],
-        metavar="NAME=R",
-        help="R per token in a place and second, or per firing of a transition; a negative R is a "
-        "cost. NAME may be a pattern, as for files ('Seen_*=1'). Maximises the long-run average "
-        "per second. May be repeated",
-    )
-    group.add_argument(
-        "--mean-time-to", metavar="CONDITION", help="minimise the mean time until this holds"
-    )
-    group.add_argument(
-        "--cost-to",
-        metavar="CONDITION",
-        help="minimise the mean cost until this holds: --reward gives the costs, as "
-        "positive numbers",
-    )
-    group.add_argument(
-        "--reach", metavar="CONDITION", help="maximise the probability that this ever holds"
-    )
-    group.add_argument(
-        "--discount",
-        type=numbers.duration,
-        metavar="B",
-        help="instead of the long-run average, weight rewards at time t by exp(-B t) (B in 1/s)",
-    )
-    group.add_argument(
-        "--minimise",
-        action="store_true",
-        help="minimise the rewards or the probability instead",
-    )
+AIM_OPTIONS: Arguments = {
+    repeated("--reward", "NAME=R"): (
+        "R per token in a place and second, or per firing of a transition; a negative R is a cost. "
+        "NAME may be a pattern, as for files ('Seen_*=1'). Maximises the long-run average per "
+        "second. May be repeated"
+    ),
+    Argument("--mean-time-to", "CONDITION"): "minimise the mean time until this holds",
+    Argument("--cost-to", "CONDITION"): (
+        "minimise the mean cost until this holds: --reward gives the costs, as positive numbers"
+    ),
+    Argument("--reach", "CONDITION"): "maximise the probability that this ever holds",
+    Argument("--discount", "B", numbers.duration): (
+        "instead of the long-run average, weight rewards at time t by exp(-B t) (B in 1/s)"
+    ),
+    "--minimise": "minimise the rewards or the probability instead",
+}
 
 
 def objective_of(args: argparse.Namespace) -> Objective:

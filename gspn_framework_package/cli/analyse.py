@@ -29,17 +29,18 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.analysis_text import analysis_text
 from gspn_framework_package.cli.interrupts import leave
 from gspn_framework_package.cli.limits import (
-    add_limit_arguments,
+    LIMIT_OPTIONS,
     limits_of,
     rare_collections,
     working,
 )
 from gspn_framework_package.cli.memory import (
     LIBRARIES,
-    add_memory_arguments,
+    MEMORY_OPTIONS,
     memory_of,
 )
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
@@ -47,85 +48,54 @@ _PARTS = 1_000
 """Number of parts of the JSON text (a bracket, a name, a list) to write at once."""
 
 
+_OPTIONS: Arguments = {
+    "--json": "print all answers as one JSON object",
+    Argument("--csv", "FILE"): "write the numbers to FILE as rows: measure, name, value",
+}
+
+_QUESTIONS: Arguments = {
+    repeated("--at", "T", float, nargs="+"): "tokens and throughput at these times (s)",
+    repeated("--reach", "CONDITION"): (
+        "can this marking be reached, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock"
+    ),
+    repeated("--cover", "P=N,..."): "can a marking with at least these tokens be reached",
+    repeated("--mean-time-to", "CONDITION"): (
+        "mean time until this holds, and with --at the probability within those times"
+    ),
+    repeated("--reward", "NAME=VALUE"): (
+        "reward per token and second in a place, or per firing of a transition"
+    ),
+    Argument("--time-to-steady-state", "TOLERANCE", float, nargs="?", const=1e-3): (
+        "time until the distribution stays this close to the steady state (1e-3)"
+    ),
+    "--no-structure": "leave out invariants, siphons and traps",
+    "--no-time": "leave out the steady state",
+    choice("--timing", READINGS): (
+        "how to read the time of a plan: as it runs (default), or as its net alone; "
+        "docs/analysis.md"
+    ),
+}
+
+_EFFORT: Arguments = {
+    **LIMIT_OPTIONS,
+    **MEMORY_OPTIONS,
+    choice("--engine", ENGINES, "auto"): "the engine that explores (default: auto)",
+    "--lump": (
+        "exploit symmetry: visit only one of the markings that differ by an exchange of equal "
+        "parts of the net"
+    ),
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
-    parser.add_argument("--json", action="store_true", help="print all answers as one JSON object")
-    parser.add_argument(
-        "--csv", metavar="FILE", help="write the numbers to FILE as rows: measure, name, value"
-    )
-    asking = parser.add_argument_group("questions")
-    asking.add_argument(
-        "--at",
-        action="append",
-        nargs="+",
-        default=[],
-        type=float,
-        metavar="T",
-        help="tokens and throughput at these times (s)",
-    )
-    asking.add_argument(
-        "--reach",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="can this marking be reached, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock",
-    )
-    asking.add_argument(
-        "--cover",
-        action="append",
-        default=[],
-        metavar="P=N,...",
-        help="can a marking with at least these tokens be reached",
-    )
-    asking.add_argument(
-        "--mean-time-to",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="mean time until this holds, and with --at the probability within those times",
-    )
-    asking.add_argument(
-        "--reward",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="reward per token and second in a place, or per firing of a transition",
-    )
-    asking.add_argument(
-        "--time-to-steady-state",
-        type=float,
-        nargs="?",
-        const=1e-3,
-        metavar="TOLERANCE",
-        help="time until the distribution stays this close to the steady state (1e-3)",
-    )
-    asking.add_argument(
-        "--no-structure", action="store_true", help="leave out invariants, siphons and traps"
-    )
-    asking.add_argument("--no-time", action="store_true", help="leave out the steady state")
-    asking.add_argument(
-        "--timing",
-        choices=READINGS,
-        help="how to read the time of a plan: as it runs (default), or as its net alone; docs/"
-        "analysis.md",
-    )
-    effort = parser.add_argument_group("effort")
-    add_limit_arguments(effort)
-    add_memory_arguments(effort)
-    effort.add_argument(
-        "--engine", choices=ENGINES, default="auto", help="the engine that explores (default: auto)"
-    )
-    effort.add_argument(
-        "--lump",
-        action="store_true",
-        help="exploit symmetry: visit only one of the markings that differ by an exchange of "
-        "equal parts of the net",
-    )
+    add_options(parser, _OPTIONS)
+    add_options(parser.add_argument_group("questions"), _QUESTIONS)
+    add_options(parser.add_argument_group("effort"), _EFFORT)
     parser.epilog = (
         "Exit codes: 0 answered, 1 some answers could not be decided (they are listed), 2 wrong "
-        "input or "
-        "wrong usage."
+        "input or wrong usage."
     )
 
 

@@ -6,29 +6,29 @@ from __future__ import annotations
 import argparse
 import json
 
-from gspn_framework_package.cli.team_client import add_team_options, team_client
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.team_client import TEAM_OPTIONS, team_client
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team.orders import ORDERS
 
+_OPTIONS: Arguments = {
+    Argument("names", "NAME", nargs="*"): (
+        "places and transitions, replacing those set before; if none are given, the present ones "
+        "are shown"
+    ),
+    "--clear": "remove all breakpoints",
+    Argument("--plan", "PLAN"): (
+        "for runs of this plan on this machine; default: for the team running on ROS"
+    ),
+    **TEAM_OPTIONS,
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "names",
-        metavar="NAME",
-        nargs="*",
-        help="places and transitions, replacing those set before; if none are given, the present "
-        "ones are shown",
-    )
-    parser.add_argument("--clear", action="store_true", help="remove all breakpoints")
-    parser.add_argument(
-        "--plan",
-        metavar="PLAN",
-        help="for runs of this plan on this machine; default: for the team running on ROS",
-    )
-    add_team_options(parser)
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "A robot stops before its action in a place starts, or before it asks for a transition; "
         "'gspn resume ROBOT' (on the page: Resume) releases it. They are stored in "

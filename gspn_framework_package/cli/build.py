@@ -7,27 +7,24 @@ import json
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.making.site_plan import build_site_plan
+
+_OPTIONS: Arguments = {
+    Argument("map", "MAP"): (
+        "a map of topological_navigation (.tmap2, .tmap), or a graph in YAML or JSON"
+    ),
+    Argument("--tasks", "FILE"): "the tasks of the robots at the nodes (YAML)",
+    Argument("--robots", "N", numbers.robots, 1): "(default %(default)s)",
+    "--all-edges": "keep the edges that the policy does not use",
+    Argument("-o --output", "DIR", required=True): "the folder to create",
+    "--json": "print a JSON object",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "map",
-        metavar="MAP",
-        help="a map of topological_navigation (.tmap2, .tmap), or a graph in YAML or JSON",
-    )
-    parser.add_argument(
-        "--tasks", metavar="FILE", help="the tasks of the robots at the nodes (YAML)"
-    )
-    parser.add_argument(
-        "--robots", type=numbers.robots, default=1, metavar="N", help="(default %(default)s)"
-    )
-    parser.add_argument(
-        "--all-edges", action="store_true", help="keep the edges that the policy does not use"
-    )
-    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="the folder to create")
-    parser.add_argument("--json", action="store_true", help="print a JSON object")
+    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,32 +7,26 @@ import json
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.modules import add_modules
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.ros.check_all import check_all
 
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    "--json": "print the report as one JSON object",
+    Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
+        "maximum number of markings to visit if structure cannot decide (default %(default)s)"
+    ),
+    Argument("--robots", "N", numbers.robots): "check the plan for a team of N robots",
+    "--standalone": "check the plan for agents, which transitions may create and destroy",
+    **MODULES_OPTION,
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
-    parser.add_argument(
-        "--limit",
-        type=numbers.markings,
-        default=MARKING_LIMIT,
-        metavar="N",
-        help="maximum number of markings to visit if structure cannot decide (default %(default)s)",
-    )
-    parser.add_argument(
-        "--robots", type=numbers.robots, metavar="N", help="check the plan for a team of N robots"
-    )
-    parser.add_argument(
-        "--standalone",
-        action="store_true",
-        help="check the plan for agents, which transitions may create and destroy",
-    )
-    add_modules(parser)
+    add_options(parser, _OPTIONS)
     parser.epilog = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."
 
 

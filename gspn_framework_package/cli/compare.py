@@ -27,7 +27,8 @@ from gspn_framework_package.analysis.monitoring.streams import PACES
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on import add_on_argument
+from gspn_framework_package.cli.on import ON_OPTION
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile, log_files
@@ -39,44 +40,6 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": DAY}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument(
-        "logs",
-        nargs="+",
-        metavar="LOG",
-        help="event logs of one or several runs of the plan, or folders of them",
-    )
-    parser.add_argument(
-        "--alarm-every",
-        type=_time,
-        default=ALARM_EVERY,
-        metavar="TIME",
-        help="mean time between false alarms of all streams together: a number with s, min, h or "
-        "d (default 30d)",
-    )
-    parser.add_argument(
-        "--replications",
-        type=numbers.replications,
-        metavar="N",
-        help="simulated runs for the prediction (default %d; fewer if they are long)"
-        % PREDICTION_REPLICATIONS,
-    )
-    parser.add_argument(
-        "--seed",
-        type=numbers.whole(0, 2**63 - 1),
-        default=0,
-        metavar="N",
-        help="seed of the simulated runs (default 0)",
-    )
-    add_on_argument(parser)
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.epilog = (
-        "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input."
-    )
 
 
 def _time(text: str) -> float:
@@ -91,6 +54,35 @@ def _time(text: str) -> float:
             "'%.40s' is not a time of at least 1 s (examples: 90s, 20min, 12h, 30d)" % text
         )
     return value
+
+
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("logs", "LOG", nargs="+"): (
+        "event logs of one or several runs of the plan, or folders of them"
+    ),
+    Argument("--alarm-every", "TIME", _time, ALARM_EVERY): (
+        "mean time between false alarms of all streams together: a number with s, min, h or d "
+        "(default 30d)"
+    ),
+    Argument("--replications", "N", numbers.replications): (
+        "simulated runs for the prediction (default %d; fewer if they are long)"
+        % PREDICTION_REPLICATIONS
+    ),
+    Argument("--seed", "N", numbers.whole(0, 2**63 - 1), 0): (
+        "seed of the simulated runs (default 0)"
+    ),
+    **ON_OPTION,
+    "--json": "print the result as one JSON object",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_options(parser, _OPTIONS)
+    parser.epilog = (
+        "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input."
+    )
 
 
 class _Run(NamedTuple):

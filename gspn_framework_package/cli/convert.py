@@ -20,6 +20,7 @@ from gspn_framework_package.cli.net_input import (
     read_net_argument,
     read_net_or_plan_argument,
 )
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats import (
@@ -50,49 +51,37 @@ BOUNDS_EFFORT = 200_000
 """Maximum number of candidate invariants to examine in order to find bounds."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_net_arguments(parser)
-    parser.add_argument(
-        "output",
-        metavar="OUT",
-        help="the file to write, or - for standard output; for a plan (or an input file of the "
-        "thesis): a new .json file, or a folder for plan.json and the functions",
-    )
-    parser.add_argument(
-        "--to",
-        metavar="FORMAT",
-        help="the format, if the file name does not show it: %s; or the Markov chain of the net, "
-        "or of the plan under its policy, state by state: %s; or, for a plan, 'plan' (.json)"
+_OPTIONS: Arguments = {
+    Argument("output", "OUT"): (
+        "the file to write, or - for standard output; for a plan (or an input file of the thesis): "
+        "a new .json file, or a folder for plan.json and the functions"
+    ),
+    Argument("--to", "FORMAT"): (
+        "the format, if the file name does not show it: %s; or the Markov chain of the net, or of "
+        "the plan under its policy, state by state: %s; or, for a plan, 'plan' (.json)"
         % (
             ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
             ", ".join("%s (%s)" % item for item in CHAINS.items()),
-        ),
-    )
-    parser.add_argument(
-        "--expand",
-        action="append",
-        nargs=4,
-        default=[],
-        metavar=("PLACE", "NET", "ENTRY", "EXIT"),
-        help="replace PLACE by the net of a file: tokens enter at its place ENTRY and leave from "
-        "EXIT (may be repeated)",
-    )
-    parser.add_argument(
-        "--label",
-        action="append",
-        default=[],
-        metavar="NAME=CONDITION",
-        help="for a chain: label the states where CONDITION holds (may be repeated)",
-    )
-    parser.add_argument(
-        "--limit",
-        type=numbers.markings,
-        default=STATE_LIMIT,
-        metavar="N",
-        help="for a chain: maximum number of markings to visit (default %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print a summary as a JSON object")
+        )
+    ),
+    repeated("--expand", ("PLACE", "NET", "ENTRY", "EXIT"), nargs=4): (
+        "replace PLACE by the net of a file: tokens enter at its place ENTRY and leave from EXIT "
+        "(may be repeated)"
+    ),
+    repeated("--label", "NAME=CONDITION"): (
+        "for a chain: label the states where CONDITION holds (may be repeated)"
+    ),
+    Argument("--limit", "N", numbers.markings, STATE_LIMIT): (
+        "for a chain: maximum number of markings to visit (default %(default)s)"
+    ),
+    "--json": "print a summary as a JSON object",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_net_arguments(parser)
+    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ import webbrowser
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.cli.team_client import require_ros
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -33,32 +34,23 @@ START_TIME = 120.0
 """Seconds within which the first transition must fire."""
 
 
+_OPTIONS: Arguments = {
+    Argument("--robots", "N", numbers.robots, 3): "number of robots (3)",
+    Argument("--plan", "FOLDER", required=True): "folder of the plan",
+    Argument("--seconds", "S", numbers.seconds, 0): (
+        "end S seconds after the first firing; 0 to run until Ctrl-C"
+    ),
+    "--headless": "open no window (the page is still served)",
+    "--no-world": "no simulated room, even if the plan has one",
+    Argument("--port", "P", numbers.port, 8090): (
+        "port of the page; if it is taken, the next free one is used (8090)"
+    ),
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "--robots", type=numbers.robots, default=3, metavar="N", help="number of robots (3)"
-    )
-    parser.add_argument("--plan", required=True, metavar="FOLDER", help="folder of the plan")
-    parser.add_argument(
-        "--seconds",
-        type=numbers.seconds,
-        default=0,
-        metavar="S",
-        help="end S seconds after the first firing; 0 to run until Ctrl-C",
-    )
-    parser.add_argument(
-        "--headless", action="store_true", help="open no window (the page is still served)"
-    )
-    parser.add_argument(
-        "--no-world", action="store_true", help="no simulated room, even if the plan has one"
-    )
-    parser.add_argument(
-        "--port",
-        type=numbers.port,
-        default=8090,
-        metavar="P",
-        help="port of the page; if it is taken, the next free one is used (8090)",
-    )
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
     )

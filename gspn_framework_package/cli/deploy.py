@@ -7,51 +7,43 @@ import json
 import os
 from typing import Any, Dict, List, Tuple
 
-from gspn_framework_package.cli.modules import add_modules
-from gspn_framework_package.cli.team_client import add_team_options, team_client
+from gspn_framework_package.cli.options import (
+    MODULES_OPTION,
+    Argument,
+    Arguments,
+    add_options,
+    repeated,
+)
+from gspn_framework_package.cli.team_client import TEAM_OPTIONS, team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
+
+_OPTIONS: Arguments = {
+    Argument("plan", "NEW_PLAN"): "the plan that the team should follow",
+    repeated("--map", "OLD=NEW"): (
+        "a place or transition of the present net and its name in the new one; OLD= drops the "
+        "tokens of a resource place"
+    ),
+    Argument("--folder", "FOLDER"): (
+        "folder where every robot finds the functions of the new plan (default: the folder of "
+        "NEW_PLAN); '' for the robots' original folder"
+    ),
+    Argument("--wait", "S", float, 30.0): (
+        "seconds that the robots have to check the plan (default %(default)g)"
+    ),
+    "--stage-only": "have the robots check the plan, and leave it staged",
+    Argument("--standalone", "PLAN", nargs="?", const=""): (
+        "deploy to one of your 'gspn run' processes on this machine; if there are several, name "
+        "its first or present plan, or its process id with --run"
+    ),
+    **TEAM_OPTIONS,
+    **MODULES_OPTION,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the verb."""
-    parser.add_argument("plan", metavar="NEW_PLAN", help="the plan that the team should follow")
-    parser.add_argument(
-        "--map",
-        action="append",
-        default=[],
-        metavar="OLD=NEW",
-        help="a place or transition of the present net and its name in the new one; OLD= drops "
-        "the tokens of a resource place",
-    )
-    parser.add_argument(
-        "--folder",
-        metavar="FOLDER",
-        help="folder where every robot finds the functions of the new plan (default: the folder "
-        "of NEW_PLAN); '' for the robots' original folder",
-    )
-    parser.add_argument(
-        "--wait",
-        type=float,
-        default=30.0,
-        metavar="S",
-        help="seconds that the robots have to check the plan (default %(default)g)",
-    )
-    parser.add_argument(
-        "--stage-only",
-        action="store_true",
-        help="have the robots check the plan, and leave it staged",
-    )
-    parser.add_argument(
-        "--standalone",
-        nargs="?",
-        const="",
-        metavar="PLAN",
-        help="deploy to one of your 'gspn run' processes on this machine; if there are several, "
-        "name its first or present plan, or its process id with --run",
-    )
-    add_team_options(parser)
-    add_modules(parser)
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Exit codes: 0 the team follows the plan, 1 it continues as before, for the reason in the "
         "output, 2 not a plan."

@@ -18,6 +18,7 @@ from gspn_framework_package.cli.net_input import (
     print_notes,
     read_net_or_plan_argument,
 )
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
@@ -28,36 +29,26 @@ DEFAULT_LIMIT = 500
 """Default maximum number of nodes in a drawn tree or chain; a larger picture is unreadable."""
 
 
+_OPTIONS: Arguments = {
+    Argument("-o --output", "OUT", required=True): (
+        "the picture to write: .%s, or .dot for Graphviz" % ", .".join(IMAGE_FORMATS)
+    ),
+    choice("--what", ("net", "coverability", "chain"), "net"): (
+        "what to draw (default: net); for a plan, the chain under its policy"
+    ),
+    Argument("--limit", "N", numbers.markings, DEFAULT_LIMIT): (
+        "maximum number of markings to draw (default: %(default)s)"
+    ),
+    Argument("--timeout", "S", numbers.duration, 60.0): (
+        "time limit for Graphviz, in seconds (default: %(default)g)"
+    ),
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_net_arguments(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="OUT",
-        help="the picture to write: .%s, or .dot for Graphviz" % ", .".join(IMAGE_FORMATS),
-    )
-    parser.add_argument(
-        "--what",
-        choices=("net", "coverability", "chain"),
-        default="net",
-        help="what to draw (default: net); for a plan, the chain under its policy",
-    )
-    parser.add_argument(
-        "--limit",
-        type=numbers.markings,
-        default=DEFAULT_LIMIT,
-        metavar="N",
-        help="maximum number of markings to draw (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--timeout",
-        type=numbers.duration,
-        default=60.0,
-        metavar="S",
-        help="time limit for Graphviz, in seconds (default: %(default)g)",
-    )
+    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

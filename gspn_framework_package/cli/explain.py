@@ -12,33 +12,29 @@ from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.modules import add_modules
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("transitions", "TRANSITION", nargs="*"): (
+        "the transitions to fire, in order; by default the firing sequences found by 'gspn check'"
+    ),
+    Argument("--robots", "N", numbers.robots): "for a team of N robots",
+    Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
+        "maximum number of markings that the check visits (default %(default)s)"
+    ),
+    "--json": "print the steps as one JSON object",
+    **MODULES_OPTION,
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument(
-        "transitions",
-        nargs="*",
-        metavar="TRANSITION",
-        help="the transitions to fire, in order; by default the firing sequences found by "
-        "'gspn check'",
-    )
-    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="for a team of N robots")
-    parser.add_argument(
-        "--limit",
-        type=numbers.markings,
-        default=MARKING_LIMIT,
-        metavar="N",
-        help="maximum number of markings that the check visits (default %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print the steps as one JSON object")
-    add_modules(parser)
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. Sequences "
         "found by the check always give 0."

@@ -9,6 +9,7 @@ import os
 import time
 from typing import Any, Dict, List, Mapping, Sequence, Set
 
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.cli.plan_output import refuse_existing
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.event_log import LogFile, log_files
@@ -21,26 +22,24 @@ BETWEEN = 1_000
 """Number of messages between two reports of progress."""
 
 
+_OPTIONS: Arguments = {
+    Argument("logs", "LOG", nargs="+"): (
+        "event logs, or folders of them; if there are several logs of a run, each supplies the "
+        "messages of its own robot"
+    ),
+    Argument("--bag", "FILE"): "write a rosbag, for rosbag and PlotJuggler",
+    Argument("--mcap", "FILE"): "write an MCAP file, for Foxglove",
+    Argument("--csv", "FILE"): "write a table of what each robot did, and when it began",
+    Argument("--foxglove-layout", "FILE"): (
+        "write a layout for Foxglove that shows these robots and places (.json)"
+    ),
+    "--json": "print what was written as JSON",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "logs",
-        nargs="+",
-        metavar="LOG",
-        help="event logs, or folders of them; if there are several logs of a run, each supplies "
-        "the messages of its own robot",
-    )
-    parser.add_argument("--bag", metavar="FILE", help="write a rosbag, for rosbag and PlotJuggler")
-    parser.add_argument("--mcap", metavar="FILE", help="write an MCAP file, for Foxglove")
-    parser.add_argument(
-        "--csv", metavar="FILE", help="write a table of what each robot did, and when it began"
-    )
-    parser.add_argument(
-        "--foxglove-layout",
-        metavar="FILE",
-        help="write a layout for Foxglove that shows these robots and places (.json)",
-    )
-    parser.add_argument("--json", action="store_true", help="print what was written as JSON")
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Topics: /fired_transitions, and marking, team_state and robot_activity in the namespace "
         "of each robot. --bag and --mcap need the Python libraries rosbags and mcap, but no ROS."

@@ -10,65 +10,35 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, Tuple
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import InputError, UsageError
+
+_OPTIONS: Arguments = {
+    Argument("film", "FILM"): "output: .mp4 (needs ffmpeg), .gif, .webp, or a folder",
+    Argument("--recording", "FILE"): "film this recording (of patrol.launch record:=FILE)",
+    Argument("--room", "FILE"): "without a recording: the room file of the patrol",
+    Argument("--robots", "N", numbers.whole(1, 100), 4): "without a recording: robots (4)",
+    Argument("--seed", kind=numbers.seed, default=0): "without a recording: random seed (0)",
+    Argument("--seconds", "S", numbers.duration, 120): (
+        "length of the run to film, in seconds (120)"
+    ),
+    Argument("--from", "S", numbers.seconds, 0, dest="start"): (
+        "start time in the run, in seconds (0)"
+    ),
+    Argument("--speed", "X", numbers.number(0.0, 1e4, above=0.0), 8): (
+        "speed relative to the run (8)"
+    ),
+    Argument("--rate", "N", numbers.number(0.0, 1e3, above=0.0), 20): "frames per second (20)",
+    choice("--view", ("corner", "top"), "corner"): "point of view (corner)",
+    Argument("--size", "WxH", default="960x720"): "pixels (960x720)",
+    "--json": "print the result as JSON",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "film", metavar="FILM", help="output: .mp4 (needs ffmpeg), .gif, .webp, or a folder"
-    )
-    parser.add_argument(
-        "--recording", metavar="FILE", help="film this recording (of patrol.launch record:=FILE)"
-    )
-    parser.add_argument(
-        "--room", metavar="FILE", help="without a recording: the room file of the patrol"
-    )
-    parser.add_argument(
-        "--robots",
-        type=numbers.whole(1, 100),
-        default=4,
-        metavar="N",
-        help="without a recording: robots (4)",
-    )
-    parser.add_argument(
-        "--seed", type=numbers.seed, default=0, help="without a recording: random seed (0)"
-    )
-    parser.add_argument(
-        "--seconds",
-        type=numbers.duration,
-        default=120,
-        metavar="S",
-        help="length of the run to film, in seconds (120)",
-    )
-    parser.add_argument(
-        "--from",
-        type=numbers.seconds,
-        default=0,
-        metavar="S",
-        dest="start",
-        help="start time in the run, in seconds (0)",
-    )
-    parser.add_argument(
-        "--speed",
-        type=numbers.number(0.0, 1e4, above=0.0),
-        default=8,
-        metavar="X",
-        help="speed relative to the run (8)",
-    )
-    parser.add_argument(
-        "--rate",
-        type=numbers.number(0.0, 1e3, above=0.0),
-        default=20,
-        metavar="N",
-        help="frames per second (20)",
-    )
-    parser.add_argument(
-        "--view", default="corner", choices=("corner", "top"), help="point of view (corner)"
-    )
-    parser.add_argument("--size", default="960x720", metavar="WxH", help="pixels (960x720)")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Any, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import List, Mapping, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, PlaceFit, fit_plan
@@ -14,7 +14,8 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on import add_on_argument
+from gspn_framework_package.cli.on import ON_OPTION
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.execution.attempts import Attempt, EventCount
 from gspn_framework_package.execution.event_log import log_files
@@ -35,47 +36,38 @@ class Learned(NamedTuple):
     attempts: int
 
 
+FIT_OPTIONS: Arguments = {
+    choice("--durations", [choice.value for choice in FamilyChoice], FamilyChoice.AUTO.value): (
+        "the distribution of durations: the one that fits the times best, or a fixed one (default "
+        "%(default)s)"
+    ),
+    Argument("--seed", kind=numbers.seed, default=0): (
+        "seed of the simulated tests (default %(default)s)"
+    ),
+}
+"""How to fit."""
+
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("logs", "LOG", nargs="+"): (
+        "event logs of runs of the plan, or folders of them; for a team, give the logs of all its "
+        "robots; also rosbags of fired_transitions, which contain less information"
+    ),
+    Argument("-o --output", "NEW_PLAN", required=True): (
+        "the plan with the learned parameters: a new .json file, or a folder for plan.json and the "
+        "functions"
+    ),
+    **FIT_OPTIONS,
+    **ON_OPTION,
+    "--force": "overwrite NEW_PLAN if it exists",
+    "--json": "print the report as one JSON object",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument(
-        "logs",
-        nargs="+",
-        metavar="LOG",
-        help="event logs of runs of the plan, or folders of them; for a team, give the logs of "
-        "all its robots; also rosbags of fired_transitions, which contain less information",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="NEW_PLAN",
-        help="the plan with the learned parameters: a new .json file, or a folder for plan.json "
-        "and the "
-        "functions",
-    )
-    add_choice(parser)
-    add_on_argument(parser)
-    parser.add_argument("--force", action="store_true", help="overwrite NEW_PLAN if it exists")
-    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    add_options(parser, _OPTIONS)
     parser.epilog = "Exit codes: 0 the plan was written, 2 not a plan, or not logs of its net."
-
-
-def add_choice(parser: Any) -> None:
-    """Declare the options on how to fit, on a parser or on a group of its arguments."""
-    parser.add_argument(
-        "--durations",
-        choices=[choice.value for choice in FamilyChoice],
-        default=FamilyChoice.AUTO.value,
-        help="the distribution of durations: the one that fits the times best, or a fixed one "
-        "(default %(default)s)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=numbers.seed,
-        default=0,
-        help="seed of the simulated tests (default %(default)s)",
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ import json
 import sys
 from typing import Any, Dict, Iterable, List, Sequence
 
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.table import aligned
 
@@ -17,6 +18,28 @@ _SHOWN = 1000
 
 _MORE = "showing only the first %d rows; --csv and --json print all" % _SHOWN
 
+_STORE: Arguments = {Argument("--store", "DIR", required=True): "the folder: the store"}
+
+_FORMS: Arguments = {"--json": "print one JSON object", "--csv": "print CSV"}
+
+_INGEST: Arguments = {
+    Argument("logs", "LOG", nargs="+"): "event logs, or folders of them",
+    Argument("--store", "DIR", required=True): "the folder: a new, empty or existing store",
+    "--json": "print the result for each log as JSON",
+}
+
+_REPORT: Arguments = {
+    **_STORE,
+    Argument("--by", "GROUP[,GROUP]", default="robot"): (
+        "one row for each day, robot, place or run (default: robot)"
+    ),
+    Argument("--since", "DAY", default=""): "the first day, as 2026-05-04",
+    Argument("--until", "DAY", default=""): "the last day",
+    repeated("--robot", "NAME"): "only this robot (may be repeated)",
+    repeated("--place", "NAME"): "only this place (may be repeated)",
+    repeated("--run", "KEY", dest="run_key"): "only this run (may be repeated)",
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the subcommands of this verb with their arguments."""
@@ -24,41 +47,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     told = "read event logs into a store; of logs that have grown, only the new part is read"
     made = commands.add_parser("ingest", help=told, description=told)
-    made.add_argument("logs", nargs="+", metavar="LOG", help="event logs, or folders of them")
-    _add_store(made, "a new, empty or existing store")
-    made.add_argument("--json", action="store_true", help="print the result for each log as JSON")
+    add_options(made, _INGEST)
     made.epilog = "Exit codes: 0 all logs are in the store, 1 some are not, 2 wrong input or usage."
     made.set_defaults(command=_ingest)
 
     told = "show use, waiting, visits, failures, alarms and orders of the operator"
     made = commands.add_parser("report", help=told, description=told)
-    _add_store(made, "the store")
-    made.add_argument(
-        "--by",
-        default="robot",
-        metavar="GROUP[,GROUP]",
-        help="one row for each day, robot, place or run (default: robot)",
-    )
-    made.add_argument("--since", default="", metavar="DAY", help="the first day, as 2026-05-04")
-    made.add_argument("--until", default="", metavar="DAY", help="the last day")
-    for name in ("robot", "place", "run"):
-        made.add_argument(
-            "--" + name,
-            action="append",
-            dest="run_key" if name == "run" else name,
-            default=[],
-            metavar="NAME" if name != "run" else "KEY",
-            help="only this %s (may be repeated)" % name,
-        )
-    _add_forms(made)
+    add_options(made, _REPORT)
+    add_options(made.add_mutually_exclusive_group(), _FORMS)
     made.epilog = "Days are in UTC. Exit codes: 0 shown, 2 wrong input or usage."
     made.set_defaults(command=_report)
 
     told = "query the tables stays, moments and totals in SQL"
     made = commands.add_parser("sql", help=told, description=told)
-    made.add_argument("question", metavar="SQL", help="a single SELECT")
-    _add_store(made, "the store")
-    _add_forms(made)
+    add_options(made, {Argument("question", "SQL"): "a single SELECT", **_STORE})
+    add_options(made.add_mutually_exclusive_group(), _FORMS)
     made.epilog = (
         "Read-only: nothing can be changed, and no other file can be read. Exit codes: "
         "0 shown, 2 wrong input or usage."
@@ -69,16 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     return int(args.command(args))
-
-
-def _add_store(parser: argparse.ArgumentParser, which: str) -> None:
-    parser.add_argument("--store", required=True, metavar="DIR", help="the folder: " + which)
-
-
-def _add_forms(parser: argparse.ArgumentParser) -> None:
-    forms = parser.add_mutually_exclusive_group()
-    forms.add_argument("--json", action="store_true", help="print one JSON object")
-    forms.add_argument("--csv", action="store_true", help="print CSV")
 
 
 def _ingest(args: argparse.Namespace) -> int:

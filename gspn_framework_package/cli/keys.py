@@ -6,6 +6,7 @@ import argparse
 import json
 from typing import List, Sequence
 
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team import keys
 
@@ -19,45 +20,44 @@ _ROLE_OPTIONS = {
     "router": "routers, each with its addresses: hub=10.0.0.1,hub.lan",
 }
 
+_FOLDER: Arguments = {Argument("folder", "DIR"): "the folder of the team's keys"}
+
+_NEW_MEMBERS: Arguments = {
+    **_FOLDER,
+    **{
+        Argument("--%ss" % role, "NAME[=HOST,...]", default=[], nargs="+"): who
+        for role, who in _ROLE_OPTIONS.items()
+    },
+    Argument("--days", "N", int, DAYS): "validity of the certificates in days (default: %d)" % DAYS,
+}
+
+_JSON: Arguments = {"--json": "print JSON"}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the subcommands of this verb with their arguments."""
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, told in (
-        ("team", "create an authority, and keys for each member, in a new folder"),
-        ("add", "create keys for further members, or new keys for revoked ones"),
+    for name, told, command in (
+        ("team", "create an authority, and keys for each member, in a new folder", _make),
+        ("add", "create keys for further members, or new keys for revoked ones", _add),
     ):
         made = commands.add_parser(name, help=told, description=told)
-        made.add_argument("folder", metavar="DIR", help="the folder of the team's keys")
-        for role, who in _ROLE_OPTIONS.items():
-            made.add_argument(
-                "--%ss" % role, metavar="NAME[=HOST,...]", nargs="+", default=[], help=who
-            )
-        made.add_argument(
-            "--days",
-            type=int,
-            default=DAYS,
-            metavar="N",
-            help="validity of the certificates in days (default: %d)" % DAYS,
-        )
-        made.set_defaults(command=_make if name == "team" else _add)
-        _add_json(made)
+        add_options(made, {**_NEW_MEMBERS, **_JSON})
+        made.set_defaults(command=command)
     told = "remove a member from the allow-list; then copy the new team.json to each router"
     revoked = commands.add_parser("revoke", help=told, description=told)
-    revoked.add_argument("folder", metavar="DIR", help="the folder of the team's keys")
-    revoked.add_argument("name", metavar="NAME", help="name of the member")
+    add_options(revoked, {**_FOLDER, Argument("name", "NAME"): "name of the member", **_JSON})
     revoked.set_defaults(command=_revoke)
-    _add_json(revoked)
     told = "create a key shared by all robots and operators of a team on ROS"
     shared = commands.add_parser("shared", help=told, description=told)
-    shared.add_argument("file", metavar="FILE", help="a new file; copy it to each robot")
+    add_options(shared, {Argument("file", "FILE"): "a new file; copy it to each robot"})
     shared.set_defaults(command=_share)
-    shown = commands.add_parser(
-        "show", help="show the members of the team, and how long their certificates are valid"
+    told = "show the members of the team, and how long their certificates are valid"
+    shown = commands.add_parser("show", help=told)
+    add_options(
+        shown, {Argument("folder", "DIR"): "the folder of the team or of one member", **_JSON}
     )
-    shown.add_argument("folder", metavar="DIR", help="the folder of the team or of one member")
     shown.set_defaults(command=_show)
-    _add_json(shown)
     parser.epilog = (
         "Copy the folder DIR/NAME to each member, and nothing else of DIR; keep the folder "
         "DIR/%s yourself. Exit codes: 0 done, 2 not done." % keys.AUTHORITY
@@ -67,10 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; return 0."""
     return int(args.command(args))
-
-
-def _add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _make(args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ import math
 import resource
 import threading
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, TypeVar
+from typing import Callable, Iterator, TypeVar
 
 from gspn_framework_package.analysis.limits import (
     DEFAULT_MEMORY,
@@ -21,6 +21,7 @@ from gspn_framework_package.analysis.limits import (
 )
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.interrupts import interruptible, leave
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
 
@@ -34,42 +35,25 @@ _OBJECTS = 200_000
 objects (Python's default: 700)."""
 
 
-def add_limit_arguments(parser: Any) -> None:
-    """Declare the limits, on a parser or on a group of its arguments."""
-    parser.add_argument(
-        "--limit",
-        type=int,
-        metavar="N",
-        help="maximum number of markings to visit (default %s; fewer in nets of over %s nodes)"
-        % (format(STATE_LIMIT, ","), format(LARGE_NET, ",")),
-    )
-    parser.add_argument(
-        "--limit-tree",
-        type=int,
-        default=TREE_LIMIT,
-        metavar="N",
-        help="maximum number of nodes of a coverability tree (default %(default)s)",
-    )
-    parser.add_argument(
-        "--limit-structure",
-        type=int,
-        metavar="N",
-        help="maximum number of steps of each search for invariants, siphons and traps (default "
-        "%s, which takes a second or two; down to half in nets of over %s nodes)"
-        % (format(STRUCTURE_LIMIT, ","), format(LARGE_NET, ",")),
-    )
-    parser.add_argument(
-        "--limit-time",
-        type=float,
-        metavar="S",
-        help="time limit for each part, in seconds (default %g)" % DEFAULT_SECONDS,
-    )
-    parser.add_argument(
-        "--limit-memory",
-        type=float,
-        metavar="GB",
-        help="maximum memory (default %.3g)" % (DEFAULT_MEMORY / 1e9),
-    )
+LIMIT_OPTIONS: Arguments = {
+    Argument("--limit", "N", int): (
+        "maximum number of markings to visit (default %s; fewer in nets of over %s nodes)"
+        % (format(STATE_LIMIT, ","), format(LARGE_NET, ","))
+    ),
+    Argument("--limit-tree", "N", int, TREE_LIMIT): (
+        "maximum number of nodes of a coverability tree (default %(default)s)"
+    ),
+    Argument("--limit-structure", "N", int): (
+        "maximum number of steps of each search for invariants, siphons and traps (default %s, "
+        "which takes a second or two; down to half in nets of over %s nodes)"
+        % (format(STRUCTURE_LIMIT, ","), format(LARGE_NET, ","))
+    ),
+    Argument("--limit-time", "S", float): (
+        "time limit for each part, in seconds (default %g)" % DEFAULT_SECONDS
+    ),
+    Argument("--limit-memory", "GB", float): "maximum memory (default %.3g)"
+    % (DEFAULT_MEMORY / 1e9),
+}
 
 
 def limits_of(args: argparse.Namespace) -> Limits:

@@ -10,40 +10,29 @@ import sys
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.mcp_server import ModelContextServer
 from gspn_framework_package.cli.mcp_tools import CallLimits, PlanTools
-from gspn_framework_package.cli.modules import add_modules
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
+
+_OPTIONS: Arguments = {
+    Argument("folder", "FOLDER", default=".", nargs="?"): (
+        "folder of the plans, nets and logs that may be read; nothing outside it is accessible "
+        "(default: .)"
+    ),
+    "--allow-write": (
+        "let draft_plan and optimise write new plans into the folder; they never overwrite files"
+    ),
+    Argument("--limit-time", "S", numbers.duration, 120.0): (
+        "time limit of a call, in seconds (default: %(default)g)"
+    ),
+    Argument("--limit-output", "N", numbers.whole(1000, 10**9), 200_000): (
+        "maximum number of characters of an answer (default: %(default)s)"
+    ),
+    **MODULES_OPTION,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "folder",
-        nargs="?",
-        default=".",
-        metavar="FOLDER",
-        help="folder of the plans, nets and logs that may be read; nothing outside it is "
-        "accessible (default: .)",
-    )
-    parser.add_argument(
-        "--allow-write",
-        action="store_true",
-        help="let draft_plan and optimise write new plans into the folder; they never "
-        "overwrite files",
-    )
-    parser.add_argument(
-        "--limit-time",
-        type=numbers.duration,
-        default=120.0,
-        metavar="S",
-        help="time limit of a call, in seconds (default: %(default)g)",
-    )
-    parser.add_argument(
-        "--limit-output",
-        type=numbers.whole(1000, 10**9),
-        default=200_000,
-        metavar="N",
-        help="maximum number of characters of an answer (default: %(default)s)",
-    )
-    add_modules(parser)
+    add_options(parser, _OPTIONS)
     parser.epilog = "No tool commands robots, runs a plan or imports a plan's functions."
 
 

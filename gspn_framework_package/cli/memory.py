@@ -9,6 +9,7 @@ from typing import Any, Dict, Iterator, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.analysis.on_disk.scratch import Scratch
 from gspn_framework_package.analysis.on_disk.search import LEAST_MEMORY
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.model.errors import UsageError
 
 LIBRARIES = 256 << 20
@@ -26,19 +27,15 @@ class MemoryAndDisk(NamedTuple):
     scratch: Scratch
 
 
-def add_memory_arguments(parser: Any) -> None:
-    """Declare the options, on a parser or on a group of its arguments."""
-    parser.add_argument(
-        "--memory",
-        metavar="SIZE",
-        help="for a net: use this much memory (e.g. 1GB) and store further markings on disk; by "
-        "default their number and the time are then unlimited",
-    )
-    parser.add_argument(
-        "--scratch",
-        metavar="DIR",
-        help="the folder for temporary files of --memory (default: TMPDIR, or /var/tmp)",
-    )
+MEMORY_OPTIONS: Arguments = {
+    Argument("--memory", "SIZE"): (
+        "for a net: use this much memory (e.g. 1GB) and store further markings on disk; by default "
+        "their number and the time are then unlimited"
+    ),
+    Argument("--scratch", "DIR"): (
+        "the folder for temporary files of --memory (default: TMPDIR, or /var/tmp)"
+    ),
+}
 
 
 def memory_of(args: argparse.Namespace) -> Optional[MemoryAndDisk]:

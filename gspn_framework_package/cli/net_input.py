@@ -6,10 +6,11 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from typing import Any, Dict, List, Tuple, Union
+from typing import Dict, List, Tuple, Union
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import interruptible
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.formats import FORMATS, ReadOptions, plan_file
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
@@ -17,41 +18,46 @@ from gspn_framework_package.model.plan import Plan
 
 FITTED, NOMINAL = "fitted", "nominal"
 
+_NET: Arguments = {
+    Argument("net_file", "NET"): (
+        "a net (%s), or a plan, whose net is used"
+        % ", ".join(f.title for f in FORMATS.values() if f.reader is not None)
+    ),
+}
+
+_READING: Arguments = {
+    Argument("--from", "FORMAT", dest="source_format"): (
+        "the format of NET (default: recognised by the content)"
+    ),
+    Argument("--net", "NAME"): "the net to use, if the file has several",
+    repeated("--const", "NAME=VALUE"): "set the value of a constant of the file (may be repeated)",
+    choice("--servers", ("single", "infinite")): (
+        "server semantics of exponential transitions if the file does not specify it (default: "
+        "infinite for PNPRO, single for others)"
+    ),
+    "--controllable": (
+        "immediate transitions whose file gives no weight are controllable (weight 0)"
+    ),
+}
+
+RATES_OPTION: Arguments = {
+    choice("--rates", (FITTED, NOMINAL), FITTED): (
+        "of a plan: what was learned from runs counts (default), or the rates of its net's file do"
+    ),
+}
+"""Which times of a plan count."""
+
+_SUBJECT: Arguments = {
+    "--only-net": "analyse a plan's net by its weights instead of the policy",
+    Argument("--robots", "N", numbers.robots): "of a plan: for a team of N robots",
+    **RATES_OPTION,
+}
+
 
 def add_net_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the net and the options for reading it."""
-    parser.add_argument(
-        "net_file",
-        metavar="NET",
-        help="a net (%s), or a plan, whose net is used"
-        % ", ".join(f.title for f in FORMATS.values() if f.reader is not None),
-    )
-    reading = parser.add_argument_group("reading the net")
-    reading.add_argument(
-        "--from",
-        dest="source_format",
-        metavar="FORMAT",
-        help="the format of NET (default: recognised by the content)",
-    )
-    reading.add_argument("--net", metavar="NAME", help="the net to use, if the file has several")
-    reading.add_argument(
-        "--const",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="set the value of a constant of the file (may be repeated)",
-    )
-    reading.add_argument(
-        "--servers",
-        choices=("single", "infinite"),
-        help="server semantics of exponential transitions if the file does not specify it "
-        "(default: infinite for PNPRO, single for others)",
-    )
-    reading.add_argument(
-        "--controllable",
-        action="store_true",
-        help="immediate transitions whose file gives no weight are controllable (weight 0)",
-    )
+    add_options(parser, _NET)
+    add_options(parser.add_argument_group("reading the net"), _READING)
 
 
 def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
@@ -82,26 +88,7 @@ def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan
 def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the net or plan, and the options for reading it."""
     add_net_arguments(parser)
-    parser.add_argument(
-        "--only-net",
-        action="store_true",
-        help="analyse a plan's net by its weights instead of the policy",
-    )
-    parser.add_argument(
-        "--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots"
-    )
-    add_rates_argument(parser)
-
-
-def add_rates_argument(parser: Any) -> None:
-    """Declare which times of a plan count, on a parser or on a group of its arguments."""
-    parser.add_argument(
-        "--rates",
-        choices=(FITTED, NOMINAL),
-        default=FITTED,
-        help="of a plan: what was learned from runs counts (default), or the rates of its net's "
-        "file do",
-    )
+    add_options(parser, _SUBJECT)
 
 
 def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:

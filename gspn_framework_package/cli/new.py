@@ -8,36 +8,32 @@ import shlex
 from typing import Sequence
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.formats.example_plans import ALL_EXAMPLES, copy_example, example_names
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import UsageError
 
+_OPTIONS: Arguments = {
+    Argument("template", "TEMPLATE", nargs="?"): (
+        "one of: %s" % ", ".join(templates.templates_by_name())
+    ),
+    Argument("folder", "DIR", nargs="?"): "the folder to create",
+    Argument("--robots", "N", numbers.robots): "number of robots",
+    Argument("--places", "PLACE", nargs="+"): (
+        "where the robots go (%s)"
+        % ", ".join(name for name in templates.templates_by_name() if templates.takes_places(name))
+    ),
+    Argument("--example", "NAME"): (
+        "copy an example plan of the package into DIR instead; %s for all of them" % ALL_EXAMPLES
+    ),
+    "--list": "list the templates and the examples",
+    "--json": "print a JSON object",
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "template",
-        nargs="?",
-        metavar="TEMPLATE",
-        help="one of: %s" % ", ".join(templates.templates_by_name()),
-    )
-    parser.add_argument("folder", nargs="?", metavar="DIR", help="the folder to create")
-    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="number of robots")
-    parser.add_argument(
-        "--places",
-        nargs="+",
-        metavar="PLACE",
-        help="where the robots go (%s)"
-        % ", ".join(name for name in templates.templates_by_name() if templates.takes_places(name)),
-    )
-    parser.add_argument(
-        "--example",
-        metavar="NAME",
-        help="copy an example plan of the package into DIR instead; %s for all of them"
-        % ALL_EXAMPLES,
-    )
-    parser.add_argument("--list", action="store_true", help="list the templates and the examples")
-    parser.add_argument("--json", action="store_true", help="print a JSON object")
+    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

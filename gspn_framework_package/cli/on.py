@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, TypeVar
+from typing import Callable, TypeVar
 
 from gspn_framework_package.analysis.executors import EXECUTOR_FORMS, Executor, open_executor
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.limits import working
+from gspn_framework_package.cli.options import Argument, Arguments
 
 _Result = TypeVar("_Result")
 
 
-def add_on_argument(parser: Any) -> None:
-    """Declare the option, on a parser or on a group of its arguments."""
-    parser.add_argument(
-        "--on",
-        default="local",
-        metavar="EXECUTOR",
-        help="where to compute: %s (default %%(default)s); the results are the same"
-        % EXECUTOR_FORMS,
-    )
+ON_OPTION: Arguments = {
+    Argument("--on", "EXECUTOR", default="local"): (
+        "where to compute: %s (default %%(default)s); the results are the same" % EXECUTOR_FORMS
+    ),
+}
 
 
 def working_on(

@@ -11,109 +11,78 @@ from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST,
 from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimise
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.aims import add_aim_arguments, objective_of, pairs
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
-from gspn_framework_package.cli.net_input import FITTED, add_rates_argument, print_notes
-from gspn_framework_package.cli.on import add_on_argument, working_on
+from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of, pairs
+from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of
+from gspn_framework_package.cli.net_input import FITTED, RATES_OPTION, print_notes
+from gspn_framework_package.cli.on import ON_OPTION, working_on
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.model.errors import UsageError
 
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("-o --output", "NEW_PLAN"): (
+        "the plan with the computed policy: a new .json file, or a folder for plan.json and the "
+        "functions; by default nothing is written"
+    ),
+    "--force": "overwrite NEW_PLAN if it exists",
+    "--json": "print the report as one JSON object",
+    Argument("--robots", "N", numbers.robots): "for a team of N robots",
+    **ON_OPTION,
+}
+
+_CONSTRAINTS: Arguments = {
+    repeated("--never", "CONDITION"): (
+        "this must never hold, whichever robots are lost; may be repeated"
+    ),
+    repeated("--at-least", "'NAME>=X'"): (
+        "in the long run a transition must fire at least X times a second, or a place must hold at "
+        "least X tokens on average; may be repeated"
+    ),
+    repeated("--may-wait", "PLACE"): (
+        "robots in this place may wait although they could leave; a name, or a pattern as for "
+        "files ('At_*'); may be repeated"
+    ),
+}
+
+_READING: Arguments = {
+    choice("--timing", READINGS, RUN): (
+        "interpret the plan as it runs (default), or as a race of its net's rates"
+    ),
+    **RATES_OPTION,
+    repeated("--uncertain", "TRANSITION=LOW..HIGH"): (
+        "the rate is only known to be in this interval: find the best policy for the worst case; "
+        "may be repeated"
+    ),
+    Argument("--team-sizes", "SIZES"): (
+        "the numbers of robots to compute choices for: own, all, N or N..M (default: own, and "
+        "smaller ones if the plan lets robots be evicted)"
+    ),
+    Argument("--width", "W", numbers.number(NARROWEST, 0.5), AIM_WIDTH): (
+        "width of the certified interval, relative to its value (default %(default)g)"
+    ),
+    Argument("--simulate", "S", numbers.seconds, SIMULATED): (
+        "computing time in seconds for simulating the old and the new plan as they run; 0 for no "
+        "simulation (default %(default)g)"
+    ),
+    Argument("--seed", "N", numbers.whole(0, 2**63 - 1), 0): (
+        "seed of the simulation (default %(default)s)"
+    ),
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="NEW_PLAN",
-        help="the plan with the computed policy: a new .json file, or a folder for plan.json and "
-        "the functions; by default nothing is written",
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite NEW_PLAN if it exists")
-    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
-    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="for a team of N robots")
-    add_on_argument(parser)
-    add_aim_arguments(parser.add_argument_group("the aim"))
-    _add_constraints(parser.add_argument_group("constraints"))
-    _add_reading(parser.add_argument_group("how to interpret the plan"))
-    add_limit_arguments(parser.add_argument_group("limits"))
+    add_options(parser, _OPTIONS)
+    add_options(parser.add_argument_group("the aim"), AIM_OPTIONS)
+    add_options(parser.add_argument_group("constraints"), _CONSTRAINTS)
+    add_options(parser.add_argument_group("how to interpret the plan"), _READING)
+    add_options(parser.add_argument_group("limits"), LIMIT_OPTIONS)
     parser.epilog = (
         "Exit codes: 0 there is an answer, 1 there is none (the constraints cannot be met, or a "
         "limit was reached), or a later step failed, such as the simulation, 2 not a plan, or "
         "wrong usage."
-    )
-
-
-def _add_constraints(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--never",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="this must never hold, whichever robots are lost; may be repeated",
-    )
-    group.add_argument(
-        "--at-least",
-        action="append",
-        default=[],
-        metavar="'NAME>=X'",
-        help="in the long run a transition must fire at least X times a second, or a place must "
-        "hold at least X tokens on average; may be repeated",
-    )
-    group.add_argument(
-        "--may-wait",
-        action="append",
-        default=[],
-        metavar="PLACE",
-        help="robots in this place may wait although they could leave; a name, or a pattern as "
-        "for files ('At_*'); may be repeated",
-    )
-
-
-def _add_reading(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--timing",
-        choices=READINGS,
-        default=RUN,
-        help="interpret the plan as it runs (default), or as a race of its net's rates",
-    )
-    add_rates_argument(group)
-    group.add_argument(
-        "--uncertain",
-        action="append",
-        default=[],
-        metavar="TRANSITION=LOW..HIGH",
-        help="the rate is only known to be in this interval: find the best policy for the worst "
-        "case; may be repeated",
-    )
-    group.add_argument(
-        "--team-sizes",
-        metavar="SIZES",
-        help="the numbers of robots to compute choices for: own, all, N or N..M (default: own, and "
-        "smaller ones if the plan lets robots be evicted)",
-    )
-    group.add_argument(
-        "--width",
-        type=numbers.number(NARROWEST, 0.5),
-        default=AIM_WIDTH,
-        metavar="W",
-        help="width of the certified interval, relative to its value (default %(default)g)",
-    )
-    group.add_argument(
-        "--simulate",
-        type=numbers.seconds,
-        default=SIMULATED,
-        metavar="S",
-        help="computing time in seconds for simulating the old and the new plan as they run; 0 "
-        "for no simulation (default %(default)g)",
-    )
-    group.add_argument(
-        "--seed",
-        type=numbers.whole(0, 2**63 - 1),
-        default=0,
-        metavar="N",
-        help="seed of the simulation (default %(default)s)",
     )
 
 

@@ -8,6 +8,7 @@ import json
 import sys
 from typing import Any, Dict, NamedTuple
 
+from gspn_framework_package.cli.options import add_options
 from gspn_framework_package.model.errors import DataError, InputError, UsageError
 from gspn_framework_package.team.orders import ORDERS, SUBMITTED, FieldKind, OrderField, OrderKind
 
@@ -43,7 +44,7 @@ class OrderVerb(NamedTuple):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments of the verb: what is required is one, what is not an option."""
-        from gspn_framework_package.cli.team_client import add_team_options
+        from gspn_framework_package.cli.team_client import TEAM_OPTIONS
 
         for field in self.order.fields:
             is_object = field.kind is FieldKind.OBJECT
@@ -56,7 +57,7 @@ class OrderVerb(NamedTuple):
             else:
                 default = "{}" if is_object else ""
                 parser.add_argument("--" + field.name, default=default, **words)
-        add_team_options(parser)
+        add_options(parser, TEAM_OPTIONS)
         parser.epilog = self.order.note or None
 
     def run(self, args: argparse.Namespace) -> int:

@@ -15,9 +15,10 @@ from gspn_framework_package.analysis.fitting import FamilyChoice, PlaceFit
 from gspn_framework_package.analysis.fitting.durations import kaplan_meier
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.fit import add_choice, learn
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
+from gspn_framework_package.cli.fit import FIT_OPTIONS, learn
+from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of, working
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
@@ -43,46 +44,38 @@ _PLACES = 60
 PLOTS = ("tokens", "throughput", "distribution", "passage")
 
 
+_OPTIONS: Arguments = {
+    Argument("-o --output", "FILE", required=True): "the picture: .png, .svg or .pdf",
+    choice("--what", PLOTS, "tokens"): (
+        "mean tokens or throughput over time, the distribution of tokens in the steady state, or "
+        "the probability of reaching a condition over time (default: tokens)"
+    ),
+    Argument("--time", "T", numbers.duration): (
+        "end of the time axis (s); by default the time until the net has settled"
+    ),
+    Argument("--points", "N", numbers.whole(2, 100_000), 60): (
+        "points in time (default %(default)s)"
+    ),
+    Argument("--only", "NAME", default=[], nargs="+"): "only these places or transitions",
+    Argument("--condition", "CONDITION"): "of --what passage",
+}
+
+_FIT: Arguments = {
+    Argument("--fit", "LOG", nargs="+"): (
+        "plot for each place the durations in these event logs: a histogram with the fitted "
+        "density, and their quantiles against those of the fitted distribution"
+    ),
+    **FIT_OPTIONS,
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="FILE", help="the picture: .png, .svg or .pdf"
-    )
-    parser.add_argument(
-        "--what",
-        choices=PLOTS,
-        default="tokens",
-        help="mean tokens or throughput over time, the distribution of tokens in the steady "
-        "state, or the probability of reaching a condition over time (default: tokens)",
-    )
-    parser.add_argument(
-        "--time",
-        type=numbers.duration,
-        metavar="T",
-        help="end of the time axis (s); by default the time until the net has settled",
-    )
-    parser.add_argument(
-        "--points",
-        type=numbers.whole(2, 100_000),
-        default=60,
-        metavar="N",
-        help="points in time (default %(default)s)",
-    )
-    parser.add_argument(
-        "--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions"
-    )
-    parser.add_argument("--condition", metavar="CONDITION", help="of --what passage")
+    add_options(parser, _OPTIONS)
     fit = parser.add_argument_group("durations of a plan, learned from logs (gspn fit)")
-    fit.add_argument(
-        "--fit",
-        nargs="+",
-        metavar="LOG",
-        help="plot for each place the durations in these event logs: a histogram with the fitted "
-        "density, and their quantiles against those of the fitted distribution",
-    )
-    add_choice(fit)
-    add_limit_arguments(parser.add_argument_group("effort"))
+    add_options(fit, _FIT)
+    add_options(parser.add_argument_group("effort"), LIMIT_OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

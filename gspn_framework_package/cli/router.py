@@ -8,39 +8,30 @@ import json
 import sys
 import time
 
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.team.router import Router, router_access
 from gspn_framework_package.team.zenoh_session import session_config
 
 _LOOK_PERIOD = 1.0
 
 
+_OPTIONS: Arguments = {
+    Argument("--listen", "ENDPOINT", default=[], nargs="+"): (
+        "where robots connect (default: tls/0.0.0.0:7447 with keys, otherwise tcp/127.0.0.1:7447)"
+    ),
+    Argument("--connect", "ENDPOINT", default=[], nargs="+"): "other routers of the team",
+    Argument("--keys", "DIR", default=""): "the keys of this router, from 'gspn keys'",
+    "--no-limit": "do not drop floods; required without keys if other routers connect to this one",
+    "--print-config": (
+        "print the configuration of such a router for 'zenohd --config FILE', and exit"
+    ),
+    "--json": "print JSON, a line for each event",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "--listen",
-        metavar="ENDPOINT",
-        nargs="+",
-        default=[],
-        help="where robots connect (default: tls/0.0.0.0:7447 with keys, otherwise "
-        "tcp/127.0.0.1:7447)",
-    )
-    parser.add_argument(
-        "--connect", metavar="ENDPOINT", nargs="+", default=[], help="other routers of the team"
-    )
-    parser.add_argument(
-        "--keys", metavar="DIR", default="", help="the keys of this router, from 'gspn keys'"
-    )
-    parser.add_argument(
-        "--no-limit",
-        action="store_true",
-        help="do not drop floods; required without keys if other routers connect to this one",
-    )
-    parser.add_argument(
-        "--print-config",
-        action="store_true",
-        help="print the configuration of such a router for 'zenohd --config FILE', and exit",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON, a line for each event")
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Without keys, anybody who can reach the router can take part in any run. A changed "
         "team.json in the folder of the keys is applied within a second or two. Exit codes: 0 "

@@ -20,7 +20,7 @@ from gspn_framework_package.analysis.preflight.while_running import (
 )
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
-from gspn_framework_package.cli.modules import add_modules
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
 from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.control_socket import ControlSocket, DeployRequest
 from gspn_framework_package.execution.event_log import header
@@ -35,36 +35,26 @@ from gspn_framework_package.model.errors import ExecutionError, RefusedError, Us
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.verdict import obey, verdict
 
+_OPTIONS: Arguments = {
+    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("--agents", "N", numbers.robots): "run the plan with N agents",
+    Argument("--seconds", "S", numbers.duration): "stop after S seconds",
+    Argument("--firings", "N", numbers.whole(1, 2**53)): "stop after N firings",
+    Argument("--seed", kind=numbers.seed): "seed of the policy's draws, instead of the plan's",
+    Argument("--log", "FILE"): "record the run as an event log (a new file)",
+    "--json": (
+        "print a JSON object per line: firings, faults, the end; output of actions goes to "
+        "standard error"
+    ),
+    "--allow-commands": "let the plan run programs on this computer (actions with 'command')",
+    **MODULES_OPTION,
+    "--quiet": "print only faults and the end",
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument(
-        "--agents", type=numbers.robots, metavar="N", help="run the plan with N agents"
-    )
-    parser.add_argument(
-        "--seconds", type=numbers.duration, metavar="S", help="stop after S seconds"
-    )
-    parser.add_argument(
-        "--firings", type=numbers.whole(1, 2**53), metavar="N", help="stop after N firings"
-    )
-    parser.add_argument(
-        "--seed", type=numbers.seed, help="seed of the policy's draws, instead of the plan's"
-    )
-    parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="print a JSON object per line: firings, faults, the end; output of actions goes to "
-        "standard error",
-    )
-    parser.add_argument(
-        "--allow-commands",
-        action="store_true",
-        help="let the plan run programs on this computer (actions with 'command')",
-    )
-    add_modules(parser)
-    parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Exit codes: 0 the run completed or reached a given limit, 1 the plan was refused or the "
         "run was stopped by a failure, 2 not a plan, 130 interrupted."

@@ -10,101 +10,69 @@ from typing import Optional
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
-from gspn_framework_package.cli.modules import add_modules
-from gspn_framework_package.cli.team_client import access_of, add_way
+from gspn_framework_package.cli.options import (
+    MODULES_OPTION,
+    Argument,
+    Arguments,
+    add_options,
+    repeated,
+)
+from gspn_framework_package.cli.team_client import access_of, way_options
 from gspn_framework_package.model.errors import InputError, UsageError
+from gspn_framework_package.visualizer.guard import LOOPBACK_NAMES, OPERATOR, VIEWER, read_tokens
+
+ADDRESS_OPTIONS: Arguments = {
+    Argument("--port", kind=int, default=8090): (
+        "port of the page; 0 for any free port (default: 8090)"
+    ),
+    Argument("--host", default="127.0.0.1"): (
+        "address to listen on; for any other than the loopback addresses (%s), everybody needs a "
+        "token, and both tokens are printed" % ", ".join(sorted(LOOPBACK_NAMES))
+    ),
+    repeated("--allow-name", "NAME"): "another name under which browsers may reach this machine",
+    Argument("--token"): (
+        "the operator's token, at least 16 characters (default: if --host needs one, it is "
+        "generated and printed)"
+    ),
+    Argument("--viewer-token", "TOKEN"): (
+        "the read-only token (default: if --host needs one, it is generated and printed)"
+    ),
+    Argument("--token-file", "FILE"): (
+        "a file with the operator's token on its first line and the viewers' on its second (other "
+        "users of this machine can see a program's options)"
+    ),
+    Argument("--viewers", kind=int, default=24): "maximum number of live streams (default: 24)",
+    "--open": "open a browser too",
+}
+"""The options of every verb that serves the page."""
+
+_OPTIONS: Arguments = {
+    Argument("path", "FOLDER|NET|PLAN", default=".", nargs="?"): (
+        "the folder to serve; only plans in this folder can be executed (default: .)"
+    ),
+    Argument("--record", "FOLDER"): (
+        "folder for the event logs of executions (default: runs in the served folder)"
+    ),
+    "--edit": "let the operator edit the plans of the folder in the page, and create new ones",
+    Argument("--history", "DIR"): "a store of 'gspn history' to show in the page, with replays",
+    **way_options(
+        "watch the team that runs PLAN through this router: tls/HOST:7447; with an operator's "
+        "keys, or if the team has none, the page can also give orders"
+    ),
+    Argument("--run", "NAME", default="", dest="run_name"): (
+        "with --connect: the run to show (default: the first one of this plan to be received)"
+    ),
+    Argument("--robots", "N", numbers.robots): (
+        "with --connect: number of robots to assume until one answers (default: as in the plan)"
+    ),
+    **MODULES_OPTION,
+    **ADDRESS_OPTIONS,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "path",
-        nargs="?",
-        default=".",
-        metavar="FOLDER|NET|PLAN",
-        help="the folder to serve; only plans in this folder can be executed (default: .)",
-    )
-    parser.add_argument(
-        "--record",
-        metavar="FOLDER",
-        help="folder for the event logs of executions (default: runs in the served folder)",
-    )
-    parser.add_argument(
-        "--edit",
-        action="store_true",
-        help="let the operator edit the plans of the folder in the page, and create new ones",
-    )
-    parser.add_argument(
-        "--history",
-        metavar="DIR",
-        help="a store of 'gspn history' to show in the page, with replays",
-    )
-    add_way(
-        parser,
-        "watch the team that runs PLAN through this router: tls/HOST:7447; with an operator's "
-        "keys, or if the team has none, the page can also give orders",
-    )
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        default="",
-        metavar="NAME",
-        help="with --connect: the run to show (default: the first one of this plan to be received)",
-    )
-    parser.add_argument(
-        "--robots",
-        type=numbers.robots,
-        metavar="N",
-        help="with --connect: number of robots to assume until one answers (default: as in "
-        "the plan)",
-    )
-    add_modules(parser)
-    add_address_arguments(parser)
-
-
-def add_address_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of every verb that serves the page."""
-    from gspn_framework_package.visualizer.guard import LOOPBACK_NAMES
-
-    parser.add_argument(
-        "--port",
-        type=int,
-        default=8090,
-        help="port of the page; 0 for any free port (default: 8090)",
-    )
-    parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        help="address to listen on; for any other than the loopback addresses (%s), everybody "
-        "needs a token, and both tokens are printed" % ", ".join(sorted(LOOPBACK_NAMES)),
-    )
-    parser.add_argument(
-        "--allow-name",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="another name under which browsers may reach this machine",
-    )
-    parser.add_argument(
-        "--token",
-        help="the operator's token, at least 16 characters (default: if --host needs one, it is "
-        "generated and printed)",
-    )
-    parser.add_argument(
-        "--viewer-token",
-        metavar="TOKEN",
-        help="the read-only token (default: if --host needs one, it is generated and printed)",
-    )
-    parser.add_argument(
-        "--token-file",
-        metavar="FILE",
-        help="a file with the operator's token on its first line and the viewers' on its second "
-        "(other users of this machine can see a program's options)",
-    )
-    parser.add_argument(
-        "--viewers", type=int, default=24, help="maximum number of live streams (default: 24)"
-    )
-    parser.add_argument("--open", action="store_true", help="open a browser too")
+    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -162,7 +130,6 @@ def _serve_team(args: argparse.Namespace) -> int:
 
 def serve(project: object, args: argparse.Namespace) -> int:
     """Serve ``project`` at the address of ``args`` until interrupted."""
-    from gspn_framework_package.visualizer.guard import OPERATOR, VIEWER, read_tokens
     from gspn_framework_package.visualizer.project import Project
     from gspn_framework_package.visualizer.serving import WebServer
 

@@ -14,47 +14,41 @@ from gspn_framework_package.analysis.executors import open_executor
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.simulation import Simulation, simulate
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.against import add_against_arguments, refuse_aims, run_against
+from gspn_framework_package.cli.against import AGAINST_OPTIONS, refuse_aims, run_against
 from gspn_framework_package.cli.continued import beginning_of, simulate_from
 from gspn_framework_package.cli.continued import notes as continued_notes
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
-from gspn_framework_package.cli.on import add_on_argument
+from gspn_framework_package.cli.on import ON_OPTION
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_in_arguments
+from gspn_framework_package.cli.simulated_runs import RUN_OPTIONS, asked_in_arguments
 from gspn_framework_package.cli.virtual_log import simulate_to_log
+
+_OPTIONS: Arguments = {
+    "--json": "print the result as one JSON object",
+    Argument("--csv", "FILE"): "write the numbers to FILE: measure, name, mean, half width",
+    Argument("--log", "FILE"): (
+        "run a plan once, with the token game itself, and record it as an event log (a new file) "
+        "for verify, replay and fit"
+    ),
+    **RUN_OPTIONS,
+    repeated("--measure", "NAME"): (
+        "with --precision: the transition (throughput) or place (mean tokens) that matters; may be "
+        "repeated (default: the throughputs of at least a hundredth of the largest)"
+    ),
+    Argument("--batches", "N", numbers.whole(2, numbers.MOST_REPLICATIONS)): (
+        "one long run of a plan, divided into N batches, instead of many runs"
+    ),
+    **ON_OPTION,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
     parser.epilog = "RUN.jsonl@SLOT instead of NET continues from that slot of a recorded run."
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument(
-        "--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width"
-    )
-    parser.add_argument(
-        "--log",
-        metavar="FILE",
-        help="run a plan once, with the token game itself, and record it as an event log "
-        "(a new file) for verify, replay and fit",
-    )
-    add_run_arguments(parser)
-    parser.add_argument(
-        "--measure",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="with --precision: the transition (throughput) or place (mean tokens) that matters; "
-        "may be repeated (default: the throughputs of at least a hundredth of the largest)",
-    )
-    parser.add_argument(
-        "--batches",
-        type=numbers.whole(2, numbers.MOST_REPLICATIONS),
-        metavar="N",
-        help="one long run of a plan, divided into N batches, instead of many runs",
-    )
-    add_on_argument(parser)
-    add_against_arguments(parser.add_argument_group("compare an old plan with a new one"))
+    add_options(parser, _OPTIONS)
+    add_options(parser.add_argument_group("compare an old plan with a new one"), AGAINST_OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,11 +12,12 @@ from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint, chosen
 from gspn_framework_package.analysis.sweeps.variation import VARIATION_FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of
+from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
-from gspn_framework_package.cli.on import add_on_argument, working_on
+from gspn_framework_package.cli.on import ON_OPTION, working_on
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.plot import begin_picture, save_picture
-from gspn_framework_package.cli.simulated_runs import add_run_arguments, asked_in_arguments
+from gspn_framework_package.cli.simulated_runs import RUN_OPTIONS, asked_in_arguments
 from gspn_framework_package.cli.sweep_figure import sweep_figure
 from gspn_framework_package.cli.sweep_store import SUFFIX, PointStore
 from gspn_framework_package.cli.table import aligned
@@ -26,41 +27,35 @@ from gspn_framework_package.formats.source import write_bytes
 Rows = List[Tuple[str, ...]]
 
 
+_OPTIONS: Arguments = {
+    Argument("--vary", "NAME=VALUES", action="append", required=True): (
+        "%s; may be repeated: every combination is measured" % VARIATION_FORMS
+    ),
+    repeated("--measure", "NAME"): (
+        "a transition (throughput), a place (mean tokens), end_time, reached or time_to_condition, "
+        "or a pattern; may be repeated (default: all throughputs)"
+    ),
+    Argument("--output", "FILE.csv"): (
+        "write the table to FILE.csv, and store the measured points in FILE.csv%s; the same "
+        "command then measures only missing points" % SUFFIX
+    ),
+    Argument("--plot", "FILE"): "plot the measures over the first variation (.png .svg .pdf)",
+    "--json": "print the result as one JSON object",
+    **ON_OPTION,
+}
+
+_MEASURING: Arguments = {
+    "--exact": "compute the steady state instead of simulating",
+    **RUN_OPTIONS,
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
-    parser.add_argument(
-        "--vary",
-        action="append",
-        required=True,
-        metavar="NAME=VALUES",
-        help="%s; may be repeated: every combination is measured" % VARIATION_FORMS,
-    )
-    parser.add_argument(
-        "--measure",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="a transition (throughput), a place (mean tokens), end_time, reached or "
-        "time_to_condition, or a pattern; may be repeated (default: all throughputs)",
-    )
-    parser.add_argument(
-        "--output",
-        metavar="FILE.csv",
-        help="write the table to FILE.csv, and store the measured points in FILE.csv%s; the same "
-        "command then measures only missing points" % SUFFIX,
-    )
-    parser.add_argument(
-        "--plot", metavar="FILE", help="plot the measures over the first variation (.png .svg .pdf)"
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    add_on_argument(parser)
-    how = parser.add_argument_group("how each point is measured")
-    how.add_argument(
-        "--exact", action="store_true", help="compute the steady state instead of simulating"
-    )
-    add_run_arguments(how)
-    add_limit_arguments(parser.add_argument_group("limits of --exact"))
+    add_options(parser, _OPTIONS)
+    add_options(parser.add_argument_group("how each point is measured"), _MEASURING)
+    add_options(parser.add_argument_group("limits of --exact"), LIMIT_OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

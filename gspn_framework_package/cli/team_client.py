@@ -6,6 +6,7 @@ import argparse
 import os
 from typing import TYPE_CHECKING
 
+from gspn_framework_package.cli.options import Argument, Arguments, repeated
 from gspn_framework_package.model.errors import UsageError
 
 if TYPE_CHECKING:
@@ -13,34 +14,26 @@ if TYPE_CHECKING:
     from gspn_framework_package.team.zenoh_session import TeamAccess
 
 
-def add_team_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of every verb that contacts a team."""
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        default="",
-        metavar="NAME",
-        help="name of the run, if there are several",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument(
-        "--team-key-file",
-        default="",
-        metavar="FILE",
-        help="the key of a team on ROS, from 'gspn keys shared', to give it orders",
-    )
-    add_way(parser, "reach the robots through this router instead of ROS: tls/HOST:7447")
-
-
-def add_way(parser: argparse.ArgumentParser, connect: str) -> None:
-    """Declare the options for reaching a team without ROS.
+def way_options(connect: str) -> Arguments:
+    """The options for reaching a team without ROS.
 
     :param connect: the help of ``--connect``.
     """
-    parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help=connect)
-    parser.add_argument(
-        "--keys", default="", metavar="DIR", help="your keys, from 'gspn keys'; with --connect"
-    )
+    return {
+        repeated("--connect", "ENDPOINT"): connect,
+        Argument("--keys", "DIR", default=""): "your keys, from 'gspn keys'; with --connect",
+    }
+
+
+TEAM_OPTIONS: Arguments = {
+    Argument("--run", "NAME", default="", dest="run_name"): "name of the run, if there are several",
+    "--json": "print JSON",
+    Argument("--team-key-file", "FILE", default=""): (
+        "the key of a team on ROS, from 'gspn keys shared', to give it orders"
+    ),
+    **way_options("reach the robots through this router instead of ROS: tls/HOST:7447"),
+}
+"""The options of every verb that contacts a team."""
 
 
 def team_client(args: argparse.Namespace) -> OperatorClient:

@@ -7,17 +7,22 @@ import argparse
 import sys
 from typing import Any, Dict, List, Mapping
 
+from gspn_framework_package.cli.options import Arguments, add_options
 from gspn_framework_package.cli.orders import order_verbs
 from gspn_framework_package.cli.status import print_table
 from gspn_framework_package.cli.team_client import team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team.addressing import robots_of_run
 
+_OPTIONS: Arguments = {
+    "--yes": "do not ask for confirmation",
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     order_verbs()["trust"].add_arguments(parser)
-    parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Exit codes: 0 the order is in the log, and the team continues; 1 it was refused, or you "
         "declined; 2 wrong usage."

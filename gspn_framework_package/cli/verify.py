@@ -6,27 +6,24 @@ import argparse
 import json
 import os
 
+from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.execution.event_log import DamagedLogError, log_files, read_log
 from gspn_framework_package.execution.verifier import Verdict, Violation, verify
+
+_OPTIONS: Arguments = {
+    Argument("logs", "LOG", nargs="+"): "event logs of one run, or a folder of them",
+    "--settled": (
+        "nothing was pending at the end of the run, so that a proposal missing from the log is a "
+        "violation"
+    ),
+    "--incomplete": "some logs are missing, so do not count votes",
+    "--json": "print the verdict as one JSON object",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help="event logs of one run, or a folder of them"
-    )
-    parser.add_argument(
-        "--settled",
-        action="store_true",
-        help="nothing was pending at the end of the run, so that a proposal missing from the log "
-        "is a violation",
-    )
-    parser.add_argument(
-        "--incomplete",
-        action="store_true",
-        help="some logs are missing, so do not count votes",
-    )
-    parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
+    add_options(parser, _OPTIONS)
     parser.epilog = (
         "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), "
         "2 not logs of one run."

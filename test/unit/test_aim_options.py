@@ -7,13 +7,14 @@ import argparse
 import pytest
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
-from gspn_framework_package.cli.aims import add_aim_arguments, objective_of
+from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of
+from gspn_framework_package.cli.options import add_options
 from gspn_framework_package.model.errors import UsageError
 
 
 def read(*words: str) -> Objective:
     parser = argparse.ArgumentParser()
-    add_aim_arguments(parser)
+    add_options(parser, AIM_OPTIONS)
     return objective_of(parser.parse_args(words))
 
 
