@@ -25,11 +25,12 @@ from gspn_framework_package.analysis.monitoring.cusum import RateChart
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, Monitor
 from gspn_framework_package.analysis.monitoring.playing import play_to_monitor
 from gspn_framework_package.analysis.monitoring.streams import RATIOS
-from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
+from gspn_framework_package.execution.attempts import AttemptFollower
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.execution.virtual_time import Slowness, VirtualRun
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.attempt import Attempt
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming

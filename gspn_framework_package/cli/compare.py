@@ -30,11 +30,12 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import ON_OPTION
 from gspn_framework_package.cli.options import Argument, Arguments, add_options
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.execution.attempts import Attempt, AttemptFollower
+from gspn_framework_package.execution.attempts import AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile, log_files
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.attempt import Attempt
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
@@ -260,8 +261,7 @@ def _watch(
     return monitor
 
 
-# -- output for people
-# ------------------------------------------------------------------------------------
+# -- output for people -----------------------------------------------------------------------------
 
 
 def _text(result: _Result) -> Iterator[str]:

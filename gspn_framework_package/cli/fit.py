@@ -17,11 +17,11 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import ON_OPTION
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
-from gspn_framework_package.execution.attempts import Attempt, EventCount
 from gspn_framework_package.execution.event_log import log_files
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.seen_firings import SeenFiring, attempts_between
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
+from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import CancelledError, LogError
 from gspn_framework_package.model.plan import Plan
 

@@ -39,6 +39,7 @@ from gspn_framework_package.execution.replayer import (
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.turn import ASKS_POLICY
+from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind, Plan
@@ -47,47 +48,6 @@ OUTAGE = 1.0
 """Seconds. If a team takes longer than this to agree that an action has ended, for example because
 there is no quorum, the attempt ends at the time of the ``invoked`` record in the robot's own
 log."""
-
-
-class Attempt(NamedTuple):
-    """An attempt at the action of a place, by ``robot`` in its ``visit``.
-
-    ``start`` and ``end`` are seconds on the clock of the log; for a censored attempt ``end`` is
-    when it was last known to be running. ``completed``: whether the end is known. ``result`` is the
-    transition that the action named ("" for none), which is meaningful only if the attempt is
-    completed and did not fail. ``failed`` is the reason of a failure, otherwise "". ``log`` is the
-    index of the attempt's log among those given.
-    """
-
-    robot: str
-    place: str
-    visit: int
-    attempt: int
-    start: float
-    end: float
-    completed: bool
-    result: str = ""
-    failed: str = ""
-    log: int = 0
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the start to the end."""
-        return self.end - self.start
-
-
-class EventCount(NamedTuple):
-    """How often something occurred, and its *exposure*: the time (s) in which it could have. The
-    rate is the quotient.
-
-    A transition of the environment occurs when it fires; its time counts once for each busy server.
-    A task from outside arrives whether or not its transition is enabled. An event that interrupts
-    occurs once per visit, for each robot in its place (also while the robot is done or waits); if
-    it is not held, only while its transition is enabled.
-    """
-
-    firings: int
-    exposure: float
 
 
 class _Going(NamedTuple):

@@ -16,10 +16,11 @@ from typing import (
     Tuple,
 )
 
-from gspn_framework_package.execution.attempts import Attempt, AttemptFollower, EventCount
+from gspn_framework_package.execution.attempts import AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile, Record
 from gspn_framework_package.execution.net_difference import net_difference
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 

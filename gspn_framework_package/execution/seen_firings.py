@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 
-from gspn_framework_package.execution.attempts import Attempt
+from gspn_framework_package.model.attempt import Attempt
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import why_blocked

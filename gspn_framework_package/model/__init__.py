@@ -1,7 +1,7 @@
 """The model: nets, markings, policies, plans and errors. Immutable values without I/O or ROS.
 
-Modules: ``action``, ``builder``, ``capacity``, ``compact_json``, ``composition``, ``condition``,
-``constants``, ``data``, ``duration``, ``errors``, ``event``, ``expression``, ``kept``,
-``message_condition``, ``net``, ``outcome``, ``plan``, ``plan_timing``, ``policy``,
+Modules: ``action``, ``attempt``, ``builder``, ``capacity``, ``compact_json``, ``composition``,
+``condition``, ``constants``, ``data``, ``duration``, ``errors``, ``event``, ``expression``,
+``kept``, ``message_condition``, ``net``, ``outcome``, ``plan``, ``plan_timing``, ``policy``,
 ``robot_colours``, ``subnet``.
 """

@@ -14,7 +14,6 @@ from typing import (
     Mapping,
     NamedTuple,
     Optional,
-    Protocol,
     Sequence,
     Tuple,
 )
@@ -34,6 +33,7 @@ from gspn_framework_package.analysis.fitting.testing import (
     wilson,
 )
 from gspn_framework_package.analysis.watch import Progress, Watch
+from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.duration import Duration, Evidence, Kind
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
@@ -57,65 +57,6 @@ _REFUTED = 0.01
 
 _SIGNIFICANT = 0.05
 """The joint level of all tests of one kind whose results become notes."""
-
-
-class AttemptLike(Protocol):
-    """An attempt at an action, as ``execution.attempts`` reads it from logs."""
-
-    @property
-    def robot(self) -> str:
-        """The robot."""
-        ...
-
-    @property
-    def place(self) -> str:
-        """The place."""
-        ...
-
-    @property
-    def start(self) -> float:
-        """When it began (s, on the clock of its log)."""
-        ...
-
-    @property
-    def end(self) -> float:
-        """When it ended, or was cut off (s)."""
-        ...
-
-    @property
-    def completed(self) -> bool:
-        """Whether its end is known."""
-        ...
-
-    @property
-    def result(self) -> str:
-        """The transition that the action named; empty if none."""
-        ...
-
-    @property
-    def failed(self) -> str:
-        """The reason of a failure; empty if it did not fail."""
-        ...
-
-    @property
-    def log(self) -> int:
-        """The number of its log."""
-        ...
-
-
-class EventsLike(Protocol):
-    """How often a transition of the environment or of an event fired, and for how long it could
-    have."""
-
-    @property
-    def firings(self) -> int:
-        """How often it fired."""
-        ...
-
-    @property
-    def exposure(self) -> float:
-        """The time in which it could fire, times its busy servers (s)."""
-        ...
 
 
 class FamilyChoice(enum.Enum):
@@ -248,8 +189,8 @@ class FitReport(NamedTuple):
 
 def fit_plan(
     plan: Plan,
-    attempts: Iterable[AttemptLike],
-    events: Optional[Mapping[str, EventsLike]] = None,
+    attempts: Iterable[Attempt],
+    events: Optional[Mapping[str, EventCount]] = None,
     choice: FamilyChoice = FamilyChoice.AUTO,
     *,
     seed: int = 0,
@@ -301,12 +242,12 @@ class _Learning:
 
     def learn(
         self,
-        attempts: Iterable[AttemptLike],
-        events: Mapping[str, EventsLike],
+        attempts: Iterable[Attempt],
+        events: Mapping[str, EventCount],
         executor: Executor,
         watch: Watch,
     ) -> FitReport:
-        by_place: Dict[str, List[AttemptLike]] = {}
+        by_place: Dict[str, List[Attempt]] = {}
         for attempt in attempts:
             by_place.setdefault(attempt.place, []).append(attempt)
         seen = [place for place in self.plan.action_places if place in by_place]
@@ -333,14 +274,14 @@ class _Learning:
 
     # -- a place -----------------------------------------------------------------------------------
 
-    def learn_place(self, place: str, attempts: List[AttemptLike]) -> _OfPlace:
+    def learn_place(self, place: str, attempts: List[Attempt]) -> _OfPlace:
         """The fit of a place, with notes and doubts."""
         # each place has its own random numbers, independent of other places
         source = np.random.SeedSequence([self.seed % 2**64, len(place), *place.encode()])
         generator = np.random.Generator(np.random.PCG64(source))
         return self._place(place, attempts, generator), self.notes, self._doubts
 
-    def _place(self, place: str, attempts: List[AttemptLike], generator: Any) -> PlaceFit:
+    def _place(self, place: str, attempts: List[Attempt], generator: Any) -> PlaceFit:
         done = [a for a in attempts if a.completed and not a.failed]
         failed = [a for a in attempts if a.completed and a.failed and a.failed != Outcome.TIMEOUT]
         cut = [a for a in attempts if not a.completed or a.failed == Outcome.TIMEOUT]
@@ -402,8 +343,8 @@ class _Learning:
     def _compare_groups(
         self,
         place: str,
-        done: Sequence[AttemptLike],
-        cut: Sequence[AttemptLike],
+        done: Sequence[Attempt],
+        cut: Sequence[Attempt],
         duration: Duration,
     ) -> None:
         """Test whether robots differ, and the halves of the run."""
@@ -443,7 +384,7 @@ class _Learning:
             )
 
     def _compare_failed(
-        self, place: str, done: Sequence[AttemptLike], failed: Sequence[AttemptLike]
+        self, place: str, done: Sequence[Attempt], failed: Sequence[Attempt]
     ) -> None:
         times = [a.end - a.start for a in done], [a.end - a.start for a in failed]
         if min(map(len, times)) < ENOUGH_ATTEMPTS:
@@ -456,7 +397,7 @@ class _Learning:
             % (place, sum(times[1]) / len(times[1]), sum(times[0]) / len(times[0])),
         )
 
-    def _outcomes(self, place: str, done: Sequence[AttemptLike]) -> Dict[str, OutcomeFit]:
+    def _outcomes(self, place: str, done: Sequence[Attempt]) -> Dict[str, OutcomeFit]:
         net = self.plan.net
         named = {attempt.result for attempt in done}
         leaving = [
@@ -512,7 +453,7 @@ class _Learning:
 
     # -- the environment ---------------------------------------------------------------------------
 
-    def _rates(self, events: Mapping[str, EventsLike]) -> Dict[str, EventFit]:
+    def _rates(self, events: Mapping[str, EventCount]) -> Dict[str, EventFit]:
         found = {}
         for name, event in events.items():
             if event.firings >= ENOUGH_ATTEMPTS and event.exposure > 0:
@@ -541,11 +482,11 @@ class _Learning:
                     self.notes.append(text + allowed)
 
 
-def _sample(done: Iterable[AttemptLike], cut: Iterable[AttemptLike] = ()) -> Sample:
+def _sample(done: Iterable[Attempt], cut: Iterable[Attempt] = ()) -> Sample:
     return Sample([a.end - a.start for a in done], [a.end - a.start for a in cut])
 
 
-def _of(attempts: Iterable[AttemptLike], robot: str) -> List[AttemptLike]:
+def _of(attempts: Iterable[Attempt], robot: str) -> List[Attempt]:
     return [a for a in attempts if a.robot == robot]
 
 
@@ -553,7 +494,7 @@ def _can_compare(sample: Sample) -> bool:
     return sample.size >= ENOUGH_ATTEMPTS and bool(np.ptp(sample.observed) > 1e-6)
 
 
-def _middles(attempts: Iterable[AttemptLike]) -> Dict[int, float]:
+def _middles(attempts: Iterable[Attempt]) -> Dict[int, float]:
     """Log -> the middle of its time (s)."""
     ends: Dict[int, Tuple[float, float]] = {}
     for a in attempts:

@@ -210,8 +210,7 @@ class Monitor:
             expected=sum(f.expected for f in seen) / len(seen),
         )
 
-    # -- events of the run
-    # ------------------------------------------------------------------------------
+    # -- events of the run -------------------------------------------------------------------------
 
     def begin(self, robot: str, place: str, start: float) -> None:
         """An attempt of ``robot`` at the action of ``place`` began at ``start`` (s)."""

@@ -6,11 +6,12 @@ from typing import Any, Callable, Iterable, List, Optional, Tuple
 
 from gspn_framework_package.analysis.monitoring.monitor import Monitor
 from gspn_framework_package.analysis.watch import Progress, Watch
+from gspn_framework_package.model.attempt import Attempt
 
 
 def play_to_monitor(
     monitor: Monitor,
-    attempts: Iterable[Any],
+    attempts: Iterable[Attempt],
     choices: Iterable[Any] = (),
     *,
     began: float = 0.0,
@@ -18,7 +19,7 @@ def play_to_monitor(
 ) -> None:
     """Pass all attempts and choices of one run to a monitor.
 
-    :param attempts: of class ``execution.attempts.Attempt``, in any order.
+    :param attempts: in any order.
     :param choices: of class ``execution.observation.PolicyChoice``, in any order.
     :param began: when the run began, in seconds on the clock of the attempts; the monitor's time
         begins there.
@@ -38,11 +39,11 @@ def play_to_monitor(
             watch.step("events watched", count)
 
 
-def _begin(monitor: Monitor, attempt: Any) -> Callable[[float], object]:
+def _begin(monitor: Monitor, attempt: Attempt) -> Callable[[float], object]:
     return lambda at: monitor.begin(attempt.robot, attempt.place, at)
 
 
-def _end(monitor: Monitor, attempt: Any) -> Callable[[float], object]:
+def _end(monitor: Monitor, attempt: Attempt) -> Callable[[float], object]:
     return lambda at: monitor.end(
         attempt.robot,
         at,

@@ -32,8 +32,8 @@ from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.attempts import Attempt
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.attempt import Attempt
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import (
     CancelledError,

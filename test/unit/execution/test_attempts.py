@@ -12,13 +12,14 @@ from logged_runs import Story, ring, save_logs
 from agreement.plans import make_plan as team_plan
 from agreement.world import World
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.attempts import OUTAGE, AttemptFollower, EventCount
+from gspn_framework_package.execution.attempts import OUTAGE, AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.log_entries import Done, Failed
 from gspn_framework_package.execution.log_writer import record_line
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.net_difference import net_difference
 from gspn_framework_package.execution.seen_firings import SeenFiring, attempts_between
+from gspn_framework_package.model.attempt import EventCount
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.event import EventSource
