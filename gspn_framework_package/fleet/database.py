@@ -1,4 +1,4 @@
-"""Access to Access to DuckDB, which reads and writes the tables of a fleet's history."""
+"""Access to DuckDB, which reads and writes the tables of a fleet's history."""
 
 from __future__ import annotations
 
@@ -14,44 +14,26 @@ DATABASE_MEMORY = "700MB"
 OLDEST_FOR_SQL = (1, 2)
 """The first version of DuckDB that can be restricted to some files."""
 
+
+def _columns(text: str) -> Sequence[Tuple[str, str]]:
+    """Columns and their types, as SQL lists them."""
+    return [(name, kind) for name, kind in (column.split() for column in text.split(","))]
+
+
 TABLES: Dict[str, Sequence[Tuple[str, str]]] = {
-    "stays": (
-        ("run", "VARCHAR"),
-        ("began", "TIMESTAMP"),
-        ("robot", "VARCHAR"),
-        ("place", "VARCHAR"),
-        ("visit", "BIGINT"),
-        ("slot", "BIGINT"),
-        ("arrived", "BOOLEAN"),
-        ("acting_ms", "INTEGER"),
-        ("waiting_ms", "INTEGER"),
-        ("paused_ms", "INTEGER"),
-        ("failed_ms", "INTEGER"),
-        ("resting_ms", "INTEGER"),
-        ("left_by", "VARCHAR"),
+    "stays": _columns(
+        "run VARCHAR, began TIMESTAMP, robot VARCHAR, place VARCHAR, visit BIGINT, slot BIGINT, "
+        "arrived BOOLEAN, acting_ms INTEGER, waiting_ms INTEGER, paused_ms INTEGER, "
+        "failed_ms INTEGER, resting_ms INTEGER, left_by VARCHAR"
     ),
-    "moments": (
-        ("run", "VARCHAR"),
-        ("happened", "TIMESTAMP"),
-        ("robot", "VARCHAR"),
-        ("place", "VARCHAR"),
-        ("slot", "BIGINT"),
-        ("kind", "VARCHAR"),
-        ("detail", "VARCHAR"),
+    "moments": _columns(
+        "run VARCHAR, happened TIMESTAMP, robot VARCHAR, place VARCHAR, slot BIGINT, "
+        "kind VARCHAR, detail VARCHAR"
     ),
-    "totals": (
-        ("run", "VARCHAR"),
-        ("robot", "VARCHAR"),
-        ("place", "VARCHAR"),
-        ("visits", "BIGINT"),
-        ("acting_ms", "BIGINT"),
-        ("waiting_ms", "BIGINT"),
-        ("paused_ms", "BIGINT"),
-        ("failed_ms", "BIGINT"),
-        ("resting_ms", "BIGINT"),
-        ("failures", "BIGINT"),
-        ("alarms", "BIGINT"),
-        ("interventions", "BIGINT"),
+    "totals": _columns(
+        "run VARCHAR, robot VARCHAR, place VARCHAR, visits BIGINT, acting_ms BIGINT, "
+        "waiting_ms BIGINT, paused_ms BIGINT, failed_ms BIGINT, resting_ms BIGINT, "
+        "failures BIGINT, alarms BIGINT, interventions BIGINT"
     ),
 }
 """Table -> its columns and their types. Each also has the column ``day`` (a date, UTC), by which

@@ -308,23 +308,8 @@ class StayFollower:
     def _book(self, robot: str, stay: _Open, transition: str) -> None:
         stay.book(self._at())
         if stay.arrived or transition or any(stay.spent):
-            acting, waiting, paused, failed, resting = stay.spent
-            self.stays.append(
-                Stay(
-                    stay.begin,
-                    robot,
-                    stay.place,
-                    stay.visit,
-                    stay.slot,
-                    stay.arrived,
-                    acting,
-                    waiting,
-                    paused,
-                    failed,
-                    resting,
-                    transition,
-                )
-            )
+            begun = stay.begin, robot, stay.place, stay.visit, stay.slot, stay.arrived
+            self.stays.append(Stay._make((*begun, *stay.spent, transition)))
 
 
 def _use(phase: Phase) -> int:

@@ -49,10 +49,10 @@ class OtherRobot:
 
     :param name: name of the other robot.
     :param velocity: its velocity east and north, metres per second.
-    :param active: whether whether it is driving to a goal; otherwise it stands, parked or dead.
+    :param active: whether it is driving to a goal; otherwise it stands, parked or dead.
     :param rank: its right of way.
     :param path: the next part of its path, from its position on; empty if it is not active.
-    :param stuck: whether whether it has a goal but makes no progress.
+    :param stuck: whether it has a goal but makes no progress.
     """
 
     name: str

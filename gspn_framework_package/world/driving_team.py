@@ -29,7 +29,7 @@ class DrivingTeam:
     :param robots: their names.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
-    :param seed: seed seed of the times at which people come.
+    :param seed: seed of the times at which people come.
 
     :ivar people: the people of the room, whether they are there or not.
     """

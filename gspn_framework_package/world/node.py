@@ -107,7 +107,7 @@ class WorldNode:
     :param real_time_factor: seconds of world time per second of wall time; 0 for as fast as
         possible.
     :param gui: open PyBullet's window.
-    :param seed: seed seed of the times at which people come.
+    :param seed: seed of the times at which people come.
     """
 
     def __init__(

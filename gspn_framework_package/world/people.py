@@ -58,7 +58,7 @@ def halted(pose: Pose, speed: float, radius: float, people: Sequence[Walker]) ->
 class Walker:
     """A person who comes, walks along a path, and goes.
 
-    :param source: random source random source of the times at which the person comes.
+    :param source: random source of the times at which the person comes.
 
     :ivar at: the person's position; None while absent.
     :ivar visits: number of visits so far.

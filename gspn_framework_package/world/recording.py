@@ -7,8 +7,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Dict, Iterator, List, Mapping, Optional, TextIO, Tuple, Type, Union
+from typing import Any, Dict, Iterator, List, Mapping, Optional, TextIO, Tuple, Union
 
 from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import InputError
@@ -56,12 +55,7 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(
-        self,
-        kind: Optional[Type[BaseException]],
-        error: Optional[BaseException],
-        trace: Optional[TracebackType],
-    ) -> None:
+    def __exit__(self, *_: Any) -> None:
         self.close()
 
 

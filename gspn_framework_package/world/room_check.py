@@ -76,24 +76,20 @@ def _check_location(
     outside += [((*where, "bay", i), slot) for i, slot in enumerate(place.bay)]
     for path, pose in outside:
         if place.area.distance((pose.x, pose.y)) < radius:
-            raise InputError(
+            raise document.error(
                 "a robot that waits there would be in the area",
-                file=document.file,
-                line=document.line(path),
-                element=path_text(path),
-                hint="move it away from the area by the radius of a robot, %g m, or more" % radius,
+                path,
+                "move it away from the area by the radius of a robot, %g m, or more" % radius,
             )
     sweep: List[Tuple[_Path, Pose]] = [
         ((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)
     ]
     for path, pose in sweep:
         if place.area.distance((pose.x, pose.y)) > 0.0:
-            raise InputError(
+            raise document.error(
                 "the point is not in the area that it is to sweep",
-                file=document.file,
-                line=document.line(path),
-                element=path_text(path),
-                hint="the area goes from %s to %s" % (list(place.area.low), list(place.area.high)),
+                path,
+                "the area goes from %s to %s" % (list(place.area.low), list(place.area.high)),
             )
     return outside + sweep
 
@@ -103,13 +99,11 @@ def _check_fits(
 ) -> None:
     clearance = float(room.clearance(pose.x, pose.y))
     if clearance < room.robot.radius:
-        raise InputError(
+        raise document.error(
             "%s does not fit there: the nearest wall or obstacle is %.3f m away"
             % (who, max(clearance, 0.0)),
-            file=document.file,
-            line=document.line(path),
-            element=path_text(path),
-            hint="%s needs %g m" % (who, room.robot.radius),
+            path,
+            "%s needs %g m" % (who, room.robot.radius),
         )
 
 
@@ -139,10 +133,8 @@ def _check_ways(
     field = Grid(room).field((goal.x, goal.y))
     for path, pose in others:
         if math.isinf(field.cost((pose.x, pose.y))):
-            raise InputError(
+            raise document.error(
                 "no way leads from there to %s" % path_text(first),
-                file=document.file,
-                line=document.line(path),
-                element=path_text(path),
-                hint="%s needs gaps of %g m and more" % (who, 2 * room.robot.radius + 0.1),
+                path,
+                "%s needs gaps of %g m and more" % (who, 2 * room.robot.radius + 0.1),
             )

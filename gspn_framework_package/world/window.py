@@ -1,4 +1,4 @@
-"""Sets up Sets up PyBullet's window, for use with a display: shows the room from a corner, with the
+"""Sets up PyBullet's window, for use with a display: shows the room from a corner, with the
 names of locations and robots."""
 
 from __future__ import annotations
