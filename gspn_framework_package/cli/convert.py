@@ -7,7 +7,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Dict, List
+from typing import Any, Dict, List
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
@@ -117,19 +117,21 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.buffer.write(data)
     else:
         losses = write_net(net, args.output, target.name, _bounds(net, target))
+    done = {"output": args.output, "format": target.name, "net": net.name}
+    sizes = {
+        "places": len(net.places),
+        "transitions": len(net.transitions),
+        "arcs": len(net.arcs),
+    }
+    return _tell(args, {**done, **sizes}, notes + losses)
+
+
+def _tell(args: argparse.Namespace, done: Dict[str, Any], notes: List[str]) -> int:
+    """Print what was written, as JSON, or only the notes; return 0."""
     if args.json:
-        done = {
-            "output": args.output,
-            "format": target.name,
-            "net": net.name,
-            "places": len(net.places),
-            "transitions": len(net.transitions),
-            "arcs": len(net.arcs),
-            "notes": notes + losses,
-        }
-        print(json.dumps(done, indent=2, ensure_ascii=False))
+        print(json.dumps({**done, "notes": notes}, indent=2, ensure_ascii=False))
     else:
-        print_notes(notes + losses)
+        print_notes(notes)
     return 0
 
 
@@ -162,17 +164,8 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
         written = [args.output]
     for path, data in zip(written, files.values()):
         write_bytes(path, data)
-    if args.json:
-        done = {
-            "output": written,
-            "format": kind,
-            "states": len(chain.states),
-            "rates": len(chain.rates),
-        }
-        print(json.dumps({**done, "notes": notes}, indent=2, ensure_ascii=False))
-    else:
-        print_notes(notes)
-    return 0
+    sizes = {"states": len(chain.states), "rates": len(chain.rates)}
+    return _tell(args, {"output": written, "format": kind, **sizes}, notes)
 
 
 def _write_plan(args: argparse.Namespace) -> int:
@@ -198,12 +191,7 @@ def _write_plan(args: argparse.Namespace) -> int:
     path = plan_path(args.output)
     refuse_existing(path)
     notes += write_plan(plan, plan_to_short_json(plan), args.output)
-    if args.json:
-        done = {"output": path, "format": PLAN_FORMAT, "plan": plan.name, "notes": notes}
-        print(json.dumps(done, indent=2, ensure_ascii=False))
-    else:
-        print_notes(notes)
-    return 0
+    return _tell(args, {"output": path, "format": PLAN_FORMAT, "plan": plan.name}, notes)
 
 
 def _labels(words: List[str]) -> Dict[str, str]:

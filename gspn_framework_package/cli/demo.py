@@ -12,9 +12,10 @@ import socket
 import sys
 import threading
 import time
+import types
 import uuid
 import webbrowser
-from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.options import Argument, Arguments, add_options
@@ -157,7 +158,7 @@ class _Demo:
             self._launch = roslaunch.parent.ROSLaunchParent(
                 run_id,
                 files,
-                process_listeners=[_Listener(self._node_ended)],
+                process_listeners=[types.SimpleNamespace(process_died=self._node_ended)],
                 force_log=True,
                 show_summary=False,
             )
@@ -271,8 +272,7 @@ class _Demo:
             )
         return 1 if self._died or not monitor.firings else 0
 
-    # -- data for the views
-    # -----------------------------------------------------------------------------
+    # -- data for the views ------------------------------------------------------------------------
 
     def robot_lines(self) -> List[str]:
         """Return one line per robot."""
@@ -338,30 +338,19 @@ class _Lines:
         sys.stdout.flush()
 
 
-class _Listener:
-    """Receives roslaunch's reports about the nodes."""
-
-    def __init__(self, ended: Any) -> None:
-        self._ended = ended
-
-    def process_died(self, name: str, code: Optional[int]) -> None:
-        self._ended(name, code)
-
-
-class _silent:  # noqa: N801  # used like a function
-    """Keeps roslaunch, including its threads, from printing."""
-
-    def __enter__(self) -> None:
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keep roslaunch, including its threads, from printing."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    with open(os.devnull, "wb") as null:
+        os.dup2(null.fileno(), 1)
+    try:
+        yield
+    finally:
         sys.stdout.flush()
-        self._kept = os.dup(1)
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 1)
-        os.close(null)
-
-    def __exit__(self, *_: Any) -> None:
-        sys.stdout.flush()
-        os.dup2(self._kept, 1)
-        os.close(self._kept)
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def _log_folder() -> str:

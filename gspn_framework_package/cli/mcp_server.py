@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from typing import IO, Any, Callable, Dict, List, Mapping, Optional, Protocol, Union
+from typing import IO, Any, Dict, Optional, Union
 
 from gspn_framework_package import __version__
-from gspn_framework_package.cli.mcp_tools import Json
+from gspn_framework_package.cli.mcp_tools import Json, PlanTools
 from gspn_framework_package.model.errors import CancelledError, GspnError
 
 VERSIONS = ("2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05")
@@ -27,31 +27,6 @@ AT_ONCE = 2
 PARSE_ERROR, INVALID_REQUEST, NO_SUCH_METHOD, INVALID_PARAMS = -32700, -32600, -32601, -32602
 
 
-class Tools(Protocol):
-    """The tools that a server offers."""
-
-    instructions: str
-
-    def listed(self) -> List[Json]:
-        """The tools, in the form of a ``tools/list`` answer."""
-
-    def call(self, name: str, arguments: Mapping[str, Any], tick: Callable[[float], bool]) -> str:
-        """Answer one call.
-
-        :param tick: called at intervals with the seconds since the start; returns whether the
-            client has cancelled the call.
-        :raises UsageError: there is no tool of that name.
-        :raises GspnError: there is no answer.
-        """
-
-
-class _Call:
-    """A call in progress."""
-
-    def __init__(self) -> None:
-        self.cancelled = threading.Event()
-
-
 class ModelContextServer:
     """Answers the requests of one client.
 
@@ -60,11 +35,12 @@ class ModelContextServer:
     :param answers: the messages to the client.
     """
 
-    def __init__(self, tools: Tools, requests: IO[bytes], answers: IO[bytes]) -> None:
+    def __init__(self, tools: PlanTools, requests: IO[bytes], answers: IO[bytes]) -> None:
         self._tools, self._requests, self._answers = tools, requests, answers
         self._names = {tool["name"] for tool in tools.listed()}
         self._lock = threading.Lock()
-        self._calls: Dict[Union[str, int], _Call] = {}
+        self._calls: Dict[Union[str, int], threading.Event] = {}
+        """The calls in progress: whether each was cancelled."""
 
     def run(self) -> None:
         """Serve until the client closes its stream; then cancel calls in progress."""
@@ -78,8 +54,8 @@ class ModelContextServer:
                         self._read(line, pool)
             finally:
                 with self._lock:
-                    for call in self._calls.values():
-                        call.cancelled.set()
+                    for cancelled in self._calls.values():
+                        cancelled.set()
 
     def _read(self, line: bytes, pool: ThreadPoolExecutor) -> None:
         try:
@@ -127,19 +103,24 @@ class ModelContextServer:
             return
         meta = params.get("_meta")
         token = meta.get("progressToken") if isinstance(meta, dict) else None
-        call = _Call()
+        cancelled = threading.Event()
         with self._lock:
-            self._calls[key] = call
-        pool.submit(self._answer, key, call, str(name), arguments, token)
+            self._calls[key] = cancelled
+        pool.submit(self._answer, key, cancelled, str(name), arguments, token)
 
     def _answer(
-        self, key: Union[str, int], call: _Call, name: str, arguments: Json, token: Any
+        self,
+        key: Union[str, int],
+        cancelled: threading.Event,
+        name: str,
+        arguments: Json,
+        token: Any,
     ) -> None:
         def tick(seconds: float) -> bool:
             if token is not None:
                 progress = {"progressToken": token, "progress": round(seconds, 1)}
                 self._send({"method": "notifications/progress", "params": progress})
-            return call.cancelled.is_set()
+            return cancelled.is_set()
 
         failed = True
         try:
@@ -153,15 +134,15 @@ class ModelContextServer:
             text = "internal error: %s: %s" % (type(error).__name__, error)
         with self._lock:
             self._calls.pop(key, None)
-        if not call.cancelled.is_set():
+        if not cancelled.is_set():
             content: Json = {"content": [{"type": "text", "text": text}], "isError": failed}
             self._result(key, content if failed else {**content, **_structured(text)})
 
     def _cancel(self, key: Any) -> None:
         with self._lock:
-            call = self._calls.get(key) if isinstance(key, (str, int)) else None
-        if call is not None:
-            call.cancelled.set()
+            cancelled = self._calls.get(key) if isinstance(key, (str, int)) else None
+        if cancelled is not None:
+            cancelled.set()
 
     def _result(self, key: Union[str, int], result: Json) -> None:
         self._send({"id": key, "result": result})

@@ -215,7 +215,8 @@ class PlanTools:
     def call(self, name: str, arguments: Mapping[str, Any], tick: ProgressTick) -> str:
         """Answer one call with a text, which is JSON unless it was truncated.
 
-        :param tick: see :class:`~gspn_framework_package.cli.mcp_server.Tools`.
+        :param tick: called at intervals with the seconds since the start; returns whether the
+            client has cancelled the call.
         :raises GspnError: there is no answer; the message says why.
         """
         tool, fields = TOOLS[name], dict(arguments)
