@@ -192,10 +192,8 @@ class Analysis:
         return CoverabilityTree(
             self.net,
             limit=min(limit, self.limit),
-            progress=self._progress,
-            cancel=self._cancel,
             memory=memory,
-            seconds=self.limits.seconds,
+            **self._while_working,
         )
 
     def _watch(self) -> Watch:
@@ -262,21 +260,17 @@ class Analysis:
             return explore_lumped(
                 self._symmetry(net),
                 limit=limit,
-                progress=self._progress,
-                cancel=self._cancel,
                 bounds=bounds,
                 memory=self.limits.memory,
-                seconds=self.limits.seconds,
+                **self._while_working,
             )
         return explore(
             net,
             limit=limit,
             engine=self._engine,
-            progress=self._progress,
-            cancel=self._cancel,
             bounds=bounds,
             memory=self.limits.memory,
-            seconds=self.limits.seconds,
+            **self._while_working,
         )
 
     def _symmetry(self, net: Net) -> Symmetry:
@@ -300,10 +294,8 @@ class Analysis:
             plan,
             timing=PlanTiming(plan) if self._reading == RUN else None,
             limit=limit,
-            progress=self._progress,
-            cancel=self._cancel,
             memory=self.limits.memory,
-            seconds=self.limits.seconds,
+            **self._while_working,
         )
 
     @cached_property

@@ -284,16 +284,7 @@ class ReportWork:
 
         :param find: decides it; None: the analysis does.
         """
-
-        def compute() -> Dict[str, Any]:
-            found = (find or self.analysis.reach)(condition)
-            if found.reachable is None:
-                self.undecided["reach.%s" % condition] = (
-                    "not found within %s, which are not all" % (self.analysis.space.extent)
-                )
-            return _reachability(condition, found)
-
-        self.data.setdefault("reach", []).append(self._try("reach.%s" % condition, compute))
+        self._search("reach", condition, lambda: (find or self.analysis.reach)(condition))
 
     def cover(
         self,
@@ -305,18 +296,22 @@ class ReportWork:
         :param find: decides it; None: the analysis does.
         """
         text = ",".join("%s=%d" % item for item in marking.items())
+        self._search("cover", text, lambda: (find or self.analysis.cover)(marking))
+
+    def _search(self, question: str, what: str, find: Callable[[], Reachability]) -> None:
+        key = "%s.%s" % (question, what)
 
         def compute() -> Dict[str, Any]:
-            found = (find or self.analysis.cover)(marking)
+            found = find()
             if found.reachable is None:
-                self.undecided["cover.%s" % text] = "not found within %s, which are not all" % (
-                    self.analysis.space.extent
-                )
-            data = _reachability(text, found)
-            data["coverable"] = data.pop("reachable")
+                extent = self.analysis.space.extent
+                self.undecided[key] = "not found within %s, which are not all" % extent
+            data = _reachability(what, found)
+            if question == "cover":
+                data["coverable"] = data.pop("reachable")
             return data
 
-        self.data.setdefault("cover", []).append(self._try("cover.%s" % text, compute))
+        self.data.setdefault(question, []).append(self._try(key, compute))
 
     def steady_state(self, rewards: Mapping[str, float]) -> None:
         """Answer the questions on the long run."""
@@ -531,12 +526,9 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
         value = data[key]
         for name, one in value.items() if isinstance(value, dict) else [("", value)]:
             yield key, name, one
-    for name, value in (data.get("states") or {}).items():
-        yield "states", name, value
-    for name, value in (data.get("bounds") or {}).items():
-        yield "bounds", name, value
-    for name, value in (data.get("liveness") or {}).items():
-        yield "liveness", name, value
+    for key in ("states", "bounds", "liveness"):
+        for name, value in (data.get(key) or {}).items():
+            yield key, name, value
     parts = [("steady_state", data.get("steady_state") or {})]
     parts += [("transient at %g" % entry["time"], entry) for entry in data.get("transient") or ()]
     for title, part in parts:

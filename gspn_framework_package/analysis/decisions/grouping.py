@@ -250,8 +250,7 @@ class _Grouping:
         self._table = _Table(team)
         self._collect()
 
-    # -- possible requests of robots
-    # -----------------------------------------------------------------
+    # -- possible requests of robots ---------------------------------------------------------------
 
     def _collect(self) -> None:
         """Collect the *entries*: a state, a place in which a robot asks, a transition for it."""
@@ -639,8 +638,7 @@ class _Grouping:
         for pair, t in zip(pairs, way):
             chosen[pair] = t
 
-    # -- randomised policies
-    # ------------------------------------------------------------------------
+    # -- randomised policies -----------------------------------------------------------------------
 
     def drawn(self, weights: Floats) -> Grouped:
         """The decisions that come closest to a randomised policy."""

@@ -98,7 +98,6 @@ def solve_linear(
     backward: bool = False,
     order: Optional[Indices] = None,
     watch: Optional[Watch] = None,
-    start: Optional[Floats] = None,
     direct: Optional[int] = None,
 ) -> LinearSolution:
     """Solve ``diagonal * x = rhs + matrix @ x``.
@@ -110,7 +109,6 @@ def solve_linear(
     :param backward: sweep from the last unknown to the first: better if information flows against
       the order.
     :param watch: receives progress, and may stop the sweeps.
-    :param start: initial guess.
     :param direct: up to this many unknowns, LU is tried first; None: :data:`DIRECT_SIZE`.
     :raises LimitError: no method reached a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES`
       with a ``rhs``.
@@ -125,7 +123,7 @@ def solve_linear(
         best = _direct(matrix, diagonal, rhs)
     if best is None or not best.residual <= accepted:
         best = _better(
-            best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch(), start)
+            best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch())
         )
     if not best.residual <= accepted and direct < size <= FALLBACK_SIZE:
         best = _better(best, _direct(matrix, diagonal, rhs))
@@ -280,10 +278,9 @@ def _swept_in_order(
     backward: bool,
     order: Optional[Indices],
     watch: Watch,
-    start: Optional[Floats],
 ) -> LinearSolution:
     if order is None:
-        return _swept(matrix, diagonal, rhs, backward, watch, start)
+        return _swept(matrix, diagonal, rhs, backward, watch)
     place, sorted_matrix = _in_order(matrix, order)
     found = _swept(
         sorted_matrix,
@@ -291,7 +288,6 @@ def _swept_in_order(
         None if rhs is None else rhs[order],
         backward,
         watch,
-        None if start is None else start[order],
     )
     return found._replace(values=found.values[place])
 
@@ -302,14 +298,10 @@ def _swept(
     rhs: Optional[Floats],
     backward: bool,
     watch: Watch,
-    start: Optional[Floats],
 ) -> LinearSolution:
     size = len(diagonal)
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
-    if start is None:
-        values = np.full(size, 1.0 / size) if rhs is None else np.zeros(size)
-    else:
-        values = np.array(start, dtype=np.float64)
+    values = np.full(size, 1.0 / size) if rhs is None else np.zeros(size)
     return iterate(
         sweeper(matrix, diagonal, constant, backward),
         lambda image: residual(matrix, diagonal, rhs, image),

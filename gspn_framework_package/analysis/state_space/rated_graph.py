@@ -8,15 +8,18 @@ the same.
 
 from __future__ import annotations
 
-from typing import Dict, Iterator, NamedTuple, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Dict, Iterator, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Selection
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
-from gspn_framework_package.analysis.state_space.space import Exchanged, StateSpace
+from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking, Net
+
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
 
 
 class RatedGraph(NamedTuple):
@@ -45,7 +48,7 @@ class RatedGraph(NamedTuple):
     store: Union[PackedStore, SparseStore]
     parts: Tuple[str, ...] = ()
     part_counts: Optional[Indices] = None
-    exchanged: Optional[Exchanged] = None
+    exchanged: Optional[Symmetry] = None
 
     def __len__(self) -> int:
         return len(self.vanishing)

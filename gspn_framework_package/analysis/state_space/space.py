@@ -17,7 +17,7 @@ import importlib.util
 import math
 import sys
 import time
-from typing import Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -41,6 +41,9 @@ from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
+
 ENGINES = ("auto", "numpy", "numba", "sparse")
 
 _SPARSE = 1 << 15
@@ -57,24 +60,6 @@ is deep and narrow."""
 
 INVARIANT_EFFORT = 100_000
 """Largest number of steps of the search for invariants that serves to narrow the fields."""
-
-
-class Exchanged(Protocol):
-    """Exchangeable parts of a net, so that one state represents several. A value of a place or
-    transition over the representative states must be averaged over all nodes that it can be
-    exchanged with."""
-
-    def over_places(self, values: Sequence[float]) -> List[float]:
-        """For each place, the mean of ``values`` over all places that it can be exchanged with."""
-
-    def over_transitions(self, values: Sequence[float]) -> List[float]:
-        """For each transition, the mean of ``values`` over all transitions that it can be exchanged
-        with."""
-
-    def over_distributions(
-        self, distributions: Sequence[Mapping[int, float]]
-    ) -> List[Dict[int, float]]:
-        """For each place the mean of these distributions of its count (count -> probability)."""
 
 
 class WitnessStep(NamedTuple):
@@ -256,7 +241,7 @@ class StateSpace:
         """Numbers of the states in which no transition is enabled."""
         return np.flatnonzero(self.is_dead)
 
-    exchanged: Optional[Exchanged] = None
+    exchanged: Optional[Symmetry] = None
     """The exchange that grouped the states; None: each state represents only itself."""
 
     further_steps = 0

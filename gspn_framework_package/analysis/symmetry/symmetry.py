@@ -99,17 +99,17 @@ class Symmetry:
         return sizes
 
     def over_places(self, values: Sequence[float]) -> List[float]:
-        """See :class:`~gspn_framework_package.analysis.state_space.rated_graph.Exchanged`."""
+        """For each place, the mean of ``values`` over all places that it can be exchanged with."""
         return _over(self.place_orbits, values)
 
     def over_transitions(self, values: Sequence[float]) -> List[float]:
-        """See :class:`~gspn_framework_package.analysis.state_space.rated_graph.Exchanged`."""
+        """For each transition, the mean of ``values`` over all that it can be exchanged with."""
         return _over(self.transition_orbits, values)
 
     def over_distributions(
         self, distributions: Sequence[Mapping[int, float]]
     ) -> List[Dict[int, float]]:
-        """See :class:`~gspn_framework_package.analysis.state_space.rated_graph.Exchanged`."""
+        """For each place the mean of these distributions of its count (count -> probability)."""
         sizes = np.bincount(self.place_orbits).tolist()
         totals: List[Dict[int, float]] = [{} for _ in sizes]
         for orbit, counts in zip(self.place_orbits.tolist(), distributions):

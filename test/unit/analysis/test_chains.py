@@ -284,7 +284,7 @@ def test_a_good_order_saves_sweeps():
     assert sorted(order) == states.tolist()
     plain, ordered = (
         linear._swept_in_order(
-            sparse.csr_matrix(chain.rates.T), chain.exit_rates, None, False, by, Watch(), None
+            sparse.csr_matrix(chain.rates.T), chain.exit_rates, None, False, by, Watch()
         )
         for by in (None, order)
     )

@@ -207,7 +207,6 @@ def merge_components(
     states: Optional[Booleans] = None,
     rows: Optional[Booleans] = None,
     known: Optional[Floats] = None,
-    goal: Optional[Booleans] = None,
 ) -> Layer:
     """The model in which each component of states is one state, without its ``inner`` rows.
 
@@ -219,7 +218,7 @@ def merge_components(
     used = kept[model.row_states] & ~inner
     if rows is not None:
         used &= rows
-    part = model.part(number, size, used, known, goal)
+    part = model.part(number, size, used, known)
     return Layer(part, model.arrows, number, inner)
 
 

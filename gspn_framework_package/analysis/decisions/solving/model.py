@@ -295,12 +295,7 @@ class Model:
         return found
 
     def part(
-        self,
-        number: Indices,
-        size: int,
-        rows: Booleans,
-        known: Optional[Floats] = None,
-        goal: Optional[Booleans] = None,
+        self, number: Indices, size: int, rows: Booleans, known: Optional[Floats] = None
     ) -> Model:
         """A model of some of the states and rows; see :func:`made`."""
         part = made(
@@ -313,7 +308,6 @@ class Model:
             size=size,
             rows=rows,
             known=known,
-            goal=goal,
         )
         part.into |= self.into[part.row_ids]
         return part
