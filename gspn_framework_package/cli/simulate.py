@@ -91,11 +91,8 @@ def _print(result: Simulation, notes: List[str], args: argparse.Namespace) -> in
 
 
 def _rows(result: Simulation) -> Iterator[Tuple[str, str, float, float]]:
-    for name, value in result.mean_tokens.items():
-        yield "mean_tokens", name, value.mean, value.half_width
-    for name, value in result.throughput.items():
-        yield "throughput", name, value.mean, value.half_width
-    for measure, values in result.subnets.items():
+    means = {"mean_tokens": result.mean_tokens, "throughput": result.throughput, **result.subnets}
+    for measure, values in means.items():
         for name, value in values.items():
             yield measure, name, value.mean, value.half_width
     for measure in ("end_time", "reached", "time_to_condition"):
@@ -120,14 +117,13 @@ def _text(result: Simulation) -> Iterator[str]:
             "%.2g" % reached if reached is not None else "none",
             wanted,
         )
-    yield "%-32s %s" % ("place", "mean tokens")
-    for name, value in result.mean_tokens.items():
-        yield "%-32s %s" % (name, value)
-    yield "%-32s %s" % ("transition", "throughput (1/s)")
-    for name, value in result.throughput.items():
-        yield "%-32s %s" % (name, value)
-    for measure, values in result.subnets.items():
-        yield TITLES[measure]
+    tables = [
+        ("%-32s %s" % ("place", "mean tokens"), result.mean_tokens),
+        ("%-32s %s" % ("transition", "throughput (1/s)"), result.throughput),
+        *((TITLES[measure], values) for measure, values in result.subnets.items()),
+    ]
+    for title, values in tables:
+        yield title
         for name, value in values.items():
             yield "%-32s %s" % (name, value)
     if result.reached is not None:

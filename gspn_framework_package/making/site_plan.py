@@ -219,6 +219,12 @@ class _Builder:
         self._ros[place] = self._actions[place] if ros is None else ros
         self._durations[place] = {"mean": seconds, "distribution": "gamma", "shape": shape}
 
+    def _ends(
+        self, name: str, rate: float, place: str, outputs: Sequence[str], position: Point
+    ) -> None:
+        """Add a transition with which each robot in a place ends its action there."""
+        self._net.exponential(name, rate, None, inputs=place, outputs=outputs, position=position)
+
     def _resource(self, place: str, tokens: int, position: Point) -> None:
         self._net.place(place, tokens, position=position)
         self._resources.append(place)
@@ -281,26 +287,16 @@ class _Builder:
         ros = drive_action(edge, self._team.site.nodes[b], arrive)
         self._act(drive, seconds, ros, 0, self._draw.along(a, b, suffix, 0.48))
         self._given(drive, held)
-        self._net.exponential(
-            arrive,
-            (1 - drained) / seconds,
-            None,
-            inputs=drive,
-            outputs=[named("At", b, suffix), *free],
-            position=self._draw.along(a, b, suffix, 0.7),
-        )
+        there = [named("At", b, suffix), *free]
+        at = self._draw.along(a, b, suffix, 0.7)
+        self._ends(arrive, (1 - drained) / seconds, drive, there, at)
         if drained:
             settings = self._actions[drive]["settings"]
             settings.update(drained=drained, arrive=arrive, drain=drain)
             self._actions[drive]["function"] = "actions.Drive"
-            self._net.exponential(
-                drain,
-                drained / seconds,
-                None,
-                inputs=drive,
-                outputs=self._after_drain(edge, kind, drain, held),
-                position=self._draw.along(a, b, suffix, 0.7, 2.2),
-            )
+            lower = self._after_drain(edge, kind, drain, held)
+            at = self._draw.along(a, b, suffix, 0.7, 2.2)
+            self._ends(drain, drained / seconds, drive, lower, at)
 
     def _after_drain(
         self, edge: MapEdge, kind: RobotKind, drain: str, held: Sequence[str]
@@ -360,14 +356,8 @@ class _Builder:
                 outputs=place,
                 position=(x + 90 + off, y + 20 + off),
             )
-            self._net.exponential(
-                named("Finished", here, suffix),
-                1 / given.seconds,
-                None,
-                inputs=place,
-                outputs=[at, fresh],
-                position=(x + 40 + off, y + 80 + off),
-            )
+            finished, beside = named("Finished", here, suffix), (x + 40 + off, y + 80 + off)
+            self._ends(finished, 1 / given.seconds, place, [at, fresh], beside)
 
     def _charging(self) -> None:
         tasks, first = self._tasks, self._team.start[0][1].suffix
@@ -386,28 +376,19 @@ class _Builder:
                 outputs=charge,
                 position=(x - 100, y + 20),
             )
-            self._net.exponential(
-                named("Charged", dock, suffix),
-                1 / tasks.charge,
-                None,
-                inputs=charge,
-                outputs=[named("At", dock, self._team.kinds[state.kind.type][0].suffix), free],
-                position=(x - 80, y + 90),
-            )
+            full = named("At", dock, self._team.kinds[state.kind.type][0].suffix)
+            charged = named("Charged", dock, suffix)
+            self._ends(charged, 1 / tasks.charge, charge, [full, free], (x - 80, y + 90))
         last = {kinds[-1]: robot for robot, kinds in self._team.kinds.items()}
         driving = dict.fromkeys(state.kind for state in self._of("Drive") if state.kind in last)
         for column, kind in enumerate(driving, len(self._team.due)):
             robot = last[kind]
             stranded = self._stranded(robot)
             self._act(stranded, tasks.stranded, None, 0, self._draw.top(column, 0))
-            self._net.exponential(
-                named("Recovered", stranded[len("Stranded_") :]),
-                1 / tasks.stranded,
-                None,
-                inputs=stranded,
-                outputs=named("At", self._team.dock_of(robot), self._team.kinds[robot][0].suffix),
-                position=self._draw.top(column, 1),
-            )
+            recovered = named("Recovered", stranded[len("Stranded_") :])
+            full = named("At", self._team.dock_of(robot), self._team.kinds[robot][0].suffix)
+            at = self._draw.top(column, 1)
+            self._ends(recovered, 1 / tasks.stranded, stranded, [full], at)
         if tasks.battery_topic is None:
             self._team.notes.append(
                 "on ROS nothing reports the battery: give 'battery_topic', or in %s let your "

@@ -33,12 +33,8 @@ simulated runs: in the model, durations are independent, but whatever slows down
 robot (load, heat, battery) slows down all its actions. A smaller difference is not a departure."""
 
 THROUGHPUT, TOKENS, VISITS, TIME = "throughput", "mean tokens", "visits", "time to condition"
-SUBNET_ROBOTS, SUBNET_ENTRIES, SUBNET_EXITS = (
-    "robots in subnet",
-    "entries of subnet",
-    "exits of subnet",
-)
-SUBNET_STAY = "time in subnet"
+SUBNET_ROBOTS, SUBNET_STAY = "robots in subnet", "time in subnet"
+SUBNET_ENTRIES, SUBNET_EXITS = "entries of subnet", "exits of subnet"
 
 
 class Observed(NamedTuple):
@@ -89,6 +85,13 @@ class PredictedMeasure(NamedTuple):
             return None
         return self.observed / self.predicted - 1
 
+    @property
+    def direction(self) -> str:
+        """``more`` or ``less`` than predicted; empty if the value is inside or was not reached."""
+        if self.inside or self.observed is None:
+            return ""
+        return "more" if self.observed > self.high else "less"
+
     def to_json(self) -> Dict[str, Any]:
         """The measure as a JSON object."""
         return {
@@ -100,11 +103,7 @@ class PredictedMeasure(NamedTuple):
             "interval": [_finite(self.low), _finite(self.high)],
             "observed": None if self.observed is None else _finite(self.observed),
             "inside": self.inside,
-            "direction": ""
-            if self.inside or self.observed is None
-            else "more"
-            if self.observed > self.high
-            else "less",
+            "direction": self.direction,
             "change": self.change,
         }
 
@@ -175,22 +174,11 @@ def _values(
     net = plan.net
     seconds = np.maximum(sample.seconds, 1e-300)
     for t, transition in enumerate(net.transitions):
-        fired = observed.firings.get(transition.name, 0)
-        yield (
-            THROUGHPUT,
-            transition.name,
-            "1/s",
-            sample.firings[:, t] / seconds,
-            fired / observed.seconds,
-        )
+        fired = observed.firings.get(transition.name, 0) / observed.seconds
+        yield THROUGHPUT, transition.name, "1/s", sample.firings[:, t] / seconds, fired
     for p, place in enumerate(net.places):
-        yield (
-            TOKENS,
-            place.name,
-            "",
-            sample.tokens[:, p] / seconds,
-            observed.tokens.get(place.name, 0.0) / observed.seconds,
-        )
+        held = observed.tokens.get(place.name, 0.0) / observed.seconds
+        yield TOKENS, place.name, "", sample.tokens[:, p] / seconds, held
     arrivals = np.zeros((len(net.transitions), len(net.places)))
     for t, outputs in enumerate(net.outputs):
         for p, weight in outputs:
@@ -198,14 +186,9 @@ def _values(
     counts = np.array([observed.firings.get(t.name, 0) for t in net.transitions], dtype=np.float64)
     for name in plan.action_places:
         p = net.place_index[name]
-        if arrivals[:, p].any():
-            yield (
-                VISITS,
-                name,
-                "",
-                sample.firings @ arrivals[:, p],
-                float(counts @ arrivals[:, p]),
-            )
+        into = arrivals[:, p]
+        if into.any():
+            yield VISITS, name, "", sample.firings @ into, float(counts @ into)
     yield from _subnet_values(plan, sample, observed)
     if plan.until is not None:
         times = np.where(sample.came, sample.seconds, math.inf)

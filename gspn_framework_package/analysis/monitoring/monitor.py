@@ -198,17 +198,21 @@ class Monitor:
     def _estimated(self, alarm: Alarm) -> Alarm:
         """An active alarm, updated with the observations so far. When it is raised, little is
         known, mostly about what departs most."""
-        seen = [
-            f
-            for f in self._recent
-            if f.at >= alarm.since and alarm.place in ("", f.place) and alarm.robot in ("", f.robot)
-        ]
+        seen = self._seen(alarm.since, alarm.place, alarm.robot)
         if not seen or seen[-1].at <= alarm.at:
             return alarm
         return alarm._replace(
             observed=sum(f.seconds for f in seen) / len(seen),
             expected=sum(f.expected for f in seen) / len(seen),
         )
+
+    def _seen(self, since: float, place: str, robot: str) -> List[_Finished]:
+        """The attempts that finished since then; "" stands for all places or robots."""
+        return [
+            f
+            for f in self._recent
+            if f.at >= since and place in ("", f.place) and robot in ("", f.robot)
+        ]
 
     # -- events of the run -------------------------------------------------------------------------
 
@@ -333,11 +337,7 @@ class Monitor:
 
     def _alarm(self, stream: PaceStream, s: SidedSum, direction: str, now: float) -> Alarm:
         """Raise the alarm of a pace, with the size of the deviation and where it is largest."""
-        seen = [
-            f
-            for f in self._recent
-            if f.at >= s.since and stream.place in ("", f.place) and stream.robot in ("", f.robot)
-        ]
+        seen = self._seen(s.since, stream.place, stream.robot)
         place, robot = stream.place, stream.robot
         late = [
             r

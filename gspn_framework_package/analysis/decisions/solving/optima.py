@@ -234,15 +234,8 @@ class _Work:
         )
         lower, upper = bounds(found.values, low, found.high)
         values, rows = lifted([reduced.layer], found.values, chosen)
-        return self._solved(
-            lower,
-            upper,
-            values,
-            rows,
-            row_values_of(self._automaton, self._allowed, reduced, values),
-            found.method,
-            found.rounds,
-        )
+        row_values = row_values_of(self._automaton, self._allowed, reduced, values)
+        return self._solved(lower, upper, values, rows, row_values, found.method, found.rounds)
 
     # -- time and cost until a goal ----------------------------------------------------------------
 
@@ -288,15 +281,8 @@ class _Work:
         unknown = reduced.layer.number >= 0
         values[unknown & np.isnan(values)] = -math.inf * 1.0 if not self._maximise else math.inf
         values[goal] = 0.0
-        return self._solved(
-            lower,
-            upper,
-            values,
-            picked,
-            row_values_of(self._automaton, self._allowed, reduced, values),
-            found.method,
-            found.rounds,
-        )
+        row_values = row_values_of(self._automaton, self._allowed, reduced, values)
+        return self._solved(lower, upper, values, picked, row_values, found.method, found.rounds)
 
     def _total_of(
         self, layer: Layer, stack: List[Layer], begin: Indices, proper: bool, timed: bool
@@ -405,15 +391,9 @@ class _Work:
         if lower is None or upper is None:
             lower = upper = self._mean(whole)
         low, high = (0.0, 1.0) if self._maximise else (-1.0, 0.0)
-        return self._solved(
-            max(lower, low),
-            min(upper, high),
-            whole,
-            picked,
-            row_values_of(self._automaton, self._allowed, reduced, whole),
-            method,
-            rounds,
-        )
+        lower, upper = max(lower, low), min(upper, high)
+        row_values = row_values_of(self._automaton, self._allowed, reduced, whole)
+        return self._solved(lower, upper, whole, picked, row_values, method, rounds)
 
     # -- long run ----------------------------------------------------------------------------------
 
