@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 import re
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor, open_executor
 from gspn_framework_package.analysis.monitoring.comparison import (
@@ -143,16 +143,8 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     with open_executor(args.on) as executor, ProgressLine() as progress:
         runs, notes = _read_runs(plan, log_files(args.logs), progress)
-        result = _compare(
-            plan,
-            runs,
-            [*plan.notes, *notes],
-            args.alarm_every,
-            args.replications,
-            args.seed,
-            progress,
-            executor,
-        )
+        notes = [*plan.notes, *notes]
+        result = _compare(plan, runs, notes, args, progress, executor)
     if args.json:
         print(json.dumps(result.to_json(), indent=2, allow_nan=False))
     else:
@@ -209,55 +201,48 @@ def _compare(
     plan: Plan,
     runs: List[_Run],
     notes: List[str],
-    alarm_every: float,
-    replications: Optional[int],
-    seed: int,
+    args: argparse.Namespace,
     progress: ProgressLine,
     executor: Executor,
 ) -> _Result:
+    ends = plan.until is not None
     spans = [
-        Span(
-            r.observer.start_of(plan),
-            r.observer.seconds,
-            r.observer.came and plan.until is not None,
-        )
-        for r in runs
+        Span(r.observer.start_of(plan), r.observer.seconds, r.observer.came and ends) for r in runs
     ]
-    sample = predict(spans, replications=replications, seed=seed, progress=progress, on=executor)
+    sample = predict(
+        spans,
+        replications=args.replications,
+        seed=args.seed,
+        progress=progress,
+        on=executor,
+    )
     comparison = compare(plan, sample, _observed(runs))
     paces = expected_paces(plan, sample)
-    monitors = [_watch(plan, r, paces, alarm_every, progress) for r in runs]
+    monitors = [_watch(plan, r, paces, args.alarm_every, progress) for r in runs]
     notes = notes + ["assumed: %s" % text for text in PlanTiming(plan).assumptions]
-    return _Result(comparison, runs, monitors, notes, alarm_every, sample.size)
+    return _Result(comparison, runs, monitors, notes, args.alarm_every, sample.size)
 
 
 def _observed(runs: Sequence[_Run]) -> Observed:
     firings: Dict[str, int] = {}
     tokens: Dict[str, float] = {}
-    for r in runs:
-        for name, count in r.observer.firings.items():
+    observers = [r.observer for r in runs]
+    for observer in observers:
+        for name, count in observer.firings.items():
             firings[name] = firings.get(name, 0) + count
-        for name, seconds in r.observer.tokens.items():
-            tokens[name] = tokens.get(name, 0.0) + seconds
-    return Observed(
-        sum(r.observer.seconds for r in runs),
-        firings,
-        tokens,
-        came=all(r.observer.came for r in runs),
-    )
+        for name, held in observer.tokens.items():
+            tokens[name] = tokens.get(name, 0.0) + held
+    seconds = sum(observer.seconds for observer in observers)
+    return Observed(seconds, firings, tokens, all(observer.came for observer in observers))
 
 
 def _watch(
     plan: Plan, run: _Run, paces: Dict[str, float], alarm_every: float, progress: ProgressLine
 ) -> Monitor:
-    monitor = Monitor(run.observer.start_of(plan), run.observer.robots, paces, alarm_every)
-    play_to_monitor(
-        monitor,
-        run.attempts,
-        run.observer.choices,
-        began=run.observer.began or 0.0,
-        progress=progress,
-    )
+    observer = run.observer
+    monitor = Monitor(observer.start_of(plan), observer.robots, paces, alarm_every)
+    began = observer.began or 0.0
+    play_to_monitor(monitor, run.attempts, observer.choices, began=began, progress=progress)
     return monitor
 
 

@@ -426,18 +426,13 @@ class _Reader:
         }
         capacity = self._capacity(edge.get("capacity"), [*where, "capacity"])
         a, b = (self._name(edge[key], [*where, key]) for key in ("from", "to"))
+        length, speed, seconds = (
+            values.get("length", 0.0),
+            values.get("speed"),
+            values.get("seconds"),
+        )
         for source, target in ((a, b), (b, a))[: 1 if edge.get("one_way") else 2]:
-            self._connect(
-                MapEdge(
-                    source,
-                    target,
-                    values.get("length", 0.0),
-                    values.get("speed"),
-                    values.get("seconds"),
-                    capacity,
-                ),
-                where,
-            )
+            self._connect(MapEdge(source, target, length or 0.0, speed, seconds, capacity), where)
 
     # -- both
 

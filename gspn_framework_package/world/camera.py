@@ -163,21 +163,10 @@ class Camera:
             for age, (start, end) in enumerate(zip(points, points[1:])):
                 draw.line([start, end], fill=(*color, 40 + 150 * age // TRAIL), width=3)
             x, y = self.pixel(pose.x, pose.y, 0.15)
-            self._text(
-                draw,
-                (x, y - height / 28),
-                name.rpartition("_")[2],
-                (*color, 255),
-                back=(255, 255, 255, 210),
-            )
-        line = "%d:%04.1f" % (int(time // 60), time % 60)
-        draw.text(
-            (12, height - 14),
-            line + ("   " + caption if caption else ""),
-            (40, 45, 55),
-            self._font,
-            "ls",
-        )
+            at, number = (x, y - height / 28), name.rpartition("_")[2]
+            self._text(draw, at, number, (*color, 255), back=(255, 255, 255, 210))
+        line = "%d:%04.1f" % (int(time // 60), time % 60) + ("   " + caption if caption else "")
+        draw.text((12, height - 14), line, (40, 45, 55), self._font, "ls")
 
     def _text(
         self,

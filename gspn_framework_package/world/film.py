@@ -111,11 +111,6 @@ class Film:
                 )
         elif self._frames:
             first, *rest = self._frames
-            first.save(
-                self._target,
-                save_all=True,
-                append_images=rest,
-                duration=round(1000 / self._rate),
-                loop=0,
-            )
+            each = round(1000 / self._rate)  # milliseconds
+            first.save(self._target, save_all=True, append_images=rest, duration=each, loop=0)
             self._frames = []

@@ -225,13 +225,7 @@ def _learn_place(shared: Any, piece: Any, _: Watch) -> _OfPlace:
 class _Learning:
     """The work of :func:`fit_plan`."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        choice: FamilyChoice,
-        seed: int,
-        samples: int,
-    ) -> None:
+    def __init__(self, plan: Plan, choice: FamilyChoice, seed: int, samples: int) -> None:
         self.plan = plan
         self.choice = choice
         self.seed = seed
@@ -294,15 +288,9 @@ class _Learning:
             self._compare_groups(place, done, cut, fit.duration)
         if failed and done:
             self._compare_failed(place, done, failed)
-        return PlaceFit(
-            sample.size,
-            len(cut),
-            fit,
-            test,
-            self._outcomes(place, done),
-            self._failure(place, len(failed), len(failed) + len(done)),
-            sample,
-        )
+        outcomes = self._outcomes(place, done)
+        failure = self._failure(place, len(failed), len(failed) + len(done))
+        return PlaceFit(sample.size, len(cut), fit, test, outcomes, failure, sample)
 
     def _duration(
         self, place: str, sample: Sample, generator: Any
@@ -357,14 +345,9 @@ class _Learning:
             p = groups_differ(list(samples.values()), duration)
             means = {r: s.total / s.size for r, s in samples.items()}
             slow, fast = max(means, key=means.__getitem__), min(means, key=means.__getitem__)
-            text = "%s: the robots differ: %s takes %.3g s on average, %s %.3g s" % (
-                place,
-                slow,
-                means[slow],
-                fast,
-                means[fast],
-            )
-            self._doubt("robots", p, text)
+            both = slow, means[slow], fast, means[fast]
+            text = "%s: the robots differ: %s takes %.3g s on average, %s %.3g s"
+            self._doubt("robots", p, text % (place, *both))
         middle = _middles([*done, *cut])
         halves = [
             _sample(

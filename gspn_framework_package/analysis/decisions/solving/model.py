@@ -406,13 +406,5 @@ def made(
         counts = np.concatenate([[0], np.cumsum(stays)])
         arcs, to, data = counts[arcs], to[stays], data[stays]
     offsets = np.searchsorted(owners, np.arange(size + 1))
-    return Model(
-        new_tangible,
-        Arrows(offsets, np.asarray(arcs, dtype=np.int64), to.astype(np.int32)),
-        data,
-        new_constant,
-        new_exits,
-        kept,
-        state_ids,
-        into,
-    )
+    arrows = Arrows(offsets, np.asarray(arcs, dtype=np.int64), to.astype(np.int32))
+    return Model(new_tangible, arrows, data, new_constant, new_exits, kept, state_ids, into)

@@ -224,14 +224,11 @@ class _Work:
 
         start = self._begin([reduced.layer])
         found = solve_model(model, accept, matters=matters, start=start, watch=self._watch)
-        chosen, low = steady(
-            model,
-            found.values,
-            0.0,
-            lambda rows, low: accept(found.values, low, found.high),
-            found.chosen,
-            matters,
-        )
+
+        def enough(rows: Indices, low: float) -> bool:
+            return accept(found.values, low, found.high)
+
+        chosen, low = steady(model, found.values, 0.0, enough, found.chosen, matters)
         lower, upper = bounds(found.values, low, found.high)
         values, rows = lifted([reduced.layer], found.values, chosen)
         row_values = row_values_of(self._automaton, self._allowed, reduced, values)
