@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -41,29 +42,20 @@ class Budget(NamedTuple):
         )
 
 
+@dataclass(eq=False)
 class SortedKeys:
     """Distinct keys in ascending order; made by :class:`Writer`.
 
     :ivar fences: every ``block``-th key, from the first on.
     """
 
-    def __init__(
-        self,
-        count: int,
-        fences: Keys,
-        block: int,
-        array: Optional[Keys],
-        file: Optional[ScratchFile],
-        position: int,
-        owner: bool,
-    ) -> None:
-        self._count = count
-        self.fences = fences
-        self._block = block
-        self._array = array
-        self._file = file
-        self._position = position
-        self._owner = owner
+    _count: int
+    fences: Keys
+    _block: int
+    _array: Optional[Keys]
+    _file: Optional[ScratchFile]
+    _position: int
+    _owner: bool
 
     def __len__(self) -> int:
         return self._count

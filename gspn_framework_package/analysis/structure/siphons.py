@@ -19,6 +19,7 @@ numbering.
 from __future__ import annotations
 
 from array import array
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
@@ -146,6 +147,7 @@ def _marked_part(trap: _Inside, marked: Booleans) -> Set[int]:
     return set(trap.numbers())
 
 
+@dataclass(eq=False)
 class _Rules:
     """The arcs as seen by siphons; for traps, the directions are exchanged. Places and transitions
     are numbered from 0.
@@ -159,18 +161,12 @@ class _Rules:
     :ivar connected: whether the places are known to be strongly connected.
     """
 
-    def __init__(
-        self,
-        feeding: Sequence[Sequence[int]],
-        taking: Sequence[Sequence[int]],
-        fed: Sequence[Sequence[int]],
-        asking: Sequence[Sequence[int]],
-        numbers: Sequence[int],
-        connected: bool = False,
-    ) -> None:
-        self.feeding, self.taking, self.fed, self.asking = feeding, taking, fed, asking
-        self.numbers = numbers
-        self.connected = connected
+    feeding: Sequence[Sequence[int]]
+    taking: Sequence[Sequence[int]]
+    fed: Sequence[Sequence[int]]
+    asking: Sequence[Sequence[int]]
+    numbers: Sequence[int]
+    connected: bool = False
 
     def of_part(self, places: Sequence[int], effort: Effort, connected: bool = False) -> _Rules:
         """The rules restricted to these places, which are numbered by their order here."""

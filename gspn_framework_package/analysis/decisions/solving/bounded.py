@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Callable, Optional, Tuple
 
 import numpy as np
@@ -55,25 +56,19 @@ def steady(
     return chosen, drift_range(model, values.copy(), matters, chosen)[0]
 
 
+@dataclass(eq=False)
 class Bounded:
     """Bounds of a total from the drift and the mean time until the end."""
 
-    def __init__(
-        self,
-        width: float,
-        watch: Watch,
-        model: Model,
-        begin: Indices,
-        shares: Floats,
-        matters: Booleans,
-        safe: Optional[Indices],
-        proper: bool,
-        offset: float = 0.0,
-    ) -> None:
-        self._width, self._watch, self._model = width, watch, model
-        self._begin, self._shares = begin, shares
-        self._matters, self._safe, self._proper = matters, safe, proper
-        self._offset = offset
+    _width: float
+    _watch: Watch
+    _model: Model
+    _begin: Indices
+    _shares: Floats
+    _matters: Booleans
+    _safe: Optional[Indices]
+    _proper: bool
+    _offset: float = 0.0
 
     def solve(self, start: Optional[Floats]) -> Tuple[Floats, Indices, float, float, Found]:
         """Values, rows, bounds, and the method used."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import copy
 import sys
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, List, NamedTuple, Optional, Tuple
 
@@ -49,6 +50,7 @@ class _Level(NamedTuple):
     cyclic: bool
 
 
+@dataclass(eq=False)
 class Model:
     """States with unknown values.
 
@@ -64,25 +66,14 @@ class Model:
         state here.
     """
 
-    def __init__(
-        self,
-        tangible: Booleans,
-        arrows: Arrows,
-        values: Floats,
-        constant: Floats,
-        exits: Floats,
-        row_ids: Indices,
-        state_ids: Indices,
-        into: Booleans,
-    ) -> None:
-        self.tangible = tangible
-        self.arrows = arrows
-        self.values = values
-        self.constant = constant
-        self.exits = exits
-        self.row_ids = row_ids
-        self.state_ids = state_ids
-        self.into = into
+    tangible: Booleans
+    arrows: Arrows
+    values: Floats
+    constant: Floats
+    exits: Floats
+    row_ids: Indices
+    state_ids: Indices
+    into: Booleans
 
     def __len__(self) -> int:
         return len(self.tangible)
