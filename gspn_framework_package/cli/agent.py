@@ -16,7 +16,6 @@ from gspn_framework_package.cli.options import (
     MODULES_OPTION,
     Argument,
     Arguments,
-    add_options,
     repeated,
 )
 from gspn_framework_package.cli.team_client import access_of, way_options
@@ -28,7 +27,7 @@ LEAVING_TIME = 5.0
 """Seconds that an agent has to end when asked to."""
 
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("--robot", "NAME", required=True): "name of this robot in the plan",
     **way_options("a router of the team: tls/HOST:7447 with keys, tcp/HOST:7447 without"),
@@ -53,17 +52,13 @@ _OPTIONS: Arguments = {
     "--json": "print a JSON object per line: messages, diagnoses, and how the robot ended",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Start one agent for each robot; they communicate through 'gspn router' and wait until it "
-        "is running. Reach them with 'gspn status --connect ENDPOINT' and the orders. Exit "
-        "codes: 0 the run completed, 1 the plan was refused, the run was stopped or failed, or "
-        "the router refused the robot, 2 wrong input or usage, 130 interrupted: the robot is "
-        "still in the team."
-    )
+EPILOG = (
+    "Start one agent for each robot; they communicate through 'gspn router' and wait until it "
+    "is running. Reach them with 'gspn status --connect ENDPOINT' and the orders. Exit "
+    "codes: 0 the run completed, 1 the plan was refused, the run was stopped or failed, or "
+    "the router refused the robot, 2 wrong input or usage, 130 interrupted: the robot is "
+    "still in the team."
+)
 
 
 def run(args: argparse.Namespace) -> int:

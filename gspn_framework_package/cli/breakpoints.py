@@ -6,14 +6,14 @@ from __future__ import annotations
 import argparse
 import json
 
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.team_client import TEAM_OPTIONS, team_client
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.team.orders import ORDERS
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("names", "NAME", nargs="*"): (
         "places and transitions, replacing those set before; if none are given, the present ones "
         "are shown"
@@ -25,16 +25,12 @@ _OPTIONS: Arguments = {
     **TEAM_OPTIONS,
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "A robot stops before its action in a place starts, or before it asks for a transition; "
-        "'gspn resume ROBOT' (on the page: Resume) releases it. They are stored in "
-        "breakpoints.json next to the plan; runs reread it when it changes. Exit codes: 0 done, "
-        "1 a node did not accept them, 2 a name does not occur in the plan."
-    )
+EPILOG = (
+    "A robot stops before its action in a place starts, or before it asks for a transition; "
+    "'gspn resume ROBOT' (on the page: Resume) releases it. They are stored in "
+    "breakpoints.json next to the plan; runs reread it when it changes. Exit codes: 0 done, "
+    "1 a node did not accept them, 2 a name does not occur in the plan."
+)
 
 
 def run(args: argparse.Namespace) -> int:

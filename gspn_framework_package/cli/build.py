@@ -7,10 +7,10 @@ import json
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.making.site_plan import build_site_plan
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("map", "MAP"): (
         "a map of topological_navigation (.tmap2, .tmap), or a graph in YAML or JSON"
     ),
@@ -20,11 +20,6 @@ _OPTIONS: Arguments = {
     Argument("-o --output", "DIR", required=True): "the folder to create",
     "--json": "print a JSON object",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

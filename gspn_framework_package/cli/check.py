@@ -7,12 +7,12 @@ import json
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.ros.check_all import check_all
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     "--json": "print the report as one JSON object",
     Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
@@ -23,11 +23,7 @@ _OPTIONS: Arguments = {
     **MODULES_OPTION,
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."
+EPILOG = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."
 
 
 def run(args: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import ON_OPTION
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile, log_files
@@ -57,7 +57,7 @@ def _time(text: str) -> float:
     return value
 
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("logs", "LOG", nargs="+"): (
         "event logs of one or several runs of the plan, or folders of them"
@@ -77,13 +77,7 @@ _OPTIONS: Arguments = {
     "--json": "print the result as one JSON object",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input."
-    )
+EPILOG = "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input."
 
 
 class _Run(NamedTuple):

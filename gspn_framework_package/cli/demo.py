@@ -18,7 +18,7 @@ import webbrowser
 from typing import Any, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.team_client import require_ros
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -35,7 +35,7 @@ START_TIME = 120.0
 """Seconds within which the first transition must fire."""
 
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("--robots", "N", numbers.robots, 3): "number of robots (3)",
     Argument("--plan", "FOLDER", required=True): "folder of the plan",
     Argument("--seconds", "S", numbers.seconds, 0): (
@@ -48,13 +48,7 @@ _OPTIONS: Arguments = {
     ),
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
-    )
+EPILOG = "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,14 +11,13 @@ from gspn_framework_package.cli.options import (
     MODULES_OPTION,
     Argument,
     Arguments,
-    add_options,
     repeated,
 )
 from gspn_framework_package.cli.team_client import TEAM_OPTIONS, team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "NEW_PLAN"): "the plan that the team should follow",
     repeated("--map", "OLD=NEW"): (
         "a place or transition of the present net and its name in the new one; OLD= drops the "
@@ -40,14 +39,10 @@ _OPTIONS: Arguments = {
     **MODULES_OPTION,
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of the verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Exit codes: 0 the team follows the plan, 1 it continues as before, for the reason in the "
-        "output, 2 not a plan."
-    )
+EPILOG = (
+    "Exit codes: 0 the team follows the plan, 1 it continues as before, for the reason in the "
+    "output, 2 not a plan."
+)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,22 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.formats.difference import document_difference
 from gspn_framework_package.formats.edited_document import document_of
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("old", "OLD"): "a plan file, the folder of a plan, or a net",
     Argument("new", "NEW"): "another plan or net",
     "--json": "print the changes as JSON",
     "--positions": "also list nodes that only moved in the drawing",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = "Exit codes: 0 no difference, 1 differences, 2 a file cannot be read."
+EPILOG = "Exit codes: 0 no difference, 1 differences, 2 a file cannot be read."
 
 
 def run(args: argparse.Namespace) -> int:

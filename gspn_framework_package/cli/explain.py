@@ -12,13 +12,13 @@ from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("transitions", "TRANSITION", nargs="*"): (
         "the transitions to fire, in order; by default the firing sequences found by 'gspn check'"
@@ -31,14 +31,10 @@ _OPTIONS: Arguments = {
     **MODULES_OPTION,
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. Sequences "
-        "found by the check always give 0."
-    )
+EPILOG = (
+    "Exit codes: 0 every transition could fire, 1 one could not, 2 wrong input. Sequences "
+    "found by the check always give 0."
+)
 
 
 def run(args: argparse.Namespace) -> int:

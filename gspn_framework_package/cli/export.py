@@ -9,7 +9,7 @@ import os
 import time
 from typing import Any, Dict, List, Mapping, Sequence, Set
 
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.plan_output import refuse_existing
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.event_log import LogFile, log_files
@@ -22,7 +22,7 @@ BETWEEN = 1_000
 """Number of messages between two reports of progress."""
 
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("logs", "LOG", nargs="+"): (
         "event logs, or folders of them; if there are several logs of a run, each supplies the "
         "messages of its own robot"
@@ -36,14 +36,10 @@ _OPTIONS: Arguments = {
     "--json": "print what was written as JSON",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Topics: /fired_transitions, and marking, team_state and robot_activity in the namespace "
-        "of each robot. --bag and --mcap need the Python libraries rosbags and mcap, but no ROS."
-    )
+EPILOG = (
+    "Topics: /fired_transitions, and marking, team_state and robot_activity in the namespace "
+    "of each robot. --bag and --mcap need the Python libraries rosbags and mcap, but no ROS."
+)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, Tuple
 
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
+from gspn_framework_package.cli.options import Argument, Arguments, choice
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import InputError, UsageError
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("film", "FILM"): "output: .mp4 (needs ffmpeg), .gif, .webp, or a folder",
     Argument("--recording", "FILE"): "film this recording (of patrol.launch record:=FILE)",
     Argument("--room", "FILE"): "without a recording: the room file of the patrol",
@@ -34,11 +34,6 @@ _OPTIONS: Arguments = {
     Argument("--size", "WxH", default="960x720"): "pixels (960x720)",
     "--json": "print the result as JSON",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.on import ON_OPTION
-from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
+from gspn_framework_package.cli.options import Argument, Arguments, choice
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.execution.event_log import log_files
 from gspn_framework_package.execution.logged_attempts import gather
@@ -47,7 +47,7 @@ FIT_OPTIONS: Arguments = {
 }
 """How to fit."""
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("logs", "LOG", nargs="+"): (
         "event logs of runs of the plan, or folders of them; for a team, give the logs of all its "
@@ -63,11 +63,7 @@ _OPTIONS: Arguments = {
     "--json": "print the report as one JSON object",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = "Exit codes: 0 the plan was written, 2 not a plan, or not logs of its net."
+EPILOG = "Exit codes: 0 the plan was written, 2 not a plan, or not logs of its net."
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,8 +1,9 @@
 """The dispatcher of the command line: finds the module of the requested verb and runs it.
 
-A verb is a module with ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
-:data:`VERB_GROUPS`, or an order to a team. Only the module of the requested verb is imported, so
-that ``gspn --help`` and simple verbs start quickly.
+A verb is a module with ``OPTIONS``, perhaps an ``EPILOG`` of its help, and ``run(args) -> int``,
+and a row of :data:`VERB_GROUPS`, or an order to a team. A module whose options are in groups has
+``add_arguments(parser)`` instead. Only the module of the requested verb is imported, so that
+``gspn --help`` and simple verbs start quickly.
 
 Exit codes: 0 the answer is yes, 1 the answer is no or a plan was refused, 2 the input or the usage
 is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has exited.
@@ -36,6 +37,7 @@ from typing import (
 
 from gspn_framework_package import __version__
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED_MESSAGE, Interrupts
+from gspn_framework_package.cli.options import add_options
 from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.model.errors import GspnError, missing_library
 
@@ -355,7 +357,11 @@ def _parser(words: Sequence[str]) -> _Parser:
         if name == asked:
             verb.description = entry.help
             loaded = entry.load()
-            loaded.add_arguments(verb)
+            if hasattr(loaded, "add_arguments"):
+                loaded.add_arguments(verb)
+            else:
+                add_options(verb, loaded.OPTIONS)
+                verb.epilog = getattr(loaded, "EPILOG", None)
             if entry.example:
                 verb.epilog = "%s Example: gspn %s" % (verb.epilog or "", entry.example)
             verb.set_defaults(run=loaded.run, parser=verb)

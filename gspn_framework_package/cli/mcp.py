@@ -10,9 +10,9 @@ import sys
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.mcp_server import ModelContextServer
 from gspn_framework_package.cli.mcp_tools import CallLimits, PlanTools
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("folder", "FOLDER", default=".", nargs="?"): (
         "folder of the plans, nets and logs that may be read; nothing outside it is accessible "
         "(default: .)"
@@ -29,11 +29,7 @@ _OPTIONS: Arguments = {
     **MODULES_OPTION,
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = "No tool commands robots, runs a plan or imports a plan's functions."
+EPILOG = "No tool commands robots, runs a plan or imports a plan's functions."
 
 
 def run(args: argparse.Namespace) -> int:

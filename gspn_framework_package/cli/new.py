@@ -8,12 +8,12 @@ import shlex
 from typing import Sequence
 
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.formats.example_plans import ALL_EXAMPLES, copy_example, example_names
 from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import UsageError
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("template", "TEMPLATE", nargs="?"): (
         "one of: %s" % ", ".join(templates.templates_by_name())
     ),
@@ -29,11 +29,6 @@ _OPTIONS: Arguments = {
     "--list": "list the templates and the examples",
     "--json": "print a JSON object",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

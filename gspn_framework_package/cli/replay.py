@@ -5,20 +5,15 @@ from __future__ import annotations
 import argparse
 import os
 
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.serve import ADDRESS_OPTIONS, serve
 from gspn_framework_package.model.errors import InputError
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("log", "LOG"): "an event log (.jsonl), or a rosbag (.bag)",
     Argument("--plan"): "the plan of a rosbag (an event log contains its own)",
     **ADDRESS_OPTIONS,
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,14 +8,14 @@ import json
 import sys
 import time
 
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.team.router import Router, router_access
 from gspn_framework_package.team.zenoh_session import session_config
 
 _LOOK_PERIOD = 1.0
 
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("--listen", "ENDPOINT", default=[], nargs="+"): (
         "where robots connect (default: tls/0.0.0.0:7447 with keys, otherwise tcp/127.0.0.1:7447)"
     ),
@@ -28,15 +28,11 @@ _OPTIONS: Arguments = {
     "--json": "print JSON, a line for each event",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Without keys, anybody who can reach the router can take part in any run. A changed "
-        "team.json in the folder of the keys is applied within a second or two. Exit codes: 0 "
-        "ended by the user, 1 cannot listen, 2 wrong keys or endpoints."
-    )
+EPILOG = (
+    "Without keys, anybody who can reach the router can take part in any run. A changed "
+    "team.json in the folder of the keys is applied within a second or two. Exit codes: 0 "
+    "ended by the user, 1 cannot listen, 2 wrong keys or endpoints."
+)
 
 
 def run(args: argparse.Namespace) -> int:

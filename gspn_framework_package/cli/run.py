@@ -20,7 +20,7 @@ from gspn_framework_package.analysis.preflight.while_running import (
 )
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, add_options
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
 from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.control_socket import ControlSocket, DeployRequest
 from gspn_framework_package.execution.event_log import header
@@ -35,7 +35,7 @@ from gspn_framework_package.model.errors import ExecutionError, RefusedError, Us
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.verdict import obey, verdict
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("--agents", "N", numbers.robots): "run the plan with N agents",
     Argument("--seconds", "S", numbers.duration): "stop after S seconds",
@@ -51,14 +51,10 @@ _OPTIONS: Arguments = {
     "--quiet": "print only faults and the end",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Exit codes: 0 the run completed or reached a given limit, 1 the plan was refused or the "
-        "run was stopped by a failure, 2 not a plan, 130 interrupted."
-    )
+EPILOG = (
+    "Exit codes: 0 the run completed or reached a given limit, 1 the plan was refused or the "
+    "run was stopped by a failure, 2 not a plan, 130 interrupted."
+)
 
 
 def run(args: argparse.Namespace) -> int:

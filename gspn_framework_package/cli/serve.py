@@ -14,7 +14,6 @@ from gspn_framework_package.cli.options import (
     MODULES_OPTION,
     Argument,
     Arguments,
-    add_options,
     repeated,
 )
 from gspn_framework_package.cli.team_client import access_of, way_options
@@ -46,7 +45,7 @@ ADDRESS_OPTIONS: Arguments = {
 }
 """The options of every verb that serves the page."""
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("path", "FOLDER|NET|PLAN", default=".", nargs="?"): (
         "the folder to serve; only plans in this folder can be executed (default: .)"
     ),
@@ -68,11 +67,6 @@ _OPTIONS: Arguments = {
     **MODULES_OPTION,
     **ADDRESS_OPTIONS,
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

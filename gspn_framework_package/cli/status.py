@@ -7,7 +7,7 @@ import json
 import time
 from typing import Any, Dict, List, Optional, Sequence
 
-from gspn_framework_package.cli.options import Arguments, add_options
+from gspn_framework_package.cli.options import Arguments
 from gspn_framework_package.cli.table import aligned
 from gspn_framework_package.cli.team_client import TEAM_OPTIONS, team_client
 from gspn_framework_package.execution.displayed_data import (
@@ -20,19 +20,15 @@ from gspn_framework_package.execution.displayed_data import (
 _COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
 
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     **TEAM_OPTIONS,
     "--data": "also print data, tasks and held events",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Each node reports on its own robot; the others report on a robot whose node does not "
-        "answer. Exit codes: 0 every node answers and has a quorum, 1 otherwise, or no team found."
-    )
+EPILOG = (
+    "Each node reports on its own robot; the others report on a robot whose node does not "
+    "answer. Exit codes: 0 every node answers and has a quorum, 1 otherwise, or no team found."
+)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,11 +6,11 @@ import argparse
 import json
 import os
 
-from gspn_framework_package.cli.options import Argument, Arguments, add_options
+from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.execution.event_log import DamagedLogError, log_files, read_log
 from gspn_framework_package.execution.verifier import Verdict, Violation, verify
 
-_OPTIONS: Arguments = {
+OPTIONS: Arguments = {
     Argument("logs", "LOG", nargs="+"): "event logs of one run, or a folder of them",
     "--settled": (
         "nothing was pending at the end of the run, so that a proposal missing from the log is a "
@@ -20,14 +20,9 @@ _OPTIONS: Arguments = {
     "--json": "print the verdict as one JSON object",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
-    parser.epilog = (
-        "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), "
-        "2 not logs of one run."
-    )
+EPILOG = (
+    "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), 2 not logs of one run."
+)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -336,8 +336,10 @@ def test_references_in_docstrings_lead_somewhere():
 
 #: Public names that several modules bind, with the reason; no other name is bound twice.
 BOUND_TWICE = {
+    "EPILOG": "a verb of the table in cli/main.py has it",
     "FIRINGS_PER_ENTRY": "the kernel imports nothing: numba caches it by its own file alone",
-    "add_arguments": "a verb of the table in cli/main.py has it",
+    "OPTIONS": "a verb of the table in cli/main.py has it",
+    "add_arguments": "a verb of the table in cli/main.py has it, or gives OPTIONS",
     "add_routes": "each module of routes has it",
     "explore": "each engine has it, and state_space/space.py, which chooses among them",
     "from_xml": "the reader of a format of XML",
