@@ -14,8 +14,8 @@ from gspn_framework_package.analysis.simulation.against import BATCH_SECONDS, co
 from gspn_framework_package.analysis.simulation.against_result import Against
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of
+from gspn_framework_package.cli.limits import working_on
 from gspn_framework_package.cli.net_input import NOMINAL, print_notes
-from gspn_framework_package.cli.on import working_on
 from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError

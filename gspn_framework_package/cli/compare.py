@@ -26,8 +26,8 @@ from gspn_framework_package.analysis.monitoring.prediction import (
 from gspn_framework_package.analysis.monitoring.streams import PACES
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on import ON_OPTION
 from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import AttemptFollower

@@ -12,9 +12,8 @@ from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, Pla
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.limits import working
+from gspn_framework_package.cli.limits import ON_OPTION, working
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on import ON_OPTION
 from gspn_framework_package.cli.options import Argument, Arguments, choice
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.execution.event_log import log_files

@@ -1,4 +1,4 @@
-"""Limits of the analysis verbs, and support for interrupting them."""
+"""Limits of the analysis verbs and where they compute, and support for interrupting them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import threading
 from contextlib import contextmanager
 from typing import Callable, Iterator, TypeVar
 
+from gspn_framework_package.analysis.executors import EXECUTOR_FORMS, Executor, open_executor
 from gspn_framework_package.analysis.limits import (
     DEFAULT_MEMORY,
     DEFAULT_SECONDS,
@@ -54,6 +55,13 @@ LIMIT_OPTIONS: Arguments = {
     Argument("--limit-memory", "GB", float): "maximum memory (default %.3g)"
     % (DEFAULT_MEMORY / 1e9),
 }
+
+ON_OPTION: Arguments = {
+    Argument("--on", "EXECUTOR", default="local"): (
+        "where to compute: %s (default %%(default)s); the results are the same" % EXECUTOR_FORMS
+    ),
+}
+"""The executor of long computations."""
 
 
 def limits_of(args: argparse.Namespace) -> Limits:
@@ -120,6 +128,21 @@ def working(
         ) from None
     except CancelledError:
         raise KeyboardInterrupt from None
+
+
+def working_on(
+    on: str,
+    work: Callable[[Progress, Cancel, Executor], _Result],
+    memory: float,
+    option: str = "--limit-memory",
+) -> _Result:
+    """Do long work like :func:`working`, with the executor named by ``on``."""
+
+    def with_executor(progress: Progress, cancel: Cancel) -> _Result:
+        with open_executor(on) as executor:
+            return work(progress, cancel, executor)
+
+    return working(with_executor, memory, option)
 
 
 @contextmanager

@@ -12,9 +12,8 @@ from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimi
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of, pairs
-from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of
+from gspn_framework_package.cli.limits import LIMIT_OPTIONS, ON_OPTION, limits_of, working_on
 from gspn_framework_package.cli.net_input import FITTED, RATES_OPTION, print_notes
-from gspn_framework_package.cli.on import ON_OPTION, working_on
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.formats.plan_file import plan_document, read_plan

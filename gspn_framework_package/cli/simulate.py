@@ -17,8 +17,8 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.against import AGAINST_OPTIONS, refuse_aims, run_against
 from gspn_framework_package.cli.continued import beginning_of, simulate_from
 from gspn_framework_package.cli.continued import notes as continued_notes
+from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
-from gspn_framework_package.cli.on import ON_OPTION
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.simulated_runs import RUN_OPTIONS, asked_in_arguments

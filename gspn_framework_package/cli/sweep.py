@@ -12,9 +12,8 @@ from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint, chosen
 from gspn_framework_package.analysis.sweeps.variation import VARIATION_FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of
+from gspn_framework_package.cli.limits import LIMIT_OPTIONS, ON_OPTION, limits_of, working_on
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
-from gspn_framework_package.cli.on import ON_OPTION, working_on
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.plot import begin_picture, save_picture
 from gspn_framework_package.cli.simulated_runs import RUN_OPTIONS, asked_in_arguments

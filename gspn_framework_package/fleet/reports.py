@@ -113,10 +113,7 @@ def history_report(store: Store, question: Question) -> List[Dict[str, Any]]:
 
 def _refuse_unknown(database: Any, question: Question) -> None:
     for column, names in (("robot", question.robots), ("place", question.places)):
-        known = {
-            name
-            for (name,) in database.execute("SELECT DISTINCT %s FROM totals" % column).fetchall()
-        }
+        known = _distinct(database, column)
         for name in names:
             if known and name not in known:
                 raise UsageError("the store has no %s '%.80s' in this time" % (column, name))
@@ -155,18 +152,16 @@ def known_names(store: Store) -> Dict[str, List[str]]:
     with explained(store.folder):
         database = store.open_tables()
         found = {
-            column + "s": [
-                str(name)
-                for (name,) in database.execute(
-                    "SELECT DISTINCT {0} FROM totals WHERE {0}::VARCHAR <> '' ORDER BY {0}".format(
-                        column
-                    )
-                ).fetchall()
-            ]
+            column + "s": [str(name) for name in _distinct(database, column) if name]
             for column in ("robot", "place", "day")
         }
         database.close()
     return found
+
+
+def _distinct(database: Any, column: str) -> List[Any]:
+    sql = "SELECT DISTINCT {0} FROM totals ORDER BY {0}".format(column)
+    return [name for (name,) in database.execute(sql).fetchall()]
 
 
 class SqlAnswer(NamedTuple):
