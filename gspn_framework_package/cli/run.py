@@ -190,15 +190,13 @@ class _Printer(Listener):
             self._count += 1
             if self._json:
                 self._print(
-                    {
-                        "event": "firing",
-                        "slot": firing.slot,
-                        "index": firing.index,
-                        "transition": firing.transition,
-                        "agent": firing.robot,
-                        "moves": [list(m[:3]) for m in firing.moves],
-                        "marking": self._plan.net.named(firing.marking, zeros=False),
-                    }
+                    "firing",
+                    slot=firing.slot,
+                    index=firing.index,
+                    transition=firing.transition,
+                    agent=firing.robot,
+                    moves=[list(m[:3]) for m in firing.moves],
+                    marking=self._plan.net.named(firing.marking, zeros=False),
                 )
             elif not self._quiet:
                 print("%6d  %s  %s" % (self._count, firing.transition, _moves(firing)), flush=True)
@@ -206,13 +204,13 @@ class _Printer(Listener):
     def on_plan(self, plan: Plan) -> None:
         self._plan = plan
         if self._json:
-            self._print({"event": "plan", "plan": plan.name})
+            self._print("plan", plan=plan.name)
         elif not self._quiet:
             print("        continues under the plan %s" % plan.name, flush=True)
 
     def on_fault(self, agent: str, message: str) -> None:
         if self._json:
-            self._print({"event": "fault", "agent": agent, "message": message})
+            self._print("fault", agent=agent, message=message)
         else:
             who = "agent %s: " % agent if agent else ""
             print("fault: %s%s" % (who, message), file=sys.stderr, flush=True)
@@ -230,22 +228,14 @@ class _Printer(Listener):
         """Print how the run ended; ``broken`` means that an action or the executor itself
         failed."""
         if self._json:
-            self._print(
-                {
-                    "event": "end",
-                    "reason": reason,
-                    "fault": broken,
-                    "firings": self._count,
-                    "seconds": round(seconds, 3),
-                    "marking": marking,
-                }
-            )
+            ended = {"reason": reason, "fault": broken, "firings": self._count}
+            self._print("end", **ended, seconds=round(seconds, 3), marking=marking)
             return
         there = ", ".join("%s: %d" % item for item in marking.items() if item[1])
         print("ended: %s; %d firings in %.1f s; %s" % (reason, self._count, seconds, there))
 
-    def _print(self, data: Dict[str, Any]) -> None:
-        print(json.dumps(data), file=self._out, flush=True)
+    def _print(self, event: str, **data: Any) -> None:
+        print(json.dumps({"event": event, **data}), file=self._out, flush=True)
 
 
 def _moves(firing: Firing) -> str:

@@ -27,15 +27,8 @@ USES = ("acting", "waiting", "paused", "failed", "resting")
 """The uses of time in a stay: its action runs; it waits for a transition; it is paused; its action
 failed for good; it has finished."""
 
-ALARM, _FAILURE, INTERVENTION, INTERRUPT, TASK, JOIN, END = (
-    "alarm",
-    "failure",
-    "intervention",
-    "interrupt",
-    "task",
-    "join",
-    "end",
-)
+ALARM, _FAILURE, INTERVENTION = "alarm", "failure", "intervention"
+INTERRUPT, TASK, JOIN, END = "interrupt", "task", "join", "end"
 """The kinds of moments."""
 
 _ORDERS = {

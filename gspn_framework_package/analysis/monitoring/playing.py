@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Iterable, List, Optional, Tuple
+from typing import Any, Iterable, List, Optional, Tuple
 
 from gspn_framework_package.analysis.monitoring.monitor import Monitor
 from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.attempt import Attempt
+
+_ENDS, _CHOOSES, _BEGINS = range(3)
+"""The order of events of one moment."""
 
 
 def play_to_monitor(
@@ -24,34 +27,22 @@ def play_to_monitor(
     :param began: when the run began, in seconds on the clock of the attempts; the monitor's time
         begins there.
     """
-    events: List[Tuple[float, int, int, Callable[[float], object]]] = []
+    events: List[Tuple[float, int, int, Any]] = []
     for number, attempt in enumerate(attempts):
-        events.append((attempt.start - began, 2, number, _begin(monitor, attempt)))
-        events.append((attempt.end - began, 0, number, _end(monitor, attempt)))
+        events.append((attempt.start - began, _BEGINS, number, attempt))
+        events.append((attempt.end - began, _ENDS, number, attempt))
     for number, choice in enumerate(choices):
-        events.append((choice.at - began, 1, number, _choose(monitor, choice)))
-    events.sort(key=lambda event: event[:3])  # at one moment: ends, then choices, then starts
+        events.append((choice.at - began, _CHOOSES, number, choice))
+    events.sort(key=lambda event: event[:3])
     watch = Watch(progress)
-    for count, (at, _, _, tell) in enumerate(events):
+    for count, (at, kind, _, seen) in enumerate(events):
         monitor.advance(at)
-        tell(at)
+        if kind == _BEGINS:
+            monitor.begin(seen.robot, seen.place, at)
+        elif kind == _CHOOSES:
+            monitor.choose(seen.place, seen.row, seen.chosen, at)
+        else:
+            how = {"completed": seen.completed, "result": seen.result, "failed": seen.failed}
+            monitor.end(seen.robot, at, **how)
         if count % 1024 == 0:
             watch.step("events watched", count)
-
-
-def _begin(monitor: Monitor, attempt: Attempt) -> Callable[[float], object]:
-    return lambda at: monitor.begin(attempt.robot, attempt.place, at)
-
-
-def _end(monitor: Monitor, attempt: Attempt) -> Callable[[float], object]:
-    return lambda at: monitor.end(
-        attempt.robot,
-        at,
-        completed=attempt.completed,
-        result=attempt.result,
-        failed=attempt.failed,
-    )
-
-
-def _choose(monitor: Monitor, choice: Any) -> Callable[[float], object]:
-    return lambda at: monitor.choose(choice.place, choice.row, choice.chosen, at)

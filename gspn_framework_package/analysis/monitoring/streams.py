@@ -15,14 +15,8 @@ finds large ones sooner."""
 ODDS = (2.0, 0.5)
 """Factors of the odds of an outcome that a stream looks for."""
 
-PLACE, ROBOT, TEAM, OUTCOME, FAILURE, CHOICE = (
-    "place",
-    "robot",
-    "team",
-    "outcome",
-    "failure",
-    "choice",
-)
+PLACE, ROBOT, TEAM = "place", "robot", "team"
+OUTCOME, FAILURE, CHOICE = "outcome", "failure", "choice"
 
 PACES = (PLACE, ROBOT, TEAM)
 """The kinds of streams that watch a pace."""

@@ -12,6 +12,7 @@ intervals are tried.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 import numpy as np
@@ -143,10 +144,7 @@ class _Work:
         return Robust(low, high, row_of, corner, rounds)
 
     def _middle(self) -> Floats:
-        factors = self._fixed.copy()
-        for t, (low, high) in self._intervals.items():
-            factors[self._labels == t] = np.sqrt(low * high)
-        return factors
+        return self._shared({t: np.sqrt(low * high) for t, (low, high) in self._intervals.items()})
 
     def _shared(self, corner: Mapping[int, float]) -> Floats:
         factors = self._fixed.copy()
@@ -156,7 +154,7 @@ class _Work:
 
     def _best(self, factors: Floats, start: Optional[Floats] = None) -> Solved:
         return optimum(
-            _with_values(self._automaton, self._automaton.values * factors),
+            replace(self._automaton, values=self._automaton.values * factors),
             self._aim,
             self._rewards,
             maximise=self._maximise,
@@ -253,19 +251,6 @@ class _Game(NamedTuple):
     automaton: Automaton
     owners: Indices
     arcs: Indices
-
-
-def _with_values(automaton: Automaton, values: Floats) -> Automaton:
-    return Automaton(
-        automaton.tangible,
-        automaton.rows,
-        automaton.arcs,
-        automaton.targets,
-        values,
-        automaton.fired,
-        automaton.choices,
-        automaton.initial,
-    )
 
 
 def _corners(
