@@ -188,17 +188,9 @@ def _table(report: FitReport) -> List[str]:
         if found.failure is not None:
             shares.append(("failure", found.failure))
         for name, share in shares:
-            lines.append(
-                "%s: %s %d of %d: %.3g (%.3g to %.3g)"
-                % (
-                    place,
-                    name or "no transition named",
-                    share.seen,
-                    share.total,
-                    share.probability,
-                    *share.interval,
-                )
-            )
+            counted = share.seen, share.total, share.probability, *share.interval
+            what = place, name or "no transition named"
+            lines.append("%s: %s %d of %d: %.3g (%.3g to %.3g)" % (*what, *counted))
     for name, event in report.rates.items():
         lines.append(
             "%s: %d firings, %.4g/s (%.4g to %.4g)"

@@ -130,13 +130,7 @@ def _report(args: argparse.Namespace) -> int:
     return 0
 
 
-_HEADS = {
-    "acting_s": "acting h",
-    "waiting_s": "waiting h",
-    "paused_s": "paused h",
-    "failed_s": "failed h",
-    "resting_s": "resting h",
-}
+_HEADS = {use + "_s": use + " h" for use in ("acting", "waiting", "paused", "failed", "resting")}
 
 
 def _shown(row: Dict[str, Any]) -> List[str]:

@@ -72,16 +72,8 @@ class PointStore:
         try:
             if self._file is None:
                 self._file = self._opened()
-            self._file.write(
-                json.dumps(
-                    {
-                        "key": point.key,
-                        "replications": point.replications,
-                        "measures": point.measures,
-                    }
-                )
-                + "\n"
-            )
+            counted = {"replications": point.replications, "measures": point.measures}
+            self._file.write(json.dumps({"key": point.key, **counted}) + "\n")
             self._file.flush()
         except OSError as error:
             raise InputError(

@@ -87,13 +87,9 @@ def history_report(store: Store, question: Question) -> List[Dict[str, Any]]:
     groups = ", ".join(question.by)
     seconds = ", ".join("sum(%s_ms) / 1000.0" % use for use in USES)
     counts = ", ".join("sum(%s)::BIGINT" % name for name in _COUNTS)
-    sql = "SELECT %s, sum(visits)::BIGINT, %s, %s FROM totals WHERE %s GROUP BY %s ORDER BY %s" % (
-        groups,
-        seconds,
-        counts,
-        where,
-        groups,
-        groups,
+    sql = (
+        f"SELECT {groups}, sum(visits)::BIGINT, {seconds}, {counts} "
+        f"FROM totals WHERE {where} GROUP BY {groups} ORDER BY {groups}"
     )
     with explained(store.folder):
         database = store.open_tables(question.days)

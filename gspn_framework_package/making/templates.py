@@ -203,12 +203,8 @@ def _patrol(title: str, robots: int, places: Sequence[str]) -> _Draft:
             for what, seconds in (("Go_", 4.0), ("Look_", 2.0))
         },
     }
-    return _Draft(
-        net.build(),
-        plan,
-        {"places": counted, "rows": rows},
-        {"first": repr(places[0]), "second": repr(places[1]), "list": ", ".join(places)},
-    )
+    words = {"first": repr(places[0]), "second": repr(places[1]), "list": ", ".join(places)}
+    return _Draft(net.build(), plan, {"places": counted, "rows": rows}, words)
 
 
 def _inspect(title: str, robots: int, places: Sequence[str]) -> _Draft:
@@ -242,10 +238,8 @@ def _inspect(title: str, robots: int, places: Sequence[str]) -> _Draft:
             position=_at(6, row + 1),
         )  # fmt: skip
         actions[go] = _takes(4.0)
-        actions[look] = {
-            "function": "actions.Inspect",
-            "settings": {"seconds": 2.0, "often": 0.2},
-        }
+        often = {"seconds": 2.0, "often": 0.2}
+        actions[look] = {"function": "actions.Inspect", "settings": often}
         actions[tell] = _takes(1.0)
         for where, seconds in ((go, 4.0), (look, 2.0), (tell, 1.0)):
             durations[where] = _lasts(seconds)
@@ -273,16 +267,10 @@ def _inspect(title: str, robots: int, places: Sequence[str]) -> _Draft:
         "durations": durations,
         "outcomes": outcomes,
     }
-    return _Draft(
-        net.build(),
-        plan,
-        {"places": due_places, "rows": rows},
-        {
-            "first": repr(places[0]),
-            "places": repr(list(places)),
-            "list": ", ".join(places),
-        },
-    )
+    policy = {"places": due_places, "rows": rows}
+    first, names = repr(places[0]), ", ".join(places)
+    words = {"first": first, "places": repr(list(places)), "list": names}
+    return _Draft(net.build(), plan, policy, words)
 
 
 def _deliver(title: str, robots: int, places: Sequence[str]) -> _Draft:

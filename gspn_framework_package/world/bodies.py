@@ -108,13 +108,9 @@ def make_solid(client: Any, solid: Obstacle) -> None:
         look = client.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba(solid.color)
         )
-    client.createMultiBody(
-        0,
-        shape,
-        look,
-        [solid.at[0], solid.at[1], solid.height / 2],
-        pybullet.getQuaternionFromEuler([0, 0, yaw]),
-    )
+    middle = [*solid.at, solid.height / 2]
+    turned = pybullet.getQuaternionFromEuler([0, 0, yaw])
+    client.createMultiBody(0, shape, look, middle, turned)
 
 
 AWAY = (0.0, 0.0, -10.0)

@@ -148,16 +148,10 @@ class Physics:
 
         While awake, Bullet's contacts creep by a millimetre in a few seconds.
         """
-        modes = (
-            [self._client.ACTIVATION_STATE_ENABLE_SLEEPING]
-            if body.rests
-            else [
-                self._client.ACTIVATION_STATE_WAKE_UP,
-                self._client.ACTIVATION_STATE_DISABLE_SLEEPING,
-            ]
-        )
-        for mode in modes:
-            self._client.changeDynamics(body.unique_id, -1, activationState=mode)
+        client = self._client
+        modes = [client.ACTIVATION_STATE_WAKE_UP, client.ACTIVATION_STATE_DISABLE_SLEEPING]
+        for mode in [client.ACTIVATION_STATE_ENABLE_SLEEPING] if body.rests else modes:
+            client.changeDynamics(body.unique_id, -1, activationState=mode)
 
     def show(self, robot: str, pose: Pose) -> None:
         """Place a robot at a pose, for pictures of a recorded run; a simulation never does this."""

@@ -596,15 +596,10 @@ class _Grouping:
         states = np.unique(self._state[entries]).tolist()
         rows: Dict[int, List[Tuple[int, int, float, float]]] = {s: [] for s in states}
         index = {pair: i for i, pair in enumerate(pairs)}
-        for e in entries.tolist():
-            rows[int(self._state[e])].append(
-                (
-                    index[int(self._pair[e])],
-                    int(self._transition[e]),
-                    float(self._robots[e]),
-                    float(worth[self._row[e]]),
-                )
-            )
+        arrays = self._state, self._pair, self._transition, self._robots
+        listed = [array[entries].tolist() for array in arrays]
+        for s, pair, t, robots, value in zip(*listed, worth[self._row[entries]].tolist()):
+            rows[s].append((index[pair], t, robots, value))
 
         def total(way: Sequence[int]) -> float:
             whole = 0.0

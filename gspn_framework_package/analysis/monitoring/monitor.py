@@ -272,17 +272,9 @@ class Monitor:
         if test is None or not test.count(row, chosen, now):
             return []
         transition, observed, expected = test.largest
-        alarm = Alarm(
-            CHOICE,
-            place,
-            "",
-            transition,
-            now,
-            test.since,
-            "more often" if observed > expected else "less often",
-            observed,
-            expected,
-        )
+        direction = "more often" if observed > expected else "less often"
+        about = CHOICE, place, "", transition
+        alarm = Alarm(*about, now, test.since, direction, observed, expected)
         self._choice_streams[place].alarms.append(alarm)
         self.alarms.append(alarm)
         return [alarm]
@@ -356,17 +348,12 @@ class Monitor:
         if not robot and len(self._robots) > 1:
             robot = _outstanding(seen, direction, lambda f: f.robot)
         chosen = [f for f in seen if place in ("", f.place) and robot in ("", f.robot)] or seen
-        alarm = Alarm(
-            stream.kind,
-            place,
-            robot,
-            "",
-            now,
-            s.since,
-            direction,
-            sum(f.seconds for f in chosen) / len(chosen) if chosen else None,
-            sum(f.expected for f in chosen) / len(chosen) if chosen else None,
-        )
+        observed = expected = None
+        if chosen:
+            observed = sum(f.seconds for f in chosen) / len(chosen)
+            expected = sum(f.expected for f in chosen) / len(chosen)
+        about = stream.kind, place, robot, ""
+        alarm = Alarm(*about, now, s.since, direction, observed, expected)
         stream.alarms.append(alarm)
         self.alarms.append(alarm)
         return alarm

@@ -217,17 +217,10 @@ class ShareStream(Stream):
                 if not s.on:
                     s.on = True
                     hits, trials = s.totals
-                    alarm = Alarm(
-                        self.kind,
-                        self.place,
-                        "",
-                        self.transition,
-                        now,
-                        s.since,
-                        "more often" if chart.odds > 1 else "less often",
-                        (self._hits - hits) / (self._trials - trials),
-                        self.chance,
-                    )
+                    about = self.kind, self.place, "", self.transition
+                    direction = "more often" if chart.odds > 1 else "less often"
+                    share = (self._hits - hits) / (self._trials - trials)
+                    alarm = Alarm(*about, now, s.since, direction, share, self.chance)
                     self.alarms.append(alarm)
                     raised.append(alarm)
         return raised

@@ -228,14 +228,9 @@ def polished(
         return found, np.full(size, rounding)
     if order is not None:
         place, matrix = _in_order(matrix, order)
-        there, errors = polished(
-            matrix,
-            diagonal[order],
-            None if rhs is None else rhs[order],
-            found._replace(values=found.values[order]),
-            None,
-            watch,
-        )
+        rhs = None if rhs is None else rhs[order]
+        found = found._replace(values=found.values[order])
+        there, errors = polished(matrix, diagonal[order], rhs, found, None, watch)
         return there._replace(values=there.values[place]), errors[place]
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
     sweep = sweeper(matrix, diagonal, constant, False)
@@ -282,13 +277,8 @@ def _swept_in_order(
     if order is None:
         return _swept(matrix, diagonal, rhs, backward, watch)
     place, sorted_matrix = _in_order(matrix, order)
-    found = _swept(
-        sorted_matrix,
-        diagonal[order],
-        None if rhs is None else rhs[order],
-        backward,
-        watch,
-    )
+    sorted_rhs = None if rhs is None else rhs[order]
+    found = _swept(sorted_matrix, diagonal[order], sorted_rhs, backward, watch)
     return found._replace(values=found.values[place])
 
 

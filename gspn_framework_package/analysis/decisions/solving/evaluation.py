@@ -102,17 +102,9 @@ def evaluate_policy(
         raise
     sojourn, flow = flows(automaton, aim, weights, goal=goal, discount=discount, watch=watch)
     row_values = _row_values(automaton, aim, rewards, goal, solved.values)
-    return Evaluated(
-        0.5 * (solved.lower + solved.upper),
-        solved.lower,
-        solved.upper,
-        solved.values,
-        row_values,
-        solved.gains,
-        flow,
-        sojourn,
-        solved.method,
-    )
+    values, gains = solved.values, solved.gains
+    bounds = 0.5 * (solved.lower + solved.upper), solved.lower, solved.upper
+    return Evaluated(*bounds, values, row_values, gains, flow, sojourn, solved.method)
 
 
 class Followed(NamedTuple):
