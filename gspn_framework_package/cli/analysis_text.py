@@ -21,14 +21,9 @@ TIMED = ("steady_state", "transient", "time_to_steady_state", "mean_time_to")
 
 def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of a report (see :mod:`~gspn_framework_package.analysis.report`)."""
-    yield "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
-        data["kind"],
-        data["name"] or "without a name",
-        data["places"],
-        data["transitions"],
-        data["arcs"],
-        data["tokens"],
-    )
+    called = data["kind"], data["name"] or "without a name"
+    sizes = [data[key] for key in ("places", "transitions", "arcs", "tokens")]
+    yield "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (*called, *sizes)
     if "conservative" in data:
         yield from _structure_text(data)
         yield from _titled_text(data, Part.STRUCTURE)
@@ -48,16 +43,11 @@ def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield "    throughput (1/s) %s" % _map(entry["throughput"])
     for entry in data.get("mean_time_to") or ():
         if entry:
-            yield "mean time to %s: %s s, probability %s" % (
-                entry["condition"],
-                _number(entry["mean_time"]),
-                _number(entry["probability"]),
-            )
+            found = entry["condition"], _number(entry["mean_time"]), _number(entry["probability"])
+            yield "mean time to %s: %s s, probability %s" % found
             for within in entry["within"]:
-                yield "    within %g s with probability %s" % (
-                    within["time"],
-                    _number(within["probability"]),
-                )
+                chance = _number(within["probability"])
+                yield "    within %g s with probability %s" % (within["time"], chance)
     yield from _undecided_text(data)
 
 
@@ -118,10 +108,8 @@ def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
         found = data[key]
         yield "minimal %s: %s" % (key, "not decided" if found is None else len(found))
         for entry in (found or [])[:_SHOWN]:
-            yield "    %s%s" % (
-                ", ".join(entry["places"]),
-                "" if entry["marked"] else " (unmarked)",
-            )
+            unmarked = "" if entry["marked"] else " (unmarked)"
+            yield "    %s%s" % (", ".join(entry["places"]), unmarked)
         yield from _more(found)
     if data["unmarked_siphon"]:
         yield "never marked: %s" % _some(data["unmarked_siphon"])
@@ -212,11 +200,9 @@ def _timing_text(timing: Mapping[str, Any]) -> Iterator[str]:
 
 def _reach_text(entry: Any, word: str) -> Iterator[str]:
     if entry:
-        way = (
-            ""
-            if entry["witness"] is None
-            else ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
-        )
+        way = ""
+        if entry["witness"] is not None:
+            way = ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
 
 
@@ -224,9 +210,8 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     yield "steady state (%s, residual %.1e):" % (steady["method"], steady["residual"])
     if steady["component_count"] != 1:
         for part in steady["components"]:
-            kind = "a recurrent class of %s states, most of the time in" % format(
-                part["states"], ","
-            )
+            size = format(part["states"], ",")
+            kind = "a recurrent class of %s states, most of the time in" % size
             if part["states"] == 1:
                 kind = "the deadlock" if part["deadlock"] else "one state for good:"
             elif part["alike"] != 1:
@@ -234,13 +219,10 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
                     "some recurrent class"
                     if part["alike"] is None
                     else "one of %s deadlocks" % format(part["alike"], ","),
-                    format(part["states"], ","),
+                    size,
                 )
-            yield "    with probability %s it ends in %s (%s)" % (
-                _number(part["probability"]),
-                kind,
-                _map(part["marking"]),
-            )
+            ends = _number(part["probability"]), kind, _map(part["marking"])
+            yield "    with probability %s it ends in %s (%s)" % ends
         others = (steady["component_count"] or 0) and (
             steady["component_count"] - sum(part["alike"] for part in steady["components"])
         )
@@ -254,11 +236,8 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
             )
     yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
     for place, mean in steady["mean_tokens"].items():
-        yield "    %-32s %14s %14s" % (
-            place,
-            _number(mean),
-            _number(steady["mean_waiting_time"][place]),
-        )
+        wait = steady["mean_waiting_time"][place]
+        yield "    %-32s %14s %14s" % (place, _number(mean), _number(wait))
     yield "    %-32s %14s" % ("transition", "throughput 1/s")
     for transition, value in steady["throughput"].items():
         yield "    %-32s %14s" % (transition, _number(value))

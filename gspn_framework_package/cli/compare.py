@@ -203,13 +203,8 @@ def _compare(
     spans = [
         Span(r.observer.start_of(plan), r.observer.seconds, r.observer.came and ends) for r in runs
     ]
-    sample = predict(
-        spans,
-        replications=args.replications,
-        seed=args.seed,
-        progress=progress,
-        on=executor,
-    )
+    asked = {"replications": args.replications, "seed": args.seed}
+    sample = predict(spans, **asked, progress=progress, on=executor)
     comparison = compare(plan, sample, _observed(runs))
     paces = expected_paces(plan, sample)
     monitors = [_watch(plan, r, paces, args.alarm_every, progress) for r in runs]
@@ -268,18 +263,11 @@ def _text(result: _Result) -> Iterator[str]:
             name = " ".join(p for p in (stream.kind, stream.place, stream.robot) if p)
             if stream.transition:
                 name += ": " + stream.transition
-            yield "%-44s %11.2f  %11.2f%s" % (
-                name,
-                nearest.value,
-                nearest.threshold,
-                "  ALARM after %.1f s" % stream.alarms[0].at if stream.alarms else "",
-            )
+            raised = "  ALARM after %.1f s" % stream.alarms[0].at if stream.alarms else ""
+            yield "%-44s %11.2f  %11.2f%s" % (name, nearest.value, nearest.threshold, raised)
         for alarm in monitor.alarms:
-            yield "ALARM after %.1f s, since about %.1f s: %s" % (
-                alarm.at,
-                max(alarm.since, 0.0),
-                alarm.describe(),
-            )
+            told = alarm.at, max(alarm.since, 0.0), alarm.describe()
+            yield "ALARM after %.1f s, since about %.1f s: %s" % told
     yield ""
     yield "all thresholds together: one false alarm in %s" % _long(result.alarm_every)
     outside = sum(not m.inside for m in result.comparison.measures)

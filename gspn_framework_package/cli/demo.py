@@ -161,10 +161,8 @@ class _Demo:
             signal.signal(number, lambda *_: self._interrupt())
         where = ""
         if self._room:
-            where = " in %s, up to %g times real time" % (
-                os.path.basename(self._room.world),
-                WORLD_SPEED,
-            )
+            world = os.path.basename(self._room.world)
+            where = " in %s, up to %g times real time" % (world, WORLD_SPEED)
         print("%s: %d robots%s, run %s" % (self._plan.name, len(robots), where, self._run))
         address = "http://127.0.0.1:%d/" % self._port
         print("the page: %s" % address, flush=True)

@@ -452,12 +452,10 @@ class _Reader:
 
     def _add(self, node: MapNode, where: List[KeyOrIndex]) -> None:
         if node.name in self._nodes:
+            hint = "if the file has several pointsets, make a separate map of each"
+            several = len(self._pointsets) > 1
             raise self._document.error(
-                "the node '%s' is there twice" % node.name,
-                where,
-                "if the file has several pointsets, make a separate map of each"
-                if len(self._pointsets) > 1
-                else "",
+                "the node '%s' is there twice" % node.name, where, hint if several else ""
             )
         if len(self._nodes) >= MOST_MAP_NODES:
             raise self._document.error("a map may have %d nodes" % MOST_MAP_NODES, where)

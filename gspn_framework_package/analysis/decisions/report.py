@@ -190,16 +190,9 @@ class Report:
         lines = ["aim: %s" % objective.describe()]
         lines += self._values()
         lines += [_costs(constraint) for constraint in self.constraints]
-        lines.append(
-            "policy: %d row%s%s"
-            % (
-                self.rows,
-                "" if self.rows == 1 else "s",
-                "; in %d cases robots in another place decide first" % self.silent
-                if self.silent
-                else "",
-            )
-        )
+        others = "; in %d cases robots in another place decide first" % self.silent
+        rows = "%d row%s" % (self.rows, "" if self.rows == 1 else "s")
+        lines.append("policy: " + rows + (others if self.silent else ""))
         lines += self._differences()
         lines += self._sensitive()
         if self.simulation is not None:
@@ -265,12 +258,8 @@ def _costs(constraint: ConstraintResult) -> str:
     cost = "not known" if constraint.price is None else "%.6g" % constraint.price
     if constraint.value is None or constraint.bound is None:
         return "never %s: it costs %s" % (constraint.name, cost)
-    return "%s: %.9g, at least %g; it costs %s per unit" % (
-        constraint.name,
-        constraint.value,
-        constraint.bound,
-        cost,
-    )
+    kept = constraint.name, constraint.value, constraint.bound
+    return "%s: %.9g, at least %g; it costs %s per unit" % (*kept, cost)
 
 
 def _shown(choice: MarkingChoice) -> str:

@@ -144,27 +144,16 @@ def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
     signs = changes.positive
     changed = meetings(changes)
     readers, inhibited = incidence.flatten(net.inputs), incidence.flatten(net.inhibitors)
-    taken = np.isin(meetings(readers), changed[~signs])  # another reader takes tokens
-    fed = np.isin(meetings(inhibited), changed[signs])
-    feeding = np.isin(changed, meetings(inhibited)) & signs
+    read, blocked = meetings(readers), meetings(inhibited)
+    taken = np.isin(read, changed[~signs])  # another reader takes tokens
+    fed = np.isin(blocked, changed[signs])
+    feeding = np.isin(changed, blocked) & signs
     # Transitions in conflict are connected through a node for the conflict.
-    transitions = np.concatenate(
-        [
-            readers.transitions[taken],
-            inhibited.transitions[fed],
-            changes.transitions[feeding],
-        ]
-    )
+    ends = readers.transitions[taken], inhibited.transitions[fed], changes.transitions[feeding]
     count = len(net.transitions)
-    nodes = np.concatenate(
-        [
-            2 * meetings(readers)[taken],
-            2 * meetings(inhibited)[fed] + 1,
-            2 * changed[feeding] + 1,
-        ]
-    )
-    met, nodes = np.unique(nodes, return_inverse=True)
-    found = components(count + len(met), *_both_ways(transitions, count + nodes))
+    through = 2 * read[taken], 2 * blocked[fed] + 1, 2 * changed[feeding] + 1
+    met, nodes = np.unique(np.concatenate(through), return_inverse=True)
+    found = components(count + len(met), *_both_ways(np.concatenate(ends), count + nodes))
     sets: Dict[int, List[int]] = {}
     for t, component in enumerate(found.of[:count].tolist()):
         sets.setdefault(component, []).append(t)

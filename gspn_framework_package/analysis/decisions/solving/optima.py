@@ -193,16 +193,10 @@ class _Work:
                 hint="ask for a wider interval",
             )
         lower, upper = (low, high) if self._maximise else (-high, -low)
-        return Solved(
-            lower + 0.0,
-            upper + 0.0,
-            chosen,
-            sign * values,
-            sign * row_values,
-            None if gains is None else sign * gains,
-            method,
-            rounds,
-        )
+        values, row_values = sign * values, sign * row_values
+        gains = None if gains is None else sign * gains
+        bounds = lower + 0.0, upper + 0.0
+        return Solved(*bounds, chosen, values, row_values, gains, method, rounds)
 
     # -- discounted --------------------------------------------------------------------------------
 
