@@ -105,14 +105,8 @@ def _report(args: argparse.Namespace) -> int:
     from gspn_framework_package.fleet.reports import Question, history_report
     from gspn_framework_package.fleet.store import Store
 
-    question = Question(
-        tuple(args.by.split(",")),
-        args.since,
-        args.until,
-        tuple(args.robot),
-        tuple(args.place),
-        tuple(args.run_key),
-    )
+    only = tuple(args.robot), tuple(args.place), tuple(args.run_key)
+    question = Question(tuple(args.by.split(",")), args.since, args.until, *only)
     rows = history_report(Store(args.store), question)
     if args.json:
         print(json.dumps({**question._asdict(), "rows": rows}))

@@ -53,23 +53,18 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
     for run_name in sorted({status["run"] for status in known}):
         of_run = [status for status in known if status["run"] == run_name]
         longest = max(of_run, key=lambda status: int(status["log_length"]))
-        print(
-            "run %s, %s synchronisation%s%s"
-            % (
-                run_name,
-                longest["synchronisation"],
-                ", paused" if longest["paused"] else "",
-                ", over: %s" % longest["ended"] if longest["ended"] else "",
-            )
-        )
+        paused = ", paused" if longest["paused"] else ""
+        over = ", over: %s" % longest["ended"] if longest["ended"] else ""
+        told = run_name, longest["synchronisation"], paused + over
+        print("run %s, %s synchronisation%s" % told)
         rows: List[Sequence[str]] = [_COLUMNS]
         for robot in longest["robots"]:
             own = next((s for s in of_run if s["robot"] == robot["robot"]), None)
             rows.append(_row(robot, own))
         named = {robot["robot"] for robot in longest["robots"]}
         rows += [_row_of_unknown(s) for s in of_run if s["robot"] not in named]
-        told = [*data_lines(longest), *order_lines(of_run), *refusal_lines(of_run)]
-        for line in [*aligned(rows), *told]:
+        more = [*data_lines(longest), *order_lines(of_run), *refusal_lines(of_run)]
+        for line in [*aligned(rows), *more]:
             print("  " + line)
     for namespace in sorted(n for n, status in statuses.items() if status is None):
         print("the node in %s does not answer" % namespace)

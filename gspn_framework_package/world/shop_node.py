@@ -54,13 +54,8 @@ class ShopNode:
             for name in robots
         }
         for name in robots:
-            rospy.Subscriber(
-                "/%s/amcl_pose" % name,
-                PoseWithCovarianceStamped,
-                self._on_pose,
-                name,
-                queue_size=1,
-            )
+            topic, kind = "/%s/amcl_pose" % name, PoseWithCovarianceStamped
+            rospy.Subscriber(topic, kind, self._on_pose, name, queue_size=1)
         self._told = 0.0
 
     def _on_pose(self, message: Any, robot: str) -> None:

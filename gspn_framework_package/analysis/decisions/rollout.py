@@ -180,17 +180,9 @@ def _improved(search: _Search, rounds: int) -> Rollout:
             "one, but its distance from the optimum is unknown" % (done, "" if done == 1 else "s")
         )
     notes += found.notes
-    return Rollout(
-        policy,
-        found.old,
-        found.new if improved else found.old,
-        found.difference if improved else Measured(0.0, 0.0, 0.0),
-        improved,
-        rows,
-        done,
-        found,
-        notes,
-    )
+    new = found.new if improved else found.old
+    difference = found.difference if improved else Measured(0.0, 0.0, 0.0)
+    return Rollout(policy, found.old, new, difference, improved, rows, done, found, notes)
 
 
 class _Visit(NamedTuple):
