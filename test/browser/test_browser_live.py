@@ -240,7 +240,10 @@ def test_the_age_of_the_last_event_is_reported_and_the_end_of_all_events(told, o
     )
     page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('not heard yet')")
     assert page.inner_text(".robot-card[data-robot='robot_1'] .since") == ""
-    lanes = "() => { const { line, model } = window.gspn.page; return line.segments(model.board.t, model.board.t + 9).get('robot_1').parts; }"
+    lanes = (
+        "async () => { const { lanesOf } = await import('/static/js/course.js'); const { model } = window.gspn;"
+        " return lanesOf(model, model.board.t, model.board.t + 9).get('robot_1').parts; }"
+    )
     assert page.evaluate(lanes) == []
     told.told.hub.publish(
         {"k": "status", "status": {"running": True}},

@@ -236,7 +236,10 @@ def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_inve
     page.wait_for_function(
         "() => window.gspn.model.board.n === 9000 && window.gspn.model.base?.n < 9000 && !window.gspn.model.fetching"
     )
-    lanes = page.evaluate("() => Object.fromEntries(window.gspn.page.line.segments(8, 18))")
+    lanes = page.evaluate(
+        "async () => { const { lanesOf } = await import('/static/js/course.js');"
+        " return Object.fromEntries(lanesOf(window.gspn.model, 8, 18)); }"
+    )
     assert lanes["robot_2"]["parts"] == [[8, 18, "here", "done"]]
     known = page.evaluate("() => window.gspn.model.base.t")
     first = lanes["robot_1"]["parts"][0]

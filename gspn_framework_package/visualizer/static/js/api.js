@@ -1,6 +1,6 @@
 // Requests to this page's server, and the stream of news: server-sent events, or polling if they are not available.
 
-export class ApiError extends Error {
+class ApiError extends Error {
   /** `data`: the rest of the server's answer: `fields` (name -> what is wrong with it), `exists`. */
   constructor(message, status, data = {}) {
     super(message);
@@ -9,22 +9,7 @@ export class ApiError extends Error {
   }
 }
 
-async function answerOf(response) {
-  let data = {};
-  try {
-    data = await response.json();
-  } catch {
-    if (response.ok) throw new ApiError("the server's answer cannot be read", response.status);
-  }
-  if (!response.ok)
-    throw new ApiError(
-      data.error || `the server answered ${response.status}`,
-      response.status,
-      data,
-    );
-  return data;
-}
-
+/** Send a request; resolves to the response if it was successful. */
 async function request(path, query, options) {
   const text = new URLSearchParams(query).toString();
   const address = `/api/${path}${text ? `?${text}` : ""}`;
@@ -34,18 +19,30 @@ async function request(path, query, options) {
   } catch {
     throw new ApiError("the server does not answer", 0);
   }
-  return answerOf(response);
+  if (response.ok) return response;
+  const data = await response.json().catch(() => ({}));
+  const message = data.error || `the server answered ${response.status}`;
+  throw new ApiError(message, response.status, data);
 }
 
-export const get = (path, query = {}, options = {}) => request(path, query, options);
+async function answerOf(sent) {
+  const response = await sent;
+  return response.json().catch(() => {
+    throw new ApiError("the server's answer cannot be read", response.status);
+  });
+}
 
-export function post(path, body = {}, query = {}) {
-  return request(path, query, {
+/** Post a request whose answer is a file; resolves to the response. */
+export const send = (path, body = {}, query = {}) =>
+  request(path, query, {
     method: "POST",
     headers: { "Content-Type": "application/json", "X-Gspn-Page": "1" },
     body: JSON.stringify(body),
   });
-}
+
+export const get = (path, query = {}, options = {}) => answerOf(request(path, query, options));
+
+export const post = (path, body, query) => answerOf(send(path, body, query));
 
 const SILENCE = 8000; // ms without even a ping after which the stream is considered dead
 const POLL = 500; // ms between polls

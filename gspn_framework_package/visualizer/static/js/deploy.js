@@ -1,6 +1,6 @@
 // Deploying: the changes that another plan makes in a running team, the confirmation, the votes and the outcome.
 
-import { h, ask, cancelOr, plural } from "./dom.js";
+import { h, ask, cancelOr, labelled, menu, plural } from "./dom.js";
 import { get, post } from "./api.js";
 import { changeList } from "./edit/diff_view.js";
 
@@ -12,14 +12,13 @@ const DROPPED = "\u0000"; // not a valid name; stands for "drop the tokens of th
 function mappingForm({ gone, names }) {
   if (!gone.length) return { element: null, read: () => ({}) };
   const fields = gone.map(({ name, kind }, index) => {
-    const select = h(
-      "select",
-      { id: `dp-map-${index}`, "data-name": name },
-      h("option", { value: "", text: "is gone" }),
-      kind === "resource place" && h("option", { value: DROPPED, text: "drop its tokens" }),
-      (names[kind] || []).map((to) => h("option", { value: to, text: `is now ${to}` })),
-    );
-    return { name, select, row: [h("label", { for: select.id, text: `${kind} ${name}` }), select] };
+    const choices = [
+      ["", "is gone"],
+      ...(kind === "resource place" ? [[DROPPED, "drop its tokens"]] : []),
+      ...(names[kind] || []).map((to) => [to, `is now ${to}`]),
+    ];
+    const select = menu(choices, { id: `dp-map-${index}`, "data-name": name });
+    return { name, select, row: labelled(`${kind} ${name}`, select) };
   });
   const read = () =>
     Object.fromEntries(

@@ -1,13 +1,13 @@
 // A fleet's history: what months of logs show about robots, places and days, with a link to the replay of each moment.
 
-import { $, h, s, attempt, number, plural } from "./dom.js";
+import { $, h, s, attempt, menu, number, plural } from "./dom.js";
 import { get } from "./api.js";
 import { curvePlot, CURVES } from "./plot.js";
 
 /** The address of this screen; "history-" and a key is that of the replay of a run. */
 export const HISTORY = "history";
 
-const GROUPS = { robot: "robot", place: "place", day: "day" };
+const GROUPS = ["robot", "place", "day"];
 const KINDS = { failure: "failure", alarm: "alarm", intervention: "order", wait: "long wait" };
 const COLUMNS = [
   ["visits", "Visits", (row) => number(row.visits)],
@@ -57,22 +57,16 @@ function filters(names, changed) {
     };
     return h("label", `${label} `, control);
   };
-  const choice = (values, all) =>
-    h(
-      "select",
-      all && h("option", { value: "", text: all }),
-      values.map((value) => h("option", { value, text: value })),
-    );
   const [first, last] = [names.days[0], names.days[names.days.length - 1]];
   const date = () => h("input", { type: "date", min: first, max: last });
   return h(
     "form.fleet-form",
     { onsubmit: (event) => event.preventDefault() },
-    field("by", "A row for each", choice(Object.keys(GROUPS))),
+    field("by", "A row for each", menu(GROUPS)),
     field("since", "From", date()),
     field("until", "to", date()),
-    field("robot", "Robot", choice(names.robots, "all")),
-    field("place", "Place", choice(names.places, "all")),
+    field("robot", "Robot", menu([["", "all"], ...names.robots])),
+    field("place", "Place", menu([["", "all"], ...names.places])),
   );
 }
 
@@ -163,7 +157,7 @@ function table({ rows, left_out: leftOut }) {
         "thead",
         h(
           "tr",
-          h("th", { scope: "col", text: GROUPS[group] }),
+          h("th", { scope: "col", text: group }),
           h("th", { scope: "col", text: "Use" }),
           COLUMNS.map(([, head]) => h("th", { scope: "col", text: head })),
         ),

@@ -38,28 +38,26 @@ const SYMBOLS = [
   ["number on an arc", "its weight, if it is not 1"],
 ];
 
+/** A table without heads. */
+const plain = (rows) => {
+  const cells = (row) => row.map((cell) => h("td", cell));
+  return h(
+    "table",
+    h(
+      "tbody",
+      rows.map((row) => h("tr", cells(row))),
+    ),
+  );
+};
+
 /** Show the keys of the page, or those of its editor. */
 export function showHelp(editing = false) {
   return ask(
     "Keys and symbols",
     [
-      h(
-        "table",
-        h(
-          "tbody",
-          (editing ? EDIT_KEYS : TABLE).map(([key, says]) =>
-            h("tr", h("td", h("kbd", key)), h("td", says)),
-          ),
-        ),
-      ),
+      plain((editing ? EDIT_KEYS : TABLE).map(([key, says]) => [h("kbd", key), says])),
       h("h3", "In the net"),
-      h(
-        "table",
-        h(
-          "tbody",
-          SYMBOLS.map(([sign, says]) => h("tr", h("td", sign), h("td", says))),
-        ),
-      ),
+      plain(SYMBOLS),
     ],
     [["Close", "", "primary"]],
   );
@@ -83,77 +81,45 @@ export function bindKeys(page) {
 }
 
 function actionOf(event, page) {
-  const { model, tools, view } = page;
+  const { model, tools, view, panels } = page;
   if (event.key === "?") return () => showHelp(Boolean(page.editor.mode));
   if (!model || !model.board) return null;
   const simulating = model.mode === "SIMULATE";
-  switch (event.key) {
-    case " ":
-      return () =>
-        simulating
-          ? model.following
-            ? tools.toggleRunning()
-            : page.togglePause()
-          : page.togglePause();
-    case "ArrowRight":
-      if (simulating && model.following) return () => tools.step(event.shiftKey ? tools.steps : 1);
-      return async () => {
-        for (let i = 0; i < (event.shiftKey ? tools.steps : 1); i++) await model.stepView(1);
-      };
-    case "ArrowLeft":
-      return () => (simulating && model.following ? tools.back() : model.stepView(-1));
-    case "x":
-    case "X":
-      return simulating ? () => tools.fireChosen() : null;
-    case "r":
-    case "R":
-      return simulating ? () => tools.reset() : null;
-    case "e":
-    case "E":
-      return () => page.setShowEnabled(!page.showEnabled);
-    case "l":
-    case "L":
-      return () => model.mode !== "REPLAY" && !model.following && model.backToLive();
-    case "f":
-    case "F":
-      return () => view.camera.fit();
-    case "+":
-    case "=":
-      return () => view.camera.zoom(1.25);
-    case "-":
-      return () => view.camera.zoom(0.8);
-    case "p":
-    case "P":
-      return () => page.panels.toggle("left");
-    case "d":
-    case "D":
-      return () => page.panels.toggle("right");
-    case "t":
-    case "T":
-      return () => page.panels.toggle("bottom");
-    case "w":
-    case "W":
-      return () => {
-        page.panels.open("right");
-        page.panels.widen();
-      };
-    case "/":
-      return () => {
-        page.panels.open("left");
-        $("list-search").focus();
-        $("list-search").select();
-      };
-    case "1":
-    case "2":
-    case "3":
-    case "4":
-      return () => page.showTab(TABS[Number(event.key) - 1]);
-    case "o":
-    case "O":
-      return () => page.openScreen(true);
-    case "Escape":
-      return () => page.choose(null);
-    default:
-      return null;
-  }
+  const present = simulating && model.following;
+  const steps = event.shiftKey ? tools.steps : 1;
+  const zoomIn = () => view.camera.zoom(1.25);
+  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  const tab = TABS[Number(key) - 1];
+  if (tab) return () => page.showTab(tab);
+  const actions = {
+    " ": () => page.togglePause(),
+    ArrowRight: async () => {
+      if (present) await tools.step(steps);
+      else for (let i = 0; i < steps; i++) await model.stepView(1);
+    },
+    ArrowLeft: () => (present ? tools.back() : model.stepView(-1)),
+    x: simulating && (() => tools.fireChosen()),
+    r: simulating && (() => tools.reset()),
+    e: () => page.setShowEnabled(!page.showEnabled),
+    l: () => model.mode !== "REPLAY" && !model.following && model.backToLive(),
+    f: () => view.camera.fit(),
+    "+": zoomIn,
+    "=": zoomIn,
+    "-": () => view.camera.zoom(0.8),
+    p: () => panels.toggle("left"),
+    d: () => panels.toggle("right"),
+    t: () => panels.toggle("bottom"),
+    w: () => {
+      panels.open("right");
+      panels.widen();
+    },
+    "/": () => {
+      panels.open("left");
+      $("list-search").focus();
+      $("list-search").select();
+    },
+    o: () => page.openScreen(true),
+    Escape: () => page.choose(null),
+  };
+  return actions[key] || null;
 }

@@ -3,7 +3,6 @@
 import { h, $, natural, LIST_STEPS } from "./dom.js";
 import { RestingList } from "./resting_list.js";
 
-const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
 const PAUSE = 250; // ms between two drawings
 
@@ -152,9 +151,6 @@ export class NodeList extends RestingList {
     const row = document.getElementById(`list-${this.chosen.kind[0]}${this.chosen.index}`);
     if (!row) return;
     row.setAttribute("aria-selected", "true");
-    this.list.setAttribute("aria-activedescendant", row.id);
-    const top = row.offsetTop;
-    if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight)
-      this.list.scrollTop = top - this.list.clientHeight / 2;
+    this.showRow(row);
   }
 }

@@ -1,14 +1,14 @@
 // Predicted against observed, in a live run: a prediction band with the observed line, and a strip for each place, each
 // robot and the team that shows how close it is to its alarm.
 
-import { h, number } from "./dom.js";
+import { h, menu, number, options } from "./dom.js";
 import { band, bandPlot } from "./plot.js";
 
 export class ModelPanel {
   constructor(model) {
     this.model = model;
     this.says = h("p.muted");
-    this.choice = h("select", {
+    this.choice = menu([], {
       "aria-label": "Firings to compare",
       "data-focus": "curve",
       onchange: () => this.draw(),
@@ -46,7 +46,7 @@ export class ModelPanel {
     if (names.join("\n") !== this.names) {
       const kept = this.choice.value;
       this.names = names.join("\n");
-      this.choice.replaceChildren(...names.map((name) => h("option", { value: name, text: name })));
+      this.choice.replaceChildren(...options(names));
       this.choice.value = names.includes(kept) ? kept : names[0];
     }
     this.draw();

@@ -1,7 +1,7 @@
 // The operator's orders to a running team. Each order names the run shown; its result is shown and stored. Which
 // orders there are, with their fields, words and dialogs, the server says (team/orders.py explains the forms).
 
-import { h, ask, announce, toast } from "./dom.js";
+import { h, ask, announce, clock, labelled, toast } from "./dom.js";
 import { post } from "./api.js";
 import { reportOf } from "./phases.js";
 
@@ -122,7 +122,7 @@ export class Orders extends EventTarget {
     const line = ({ time, says, answer, good }) =>
       h(
         good ? "li" : "li.refused",
-        h("time", time.toLocaleTimeString([], { hour12: false })),
+        h("time", clock(time)),
         h("span", says, h("span.muted", ` — ${good ? "" : "refused: "}${answer}`)),
       );
     this.listed ||= h(
@@ -157,9 +157,7 @@ export class Orders extends EventTarget {
       text(form.title),
       [
         h("p", text(form.text)),
-        inputs.map(({ field, element }) =>
-          h("div.form", h("label", { for: element.id }, field.label), element),
-        ),
+        inputs.map(({ field, element }) => h("div.form", labelled(field.label, element))),
       ],
       [
         ["Cancel", "", form.style.includes("primary") ? "" : "primary"],

@@ -2,10 +2,13 @@
 // orders.
 
 import { ModelPanel } from "./model_panel.js";
-import { h, $, isPressed, seconds } from "./dom.js";
+import { h, $, natural, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 import { reportOf, robotReport } from "./phases.js";
 import { dataLines, robotExtras } from "./reacting.js";
+import { RestingList } from "./resting_list.js";
+
+const PAUSE = 250; // ms between two drawings
 
 /** How long a robot has been in its phase. */
 function since(model, robot) {
@@ -74,44 +77,30 @@ function feedbackOf(model, robot) {
   return new Map(Object.entries(model.latest.feedback || {})).get(robot.name);
 }
 
-export class RobotsPanel {
+export class RobotsPanel extends RestingList {
   /** `orders`: the orders that an operator may give. */
   constructor(model, orders) {
+    super($("robots"), PAUSE);
     this.model = model;
     this.orders = orders;
-    this.panel = $("robots");
     this.comparison = new ModelPanel(model);
     // name -> {element, looks}: a card is only redrawn if it has changed, so that its buttons stay in place
     this.cards = new Map();
     this.update();
     this.clock = setInterval(() => {
-      if (!this.panel.hidden && model.mode === "LIVE" && model.lostAt === null) this.update();
+      if (!this.list.hidden && model.mode === "LIVE" && model.lostAt === null) this.update();
     }, 1000);
     this.onGiven = () => this.later();
     orders.addEventListener("given", this.onGiven);
   }
 
-  later() {
-    if (!this.timer)
-      this.timer = setTimeout(() => {
-        this.timer = 0;
-        this.update();
-      }, 250);
-  }
-
-  update() {
-    const { model, orders, panel } = this;
+  draw() {
+    const { model, orders, list: panel } = this;
     if (panel.hidden || !model.board) return;
-    if (isPressed(panel)) {
-      this.later();
-      return;
-    }
     const focused = panel.contains(document.activeElement)
       ? document.activeElement.dataset.focus
       : null;
-    const robots = [...model.board.robots.values()].sort((a, b) =>
-      a.name.localeCompare(b.name, undefined, { numeric: true }),
-    );
+    const robots = [...model.board.robots.values()].sort((a, b) => natural(a.name, b.name));
     const cards = robots.map((robot) => this.card(robot));
     for (const name of [...this.cards.keys()])
       if (!model.board.robots.has(name)) this.cards.delete(name);
@@ -205,6 +194,6 @@ export class RobotsPanel {
   close() {
     this.orders.removeEventListener("given", this.onGiven);
     clearInterval(this.clock);
-    clearTimeout(this.timer);
+    super.close();
   }
 }

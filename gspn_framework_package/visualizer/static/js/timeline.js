@@ -1,10 +1,11 @@
 // The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits). A simulation
 // has no robots, so the lanes show token counts of places. The scrubber is below.
 
-import { $, firstWhere, h, attempt, natural, seconds } from "./dom.js";
+import { $, firstWhere, attempt, natural, options, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 import { courseOf, lanesOf } from "./course.js";
 import { reportOf, robotReport } from "./phases.js";
+import { RestingList } from "./resting_list.js";
 
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
 const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
@@ -19,12 +20,14 @@ const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
 /** Index of the first event at or after `t`; `events` are sorted by time. */
 const firstAt = (events, t) => firstWhere(events, (event) => event.t >= t);
 
+const PAUSE = 90; // ms between two drawings
+
 /** Fires "visit" (detail n). */
-export class TimeLine extends EventTarget {
+export class TimeLine extends RestingList {
   constructor(model) {
-    super();
+    super($("lanes"), PAUSE);
     this.model = model;
-    this.canvas = $("lanes");
+    this.canvas = this.list;
     this.span = null; // seconds shown; null: chosen automatically
     this.canvas.onclick = (event) => this.clicked(event);
     this.canvas.onwheel = (event) => {
@@ -36,8 +39,7 @@ export class TimeLine extends EventTarget {
     this.canvas.onkeydown = (event) => this.key(event);
     const spans = $("span");
     spans.replaceChildren(
-      h("option", { value: "", text: "auto" }),
-      ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })),
+      ...options([["", "auto"], ...SPANS.map((span) => [span, spanText(span)])]),
     );
     spans.onchange = () => {
       this.span = Number(spans.value) || null;
@@ -91,21 +93,6 @@ export class TimeLine extends EventTarget {
     return index > 0 ? course[index - 1].n : oldest;
   }
 
-  later() {
-    if (!this.timer)
-      this.timer = setTimeout(
-        () => {
-          this.timer = 0;
-          requestAnimationFrame(() => this.update());
-        },
-        Math.max(90, 25 * (this.cost || 0)),
-      );
-  }
-
-  segments(begin, end) {
-    return lanesOf(this.model, begin, end);
-  }
-
   /** The token counts of places since `begin`: of the selected place and of those that changed most often, at most
    * `count`, in natural order. [{name, points: [[from, tokens], ...], most}, ...] */
   tokens(begin, count) {
@@ -151,8 +138,7 @@ export class TimeLine extends EventTarget {
       .sort((a, b) => natural(a.name, b.name));
   }
 
-  update() {
-    const begun = performance.now();
+  draw() {
     const { model, canvas } = this;
     if (!model.board) return;
     const ratio = window.devicePixelRatio || 1;
@@ -166,7 +152,7 @@ export class TimeLine extends EventTarget {
     const have = course.length ? end - course[0].t : 0;
     this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
     const begin = Math.max(0, end - this.shownSpan); // a short run starts at the left
-    const lanes = this.segments(begin, end);
+    const lanes = lanesOf(model, begin, end);
     const names = [...lanes.keys()].sort(natural);
     const [top, bottom] = EDGE;
     const places =
@@ -307,7 +293,6 @@ export class TimeLine extends EventTarget {
       }
     });
     this.drawScrubber();
-    this.cost = performance.now() - begun;
   }
 
   drawScrubber() {
@@ -361,6 +346,6 @@ export class TimeLine extends EventTarget {
   close() {
     this.observer.disconnect();
     clearInterval(this.clock);
-    clearTimeout(this.timer);
+    super.close();
   }
 }

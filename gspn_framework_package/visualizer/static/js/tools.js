@@ -1,6 +1,6 @@
 // The tools above the net: those of thesis Figure 5.4 in a simulation, controls of the view in a live run or a replay.
 
-import { h, $, ask, attempt, announce, table, toast, plural, number } from "./dom.js";
+import { h, $, ask, attempt, announce, menu, table, toast, plural, number } from "./dom.js";
 import { post } from "./api.js";
 import { ONLY_LOOK } from "./orders.js";
 
@@ -198,24 +198,18 @@ export class Tools {
     const { page } = this;
     const { mode } = this.model;
     this.speed = this.speed || 4;
-    const button = (id, label, action, title) =>
-      h("button", { id, text: label, title, onclick: action });
-    const act = (id, label, action, title) => {
-      const made = button(id, label, action, page.mayAct ? title : ONLY_LOOK);
-      made.disabled = !page.mayAct;
-      return made;
+    const { mayAct } = page;
+    const button = (id, text, onclick, title, disabled = false) =>
+      h("button", { id, text, title, onclick, disabled });
+    const act = (id, text, onclick, title) =>
+      button(id, text, onclick, mayAct ? title : ONLY_LOOK, !mayAct);
+    const speeds = (id, label, values, chosen, unit, set) => {
+      const onchange = (event) => set(Number(event.target.value));
+      const choices = values.map((value) => [value, `${value} ${unit}`]);
+      const choice = menu(choices, { id, "aria-label": label, onchange });
+      choice.value = chosen;
+      return h("label", choice);
     };
-    const speeds = (id, label, values, chosen, unit, set) =>
-      h(
-        "label",
-        h(
-          "select",
-          { id, "aria-label": label, onchange: (event) => set(Number(event.target.value)) },
-          values.map((v) =>
-            h("option", { value: v, selected: v === chosen, text: `${v} ${unit}` }),
-          ),
-        ),
-      );
     const rule = () => h("span.rule");
     let tools;
     if (mode === "SIMULATE") {

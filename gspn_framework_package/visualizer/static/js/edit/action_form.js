@@ -1,6 +1,6 @@
 // What a robot does in a place: a choice among the kinds of action, and the fields of the chosen kind.
 
-import { h } from "../dom.js";
+import { h, options } from "../dom.js";
 import { problemOfData, valueField } from "./data_form.js";
 import { messageHint, messagesOf, pathsOf } from "./message_form.js";
 import { nodeKey } from "./net_edits.js";
@@ -40,7 +40,7 @@ function kindsOf(root) {
   ]);
 }
 
-export function kindOfAction(value) {
+function kindOfAction(value) {
   if (value === null) return "none";
   if (typeof value === "string") return "function";
   return ["function", "plan", "service", "publish", "wait_for", "command", "server"].find(
@@ -135,7 +135,7 @@ function palette(form, lens, title, kind, allowed) {
   const select = h(
     "select",
     { "data-key": `${lens.key} palette` },
-    h("option", { value: "", text: "choose an existing one …" }),
+    options([["", "choose an existing one …"]]),
     entries.map(([name, list]) =>
       h(
         "optgroup",

@@ -23,6 +23,11 @@ const EMPTY = {
   null: null,
 };
 
+export const YES_NO = [
+  [true, "yes"],
+  [false, "no"],
+];
+
 /** Whether a value refers to data: {from: NAME}. */
 export const isReference = (value) =>
   typeOf(value) === "object" &&
@@ -69,17 +74,8 @@ export function valueField(form, lens, label, { kinds = null, remove = null } = 
   let below = null;
   if (kind === "string") control = form.text(lens, label, { ...aria, parse: (text) => [text] });
   else if (kind === "number") control = form.number(lens, label, aria);
-  else if (kind === "boolean") {
-    control = form.choice(
-      lens,
-      label,
-      [
-        [true, "yes"],
-        [false, "no"],
-      ],
-      aria,
-    );
-  } else if (kind === "data") control = dataField(form, lens, label, aria);
+  else if (kind === "boolean") control = form.choice(lens, label, YES_NO, aria);
+  else if (kind === "data") control = dataField(form, lens, label, aria);
   else if (kind === "object") below = fields(form, lens, label);
   else if (kind === "array") below = items(form, lens, label);
   return h("div.value", h("div.entry", chooser, control, remove), below);
@@ -152,7 +148,7 @@ function items(form, lens, label) {
 }
 
 /** The names of data that the plan's actions are known to write or read. */
-export function dataNames(plan) {
+function dataNames(plan) {
   const names = new Set(["task.id"]);
   const walk = (value) => {
     if (isReference(value)) names.add(value.from);

@@ -15,7 +15,7 @@ const said = (value) => {
 };
 
 /** One change in words. */
-export function inWords({ what, kind, name, key, from, to }) {
+function inWords({ what, kind, name, key, from, to }) {
   const noun = { row: "policy row", setting: "" }[kind] ?? kind;
   if (kind === "order") return `the order of the ${name}`;
   const shown = kind === "arc" ? name.replace(">", " → ") : name;

@@ -133,25 +133,18 @@ export function bindEditKeys(mode, signal) {
 }
 
 function withControl(event, mode) {
-  const { actions } = mode;
+  const { actions, selection } = mode;
   const step = ARROWS[event.key];
   if (step) return () => mode.chooseBeside(...step, event.shiftKey);
-  switch (event.key.toLowerCase()) {
-    case "z":
-      return () => (event.shiftKey ? mode.redo() : mode.undo());
-    case "y":
-      return () => mode.redo();
-    case "s":
-      return () => mode.save();
-    case "a":
-      return () => actions.selectAll();
-    case "d":
-      return () => actions.duplicate();
-    case "enter":
-      return () => mode.selection.size === 1 && actions.openSubnet([...mode.selection][0]);
-    default:
-      return null;
-  }
+  const acts = {
+    z: () => (event.shiftKey ? mode.redo() : mode.undo()),
+    y: () => mode.redo(),
+    s: () => mode.save(),
+    a: () => actions.selectAll(),
+    d: () => actions.duplicate(),
+    enter: () => selection.size === 1 && actions.openSubnet([...selection][0]),
+  };
+  return acts[event.key.toLowerCase()] || null;
 }
 
 function alone(event, mode) {
@@ -171,33 +164,24 @@ function alone(event, mode) {
   }
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
   if (ADDS[key]) return () => actions.addHere(ADDS[key], event.shiftKey);
-  switch (key) {
-    case "a":
-      return () => mode.beginArc();
-    case "h":
-      return () => actions.toggleInhibitor();
-    case "x":
-      return () => actions.toggleTimed();
-    case "+":
-    case "=":
-      return () => actions.count(1) || canvas.camera.zoom(1.25);
-    case "-":
-      return () => actions.count(-1) || canvas.camera.zoom(0.8);
-    case "f":
-      return () => canvas.camera.fit();
-    case "/":
-      return () => mode.list.search.focus();
-    case "Delete":
-    case "Backspace":
-      return () => actions.remove();
-    case "Enter":
-      if (mode.tool === "arc" && mode.arcEnd) return () => mode.arcTo(mode.arcEnd);
-      return selection.size === 1 ? () => mode.beginRename([...selection][0]) : null;
-    case "F2":
-      return selection.size === 1 ? () => mode.beginRename([...selection][0]) : null;
-    case "Escape":
-      return () => mode.escape();
-    default:
-      return null;
-  }
+  const more = () => actions.count(1) || canvas.camera.zoom(1.25);
+  const remove = () => actions.remove();
+  const rename = selection.size === 1 && (() => mode.beginRename([...selection][0]));
+  const ends = mode.tool === "arc" && mode.arcEnd && (() => mode.arcTo(mode.arcEnd));
+  const acts = {
+    a: () => mode.beginArc(),
+    h: () => actions.toggleInhibitor(),
+    x: () => actions.toggleTimed(),
+    "+": more,
+    "=": more,
+    "-": () => actions.count(-1) || canvas.camera.zoom(0.8),
+    f: () => canvas.camera.fit(),
+    "/": () => mode.list.search.focus(),
+    Delete: remove,
+    Backspace: remove,
+    Enter: ends || rename,
+    F2: rename,
+    Escape: () => mode.escape(),
+  };
+  return acts[key] || null;
 }

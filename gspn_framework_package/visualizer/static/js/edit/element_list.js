@@ -1,11 +1,10 @@
 // The list next to the drawing: the places, transitions and arcs of the document, searchable. It shows and changes the
 // selection; from here, keys can do everything that the pointer does on the drawing.
 
-import { h, $, natural, LIST_STEPS } from "../dom.js";
+import { h, $, natural, textField, LIST_STEPS } from "../dom.js";
 import { RestingList } from "../resting_list.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 
-const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
 const PAUSE = 120; // ms between two drawings
 
@@ -24,13 +23,11 @@ export class ElementList extends RestingList {
     this.at = null; // key of the element with the keyboard focus
     this.made = 0; // number of rows made so far, for unique ids
     this.items = [];
-    this.search = h("input", {
+    this.search = textField({
       id: "ed-search",
       type: "search",
       placeholder: "Search  ( / )",
       "aria-label": "Search the elements of the net",
-      autocomplete: "off",
-      spellcheck: "false",
       oninput: () => this.update(),
       onkeydown: (event) => {
         if (event.key === "ArrowDown" || event.key === "Enter") {
@@ -215,9 +212,6 @@ export class ElementList extends RestingList {
     }
     if (arcEnd) row.setAttribute("aria-selected", "true");
     else if (!selection.has(at)) row.classList.add("at");
-    this.list.setAttribute("aria-activedescendant", row.id);
-    const top = row.offsetTop;
-    if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight)
-      this.list.scrollTop = top - this.list.clientHeight / 2;
+    this.showRow(row);
   }
 }

@@ -1,7 +1,7 @@
 // The files of the document: saving, conflicts with changes by somebody else, drafts, export.
 
-import { $, h, ask, cancelOr, attempt, toast } from "../dom.js";
-import { post } from "../api.js";
+import { $, h, ask, cancelOr, attempt, labelled, menu, textField, toast } from "../dom.js";
+import { post, send } from "../api.js";
 import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
 import { pngOf, svgOf } from "./picture.js";
@@ -204,10 +204,8 @@ export class Files {
   async saveAs() {
     const { mode } = this;
     const { state } = mode.document;
-    const name = h("input", {
-      type: "text",
+    const name = textField({
       id: "ed-save-name",
-      autocomplete: "off",
       autofocus: true,
       value: this.readOnly ? folderName(state.plan?.plan || state.net.name || "") : "",
     });
@@ -216,7 +214,7 @@ export class Files {
       "Save as a new plan",
       [
         this.readOnly && h("p", `It cannot be saved here: ${this.readOnly}.`),
-        h("div.form", h("label", { for: "ed-save-name", text: "Name of the new folder" }), name),
+        h("div.form", labelled("Name of the new folder", name)),
       ],
       cancelOr("Save", "save"),
       async () => {
@@ -309,18 +307,10 @@ export class Files {
   // -- export --------------------------------------------------------------------------------------
 
   async exportDialog() {
-    const format = h(
-      "select",
-      { id: "ed-export-format" },
-      FORMATS.map(([value, text]) => h("option", { value, text })),
-    );
+    const format = menu(FORMATS, { id: "ed-export-format" });
     await ask(
       "Export",
-      h(
-        "div.form",
-        h("label", { for: "ed-export-format", text: "Export the document as" }),
-        format,
-      ),
+      h("div.form", labelled("Export the document as", format)),
       cancelOr("Export", "export"),
       () => this.exportAs(format.value),
     );
@@ -334,26 +324,16 @@ export class Files {
     if (format === "svg") download(new Blob([svgOf(canvas).text], { type: "image/svg+xml" }), name);
     else if (format === "png") download(await pngOf(canvas), name);
     else {
-      const { blob, notes } = await this.fromServer({ document: edited.state, format });
-      download(blob, name);
+      const response = await send(
+        "edit/export",
+        { document: edited.state, format },
+        { id: this.mode.id },
+      );
+      download(await response.blob(), name);
+      const notes = JSON.parse(response.headers.get("X-Gspn-Notes") || "[]"); // what the format cannot express
       if (notes.length) toast(`Exported as ${name}. ${notes.join("; ")}.`);
     }
     this.mode.say(`Exported as ${name}.`);
-  }
-
-  /** A file made by the server, with notes on what the format cannot express. */
-  async fromServer(body) {
-    const id = new URLSearchParams({ id: this.mode.id });
-    const response = await fetch(`/api/edit/export?${id}`, {
-      method: "POST",
-      credentials: "same-origin",
-      headers: { "Content-Type": "application/json", "X-Gspn-Page": "1" },
-      body: JSON.stringify(body),
-    });
-    const notes = JSON.parse(response.headers.get("X-Gspn-Notes") || "[]");
-    if (response.ok) return { blob: await response.blob(), notes };
-    const { error } = await response.json().catch(() => ({}));
-    throw new Error(error || `the server answered ${response.status}`);
   }
 
   close() {

@@ -2,17 +2,17 @@
 // once; an invalid value stays in the form with the reason next to it and never enters the document. Every edit, undo
 // and redo redraws the form; the focus stays where it was.
 
-import { h, isPressed } from "../dom.js";
+import { h, isPressed, markWrong, refill, textField } from "../dom.js";
 import { actOnChoice, completionsOf, selectOf } from "./menus.js";
 import { onlyMoved } from "./plan_document.js";
 
 let ids = 0;
 
 /** An id that no other element has. */
-export const newId = () => `ed-field-${++ids}`;
+const newId = () => `ed-field-${++ids}`;
 
 /** A copy of an object or list with one entry replaced, or removed if `value` is undefined. */
-export function withEntry(whole, name, value) {
+function withEntry(whole, name, value) {
   if (Array.isArray(whole)) {
     const list = [...whole];
     if (value === undefined) list.splice(name, 1);
@@ -24,6 +24,8 @@ export function withEntry(whole, name, value) {
   else result[name] = value;
   return result;
 }
+
+const isEmpty = (whole) => Object.keys(whole).length === 0;
 
 /** The place of a value in the document. `key` names it ("plan.timeout.Fetch"); `pattern` is the key with * for names
  * given by users; `get()` reads it (undefined: absent), `put(value, label, merge)` makes the edit. */
@@ -43,8 +45,7 @@ export class Lens {
       () => this.get()?.[name],
       (value, label, merge) => {
         const whole = withEntry(this.get() ?? (list ? [] : {}), name, value);
-        const empty = drop && !(Array.isArray(whole) ? whole : Object.keys(whole)).length;
-        return this.put(empty ? undefined : whole, label, merge);
+        return this.put(drop && isEmpty(whole) ? undefined : whole, label, merge);
       },
       `${this.pattern}.${given ? "*" : name}`,
     );
@@ -63,6 +64,17 @@ export class Lens {
     lens.name = this.name;
     return lens;
   }
+}
+
+/** The line below a field that says what is wrong with it, and what sets its text ("": nothing is). */
+function reasonOf(input) {
+  const wrong = h("p.wrong", { id: newId(), role: "alert", hidden: true });
+  const says = (problem) => {
+    wrong.textContent = problem;
+    wrong.hidden = !problem;
+    markWrong(input, problem && wrong);
+  };
+  return { wrong, says };
 }
 
 /** Stands for the values of several nodes that differ. */
@@ -173,7 +185,7 @@ export class FormPanel {
     // a section folded or unfolded just now, whose event has not arrived yet
     for (const details of this.element.querySelectorAll("details[data-fold]"))
       if (details.open !== details.drawnOpen) this.fold(details);
-    this.element.replaceChildren(...[this.content()].flat(9).filter(Boolean));
+    refill(this.element, this.content());
     if (!key) return;
     const found = [...this.element.querySelectorAll("[data-key]")].find(
       (it) => it.dataset.key === key,
@@ -204,12 +216,7 @@ export class FormPanel {
     if (!drop) return lens;
     return lens.as(
       (value) => value,
-      (value) =>
-        value &&
-        typeof value === "object" &&
-        !(Array.isArray(value) ? value : Object.keys(value)).length
-          ? undefined
-          : value,
+      (value) => (value && typeof value === "object" && isEmpty(value) ? undefined : value),
     );
   }
 
@@ -273,7 +280,7 @@ export class FormPanel {
     if (lazy && !unfolded)
       details.addEventListener(
         "toggle",
-        () => inside.childElementCount || inside.append(...[body[0]()].flat(9).filter(Boolean)),
+        () => inside.childElementCount || refill(inside, body[0]()),
       );
     return details;
   }
@@ -299,37 +306,23 @@ export class FormPanel {
    * `late`: take the value when the field is left or Enter is pressed, not with every key. `names`: completions. */
   text(lens, label, options = {}) {
     const {
-      parse = (text) => [text || undefined],
+      parse = (it) => [it || undefined],
       show = (it) => it ?? "",
       late = false,
+      ...rest
     } = options;
-    const { names = null, what = label, ...attributes } = options;
-    for (const key of ["parse", "show", "late"]) delete attributes[key];
+    const { names = null, what = label, ...attributes } = rest;
     const { key } = lens;
     const value = lens.get();
     const draft = this.drafts.get(`${key} text`);
-    const input = h("input", {
-      type: "text",
-      spellcheck: "false",
-      autocomplete: "off",
+    const input = textField({
       "data-key": key,
       ...attributes,
       placeholder: value === MIXED ? "several values" : attributes.placeholder,
       value: draft ? draft.text : value === MIXED ? "" : String(show(value)),
     });
-    const list = names && this.completion(input, names);
-    const wrong = h("p.wrong", { id: newId(), role: "alert", hidden: true });
-    const says = (problem) => {
-      wrong.textContent = problem;
-      wrong.hidden = !problem;
-      if (problem) {
-        input.setAttribute("aria-invalid", "true");
-        input.setAttribute("aria-describedby", wrong.id);
-      } else {
-        input.removeAttribute("aria-invalid");
-        input.removeAttribute("aria-describedby");
-      }
-    };
+    const list = names && completionsOf(input, newId(), names);
+    const { wrong, says } = reasonOf(input);
     if (draft) says(draft.problem);
     const read = (enter) => {
       const found = parse(input.value);
@@ -363,10 +356,6 @@ export class FormPanel {
     const cell = h("div.cell", input, list, wrong);
     cell.control = input;
     return cell;
-  }
-
-  completion(input, names) {
-    return completionsOf(input, newId(), [...new Set(names)]);
   }
 
   /** A number. `blank`: the value of an empty field; if absent, the field must not be empty. */
@@ -452,25 +441,17 @@ export class FormPanel {
 
   /** A field and a button that add a named entry. `check(name)` says what is wrong with the name. */
   namer(key, label, check, add, names = null) {
-    const input = h("input", {
-      type: "text",
-      spellcheck: "false",
-      autocomplete: "off",
+    const input = textField({
       "aria-label": label,
       placeholder: label,
       "data-key": `${key} add`,
     });
-    const wrong = h("p.wrong", { id: newId(), role: "alert", hidden: true });
+    const { wrong, says } = reasonOf(input);
     const act = () => {
       const problem = check(input.value);
-      wrong.textContent = problem;
-      wrong.hidden = !problem;
-      input.toggleAttribute("aria-invalid", Boolean(problem));
-      if (problem) {
-        input.setAttribute("aria-invalid", "true");
-        input.setAttribute("aria-describedby", wrong.id);
-        input.focus();
-      } else add(input.value);
+      says(problem);
+      if (problem) input.focus();
+      else add(input.value);
     };
     input.addEventListener("keydown", (event) => {
       if (event.key !== "Enter") return;
@@ -482,7 +463,7 @@ export class FormPanel {
       h(
         "div.entry",
         input,
-        names && this.completion(input, names),
+        names && completionsOf(input, newId(), names),
         this.button(`${key} add it`, "Add", act, { "aria-label": `Add: ${label}` }),
       ),
       wrong,

@@ -21,7 +21,7 @@ function learned(lens) {
 }
 
 /** The source of a learned value, in words. */
-export function evidenceText(of) {
+function evidenceText(of) {
   if (!of) return "";
   const from = of.logs?.length ? ` in ${of.logs.join(", ")}` : "";
   const interval = of.interval
@@ -59,7 +59,7 @@ function meanOf(value) {
 }
 
 /** What is wrong with a duration beyond its schema. As in model/duration.py. */
-export function durationProblem(value) {
+function durationProblem(value) {
   const kind = kindOf(value);
   for (const key of KEYS[kind] ?? []) if (value[key] === undefined) return `${key} is missing`;
   const foreign = Object.keys(value).find(

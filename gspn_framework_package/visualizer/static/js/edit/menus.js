@@ -34,7 +34,8 @@ export function selectOf(attributes, entries) {
 }
 
 /** The completions of a field. */
-export function completionsOf(input, id, names) {
+export function completionsOf(input, id, given) {
+  const names = [...new Set(given)];
   const list = h("datalist", { id });
   const fill = () => list.append(...names.map((value) => h("option", { value })));
   if (names.length <= SHORT) fill();

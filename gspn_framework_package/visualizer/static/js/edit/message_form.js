@@ -3,8 +3,8 @@
 
 import { h } from "../dom.js";
 import { get } from "../api.js";
-import { dataField, fields, isReference, kindOf, valueField } from "./data_form.js";
-import { typeOf } from "./schema.js";
+import { YES_NO, dataField, fields, isReference, kindOf, valueField } from "./data_form.js";
+import { numbersIn, typeOf } from "./schema.js";
 
 const known = new Map(); // "kind type" -> {sent, received, why}; null: requested
 
@@ -162,11 +162,7 @@ function leaf(form, lens, label, { type, default: absent }) {
     return form.choice(
       lens,
       label,
-      [
-        [undefined, `${absent ? "yes" : "no"} (default)`],
-        [true, "yes"],
-        [false, "no"],
-      ],
+      [[undefined, `${absent ? "yes" : "no"} (default)`], ...YES_NO],
       aria,
     );
   }
@@ -224,7 +220,7 @@ function list(form, lens, label, field) {
       late: true,
       placeholder: length ? `${length} numbers with spaces between` : "numbers separated by spaces",
       show: (it) => (it ?? []).join(" "),
-      parse: (text) => numbersIn(text, type, length),
+      parse: (text) => numbersOf(text, type, length),
     });
   const drop = (i) => {
     const left = lens.get().filter((_, at) => at !== i);
@@ -264,14 +260,10 @@ const kept = (lens, field) =>
     (it) => (it === undefined ? blankOf(field) : it),
   );
 
-function numbersIn(text, type, length) {
-  const words = text.split(/[\s,;]+/).filter(Boolean);
-  if (!words.length) return [undefined];
-  const values = words.map(Number);
-  const wrong = words.find((_, i) => !Number.isFinite(values[i]));
-  if (wrong !== undefined) return `'${wrong}' is not a number`;
-  const problem = values.map((it) => problemOfNumber(type, it)).find(Boolean);
-  if (problem) return problem;
-  if (length && values.length !== length) return `${length} numbers are needed`;
-  return [values];
+function numbersOf(text, type, length) {
+  const { values, problem } = numbersIn(text);
+  if (!values.length) return [undefined];
+  const wrong = problem || values.map((it) => problemOfNumber(type, it)).find(Boolean);
+  if (wrong) return wrong;
+  return length && values.length !== length ? `${length} numbers are needed` : [values];
 }

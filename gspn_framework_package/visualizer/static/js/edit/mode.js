@@ -1,6 +1,6 @@
 // The mode EDIT: its section of the page, and what its parts share. Each panel and each tool is a separate part.
 
-import { $, h, announce, ask, attempt, nextTab, withArticle } from "../dom.js";
+import { $, h, announce, ask, attempt, menu, nextTab, textField, withArticle } from "../dom.js";
 import { post } from "../api.js";
 import { Actions, WORDS } from "./actions.js";
 import { ARRANGEMENTS } from "./arrange.js";
@@ -293,20 +293,13 @@ export class EditMode extends EventTarget {
       ...MORE.map(([word, , act]) => [word, act]),
       ...ARRANGEMENTS.map(([word, title]) => [word, () => this.actions.arrange(word, title)]),
     ]);
-    const option = ([value, text]) => h("option", { value, text });
-    const menu = h(
-      "select",
-      {
-        id: "ed-arrange",
-        "aria-label": "Copy and arrange",
-        title: "Arrow keys move to an entry, Enter chooses it",
-      },
-      h("option", { value: "", text: "More …" }),
-      MORE.map(option),
-      ARRANGEMENTS.map(option),
-    );
-    actOnChoice(menu, (word) => attempt(acts.get(word)));
-    $("ed-group-arrange").append(menu);
+    const choice = menu([["", "More …"], ...MORE, ...ARRANGEMENTS], {
+      id: "ed-arrange",
+      "aria-label": "Copy and arrange",
+      title: "Arrow keys move to an entry, Enter chooses it",
+    });
+    actOnChoice(choice, (word) => attempt(acts.get(word)));
+    $("ed-group-arrange").append(choice);
     $("ed-group-arrange").hidden = false;
   }
 
@@ -438,16 +431,13 @@ export class EditMode extends EventTarget {
     if (!node && !arc) return;
     const [x, y] = node ? [node.x, node.y] : arc.middle;
     const { k, x: x0, y: y0 } = canvas.camera.now;
-    const field = h("input", {
+    const field = textField({
       id: "ed-name",
       class: "ed-name",
-      type: "text",
       value: node ? node.name : String(arc.data.weight ?? 1),
       "aria-label": node
         ? `Name of ${node.name}`
         : `Weight of the arc ${arc.data.from} → ${arc.data.to}`,
-      autocomplete: "off",
-      spellcheck: "false",
       onkeydown: (event) => {
         const { key: pressed, ctrlKey, metaKey, shiftKey } = event;
         if (pressed === "Enter") this.endRename(true, true);

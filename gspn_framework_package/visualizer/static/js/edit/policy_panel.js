@@ -11,7 +11,7 @@ const ROWS = 20; // on one page of the table
 const TOLERANCE = 1e-6; // as in model/policy.py
 
 /** Why the choice of a row is not valid; "" if it is. */
-export function problemOfChoice(choose) {
+function problemOfChoice(choose) {
   const values = Object.values(choose).map(Number);
   if (!values.length) return ""; // the robots wait
   if (values.some((value) => !(value >= 0))) return "a probability is at least 0";
@@ -189,18 +189,13 @@ export class PolicyPanel extends PlanForm {
 
   moveColumn(from, to) {
     const { policy } = this;
-    const moved = (list) => {
-      const result = [...list];
-      result.splice(to, 0, ...result.splice(from, 1));
-      return result;
-    };
     this.wanted = `policy.places.${policy.places[from]} left`;
     this.put(
       this.lens(),
       {
         ...policy,
-        places: moved(policy.places),
-        rows: policy.rows.map((row) => ({ ...row, marking: moved(row.marking) })),
+        places: moved(policy.places, from, to),
+        rows: policy.rows.map((row) => ({ ...row, marking: moved(row.marking, from, to) })),
       },
       `Move the column ${policy.places[from]} of the policy`,
     );
@@ -413,31 +408,26 @@ export class PolicyPanel extends PlanForm {
     const { policy } = this;
     const rows = [...policy.rows];
     rows.splice(at, 0, { ...row });
-    this.drafts.clear(); // they are stored by row number
     if (at >= this.first + ROWS) this.first = Math.floor(at / ROWS) * ROWS;
     this.wanted = policy.places.length
       ? `policy.rows.${at}.marking.0`
       : `policy.rows.${at} Duplicate`;
-    this.put(this.lens(), { ...policy, rows }, label);
+    this.putRows(rows, label);
+  }
+
+  putRows(rows, label) {
+    this.drafts.clear(); // they are stored by row number
+    this.put(this.lens(), { ...this.policy, rows }, label);
   }
 
   removeRow(i) {
-    const { policy } = this;
-    this.drafts.clear();
-    this.put(
-      this.lens(),
-      { ...policy, rows: policy.rows.filter((_, at) => at !== i) },
-      `Remove row ${i + 1} of the policy`,
-    );
+    const left = this.policy.rows.filter((_, at) => at !== i);
+    this.putRows(left, `Remove row ${i + 1} of the policy`);
   }
 
   moveRow(from, to) {
-    const { policy } = this;
-    const rows = [...policy.rows];
-    rows.splice(to, 0, ...rows.splice(from, 1));
-    this.drafts.clear();
     this.wanted = `policy.rows.${to} ${to < from ? "Move up" : "Move down"}`;
-    this.put(this.lens(), { ...policy, rows }, `Move row ${from + 1} of the policy`);
+    this.putRows(moved(this.policy.rows, from, to), `Move row ${from + 1} of the policy`);
   }
 
   /** The description of the policy, and whether a marking without a matching row is a fault. */
@@ -457,6 +447,13 @@ export class PolicyPanel extends PlanForm {
       ),
     ];
   }
+}
+
+/** A list with one of its items in another position. */
+function moved(list, from, to) {
+  const result = [...list];
+  result.splice(to, 0, ...result.splice(from, 1));
+  return result;
 }
 
 /** A policy without a column. */

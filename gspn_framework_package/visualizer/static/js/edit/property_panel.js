@@ -10,7 +10,7 @@ import { changed } from "./plan_document.js";
 import { HINTS } from "./plan_hints.js";
 import { problemOfName, renamed } from "./rename.js";
 import { addRobot, robotRow, robotsLens, robotsOf } from "./robots_form.js";
-import { planSchema, problemOf } from "./schema.js";
+import { numbersIn, planSchema, problemOf } from "./schema.js";
 import { schemaField, wordOf } from "./schema_form.js";
 
 /** Shared by all forms of plans: the schema, and the palette of existing actions. */
@@ -266,12 +266,10 @@ export class PropertyPanel extends PlanForm {
         placeholder: "x y",
         show: (value) => (value ?? []).join(" "),
         parse: (text) => {
-          const words = text.split(/[\s,;]+/).filter(Boolean);
-          if (!words.length) return [null];
-          const value = words.map(Number);
-          if (value.length !== 2 || !value.every(Number.isFinite))
-            return "two numbers are needed, x and y";
-          return problemOf(part, value, this.schema) || [value];
+          const { values, problem } = numbersIn(text);
+          if (!values.length) return [null];
+          if (problem || values.length !== 2) return "two numbers are needed, x and y";
+          return problemOf(part, values, this.schema) || [values];
         },
       }),
     );

@@ -27,6 +27,14 @@ export function resolved(schema, root) {
   return resolved({ ...found, ...changed(schema, { $ref: undefined }) }, root);
 }
 
+/** The numbers in a text, and what is wrong with one of them. */
+export function numbersIn(text) {
+  const words = text.split(/[\s,;]+/).filter(Boolean);
+  const wrong = words.find((word) => !Number.isFinite(Number(word)));
+  const problem = wrong === undefined ? "" : `'${wrong}' is not a number`;
+  return { values: words.map(Number), problem };
+}
+
 export function typeOf(value) {
   if (value === null) return "null";
   if (Array.isArray(value)) return "array";

@@ -2,7 +2,7 @@
 // what the schema cannot express: pattern of a lens -> hint, see plan_hints.js.
 
 import { h } from "../dom.js";
-import { problemOf, resolved } from "./schema.js";
+import { numbersIn, problemOf, resolved } from "./schema.js";
 import { fields, valueField } from "./data_form.js";
 
 const WORDS = {
@@ -131,17 +131,14 @@ function textField(form, schema, lens, title, hint, required) {
 }
 
 /** A list of numbers in one field. */
-export function numbersField(form, schema, lens, title, check = () => "") {
+export function numbersField(form, schema, lens, title) {
   return form.text(lens, title, {
     placeholder: "numbers separated by spaces",
     show: (value) => (value ?? []).join(" "),
     parse: (text) => {
-      const words = text.split(/[\s,;]+/).filter(Boolean);
-      if (!words.length) return [undefined];
-      const value = words.map(Number);
-      const wrong = words.find((_, i) => !Number.isFinite(value[i]));
-      if (wrong !== undefined) return `'${wrong}' is not a number`;
-      return problemOf(schema, value, form.schema) || check(value) || [value];
+      const { values, problem } = numbersIn(text);
+      if (!values.length) return [undefined];
+      return problem || problemOf(schema, values, form.schema) || [values];
     },
     late: true,
   });
