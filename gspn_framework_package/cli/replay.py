@@ -35,6 +35,6 @@ def run(args: argparse.Namespace) -> int:
         bag = BagReplay(args.log, plans_of(folder, given))
         project.show(Session("replay", bag.document(title), bag))
     else:
-        replay = Replay.of_file(args.log)
+        replay = Replay(args.log)
         project.show(Session("replay", replay.document(title), replay))
     return serve(project, args)

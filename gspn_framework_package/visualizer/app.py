@@ -21,11 +21,12 @@ from werkzeug.exceptions import HTTPException
 from gspn_framework_package import __version__
 from gspn_framework_package.formats.plan_json import SCHEMA_FILE
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
-from gspn_framework_package.visualizer import deploying, fleet_routes
+from gspn_framework_package.visualizer import deploying
 from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.editing import routes as editing
+from gspn_framework_package.visualizer.fleet_page import FleetPage
 from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.openapi import interface
@@ -74,7 +75,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     _add_optimised(app, project, jobs)
     editing.add_routes(app, project, _body)
     deploying.add_routes(app, project, jobs, _body)
-    fleet_routes.add_routes(app, project)
+    _add_history(app, project)
     return app
 
 
@@ -310,6 +311,27 @@ def _add_optimised(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> No
         fields = _body()
         path = jobs.save(job, fields.get("name"), fields.get("overwrite") is True)
         return {"name": os.path.basename(path), "path": project.path_of(path)}
+
+
+def _add_history(app: flask.Flask, project: Project) -> None:
+    """Add the routes of a fleet's history."""
+
+    def fleet() -> FleetPage:
+        if project.fleet is None:
+            raise InputError("this server shows no history", hint="gspn serve --history DIR")
+        return project.fleet
+
+    @app.route("/api/history/names")
+    def names_in_history() -> Dict[str, Any]:
+        return fleet().names()
+
+    @app.route("/api/history/report")
+    def report_on_history() -> Dict[str, Any]:
+        return fleet().report(request.args)
+
+    @app.route("/api/history/moments")
+    def moments_of_history() -> Dict[str, Any]:
+        return fleet().moments(request.args)
 
 
 def body_limit(path: str) -> int:

@@ -37,10 +37,11 @@ beginning), and ``p``, the number of the plan whose indices the event uses, unle
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.enabled_set import Change, EnabledSet
 from gspn_framework_package.execution.phase import ENTERED
+from gspn_framework_package.execution.plan_change import NewNames
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
@@ -140,19 +141,7 @@ def renumbered(place: Optional[int], places: Sequence[Optional[int]]) -> int:
     return -1 if new is None else new
 
 
-class PlanNumbers(Protocol):
-    """Maps the places and transitions of a plan to those of the plan that follows it."""
-
-    def place_number(self, p: int) -> Optional[int]:
-        """The new number of a place; None if it was removed."""
-
-    def transition_number(self, t: int) -> Optional[int]:
-        """The new number of a transition; None if it was removed."""
-
-
-def plan_event(
-    number: int, old: Plan, new: Plan, numbers: PlanNumbers, enabled: EnabledSet
-) -> Event:
+def plan_event(number: int, old: Plan, new: Plan, numbers: NewNames, enabled: EnabledSet) -> Event:
     """The event for a change to another plan.
 
     :param number: the number of ``new``.

@@ -1,4 +1,5 @@
-"""A fleet's history on the page: reports, the moments behind them, and their replays."""
+"""A fleet's history on the page: reports, the moments behind them, and their replays. Its routes
+are in :mod:`~gspn_framework_package.visualizer.app`."""
 
 from __future__ import annotations
 
@@ -59,7 +60,7 @@ class FleetPage:
         path = run["logs"][run["leader"]]["path"]
         name = os.path.basename(path)
         try:
-            replay = Replay.of_file(path)
+            replay = Replay(path)
         except GspnError as error:
             error.file = name  # viewers need not know the folders of this machine
             error.hint = error.hint or "the log must be where it was when it was ingested"

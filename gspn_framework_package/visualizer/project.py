@@ -188,7 +188,7 @@ class Project:
         if path.endswith(".bag"):
             bag = BagReplay(folder.resolve(path), plans_of(folder))
             return Session(FILE_KEY + path, bag.document(path), bag, reopens=True)
-        replay = Replay.of_file(folder.resolve(path))
+        replay = Replay(folder.resolve(path))
         return Session(FILE_KEY + path, replay.document(path), replay, reopens=True)
 
     def close(self) -> None:

@@ -18,20 +18,19 @@ TELL = 0.25
 
 
 class Replay(Activity):
-    """A recorded run. A separate thread reads its log; the page can show the part read so far."""
+    """A recorded run. A separate thread reads its log; the page can show the part read so far.
+
+    :param path: the event log.
+    :raises LogError: the file is not one.
+    """
 
     mode = "REPLAY"
 
-    def __init__(self, file: LogFile) -> None:
+    def __init__(self, path: str) -> None:
         super().__init__()
-        self._file = file
-        self._recording = Recording(file)
+        self._file = LogFile(path)
+        self._recording = Recording(self._file)
         self._stop = threading.Event()
-
-    @classmethod
-    def of_file(cls, path: str) -> Replay:
-        """The replay of an event log. :raises LogError: the file is not one."""
-        return cls(LogFile(path))
 
     def document(self, title: str) -> Document:
         """The plan of the recorded run, for display."""

@@ -207,11 +207,10 @@ class Sessions:
 
     def get(self, key: str) -> Session:
         """The session of that key. :raises InputError: no open session has it."""
-        with self._lock:
-            if key not in self._sessions:
-                raise InputError("this net is not open (any more)", element=key[:80])
-            self._sessions.move_to_end(key)
-            return self._sessions[key]
+        found = self.known(key)
+        if found is None:
+            raise InputError("this net is not open (any more)", element=key[:80])
+        return found
 
     def known(self, key: str) -> Optional[Session]:
         """The session of that key; None if there is none."""

@@ -79,6 +79,9 @@ class TeamWatch(Activity):
     :param plan: the plan, with its initial robots.
     :param connection: the connection to the team.
     :param run: the run to show; "" takes the first run of this plan heard.
+
+    Its plan, run and names are those of an
+    :class:`~gspn_framework_package.visualizer.page_orders.OrderedTeam`.
     """
 
     mode = "LIVE"
@@ -86,7 +89,7 @@ class TeamWatch(Activity):
     def __init__(self, plan: Plan, connection: TeamConnection, run: str = "") -> None:
         super().__init__()
         self._connection = connection
-        self._plan = plan
+        self.plan = plan
         self._net: Net = plan.net
         self._hash = self._given = plan.hash()
         self._plans: Dict[int, Plan] = {}
@@ -95,11 +98,11 @@ class TeamWatch(Activity):
         """Number of the stage of the plan shown; 0 for the initial plan."""
         self._unplaced: Deque[FiredMessage] = deque(maxlen=UNPLACED)
         """Firings under a plan that is unknown so far."""
-        self._run = run
+        self.run = run
         self._queue: queue.SimpleQueue[Tuple[Any, ...]] = queue.SimpleQueue()
         self._known: Set[str] = set()
         # address -> robot; replaced as a whole, never modified: three threads read it
-        self._names: Dict[str, str] = {}
+        self.names: Dict[str, str] = {}
         self._strangers: FrozenSet[str] = frozenset()
         self._follower = FiredFollower(plan)
         self._shown: Dict[str, Dict[str, Any]] = {}
@@ -120,21 +123,6 @@ class TeamWatch(Activity):
         self._unheard = 0
         self._orders = PageOrders(self, connection)
         self.commands = self._orders.commands if connection.orders else {}
-
-    @property
-    def plan(self) -> Plan:
-        """See :class:`OrderedTeam`."""
-        return self._plan
-
-    @property
-    def run(self) -> str:
-        """See :class:`OrderedTeam`."""
-        return self._run
-
-    @property
-    def names(self) -> Mapping[str, str]:
-        """See :class:`OrderedTeam`."""
-        return self._names
 
     @property
     def gone(self) -> FrozenSet[str]:
@@ -170,7 +158,7 @@ class TeamWatch(Activity):
         self._hub = hub
         self._feedback = FeedbackStream(hub)
         self._status = {
-            "run": self._run,
+            "run": self.run,
             "running": False,
             "paused": False,
             "ended": None,
@@ -183,7 +171,7 @@ class TeamWatch(Activity):
         info = {"commands": offered, "says": self._connection.says}
         hub.restart(self.mode, self._follower.board(self._status), info)
         self._comparison = LiveComparison(
-            self._plan, hub, complete=False, listener=self._report_departures
+            self.plan, hub, complete=False, listener=self._report_departures
         )
         self._connection.open(lambda *seen: self._queue.put(seen))
         threading.Thread(target=self._work, name="watch", daemon=True).start()
@@ -218,9 +206,9 @@ class TeamWatch(Activity):
         """Handle the absence of messages."""
 
     def _on_fired(self, message: FiredMessage) -> None:
-        if not self._run and message.plan == self._hash:
+        if not self.run and message.plan == self._hash:
             self._show_run(message.run)
-        if message.run == self._run and message.plan != self._hash:
+        if message.run == self.run and message.plan != self._hash:
             if not self._unplaced:
                 self._ask_now.set()
             self._unplaced.append(message)  # until the plan that the team follows is known
@@ -231,11 +219,11 @@ class TeamWatch(Activity):
     def _is_shown(self, plan: str, run: str) -> bool:
         """Whether a message belongs to the plan and run that the page shows. The first message of
         another run produces a note."""
-        if (plan, run) == (self._hash, self._run):
+        if (plan, run) == (self._hash, self.run):
             return True
         if (plan, run) not in self._others:
             self._others.add((plan, run))
-            if run == self._run:
+            if run == self.run:
                 text = "run '%s' has a plan other than the one given to this page"
             elif plan == self._hash:
                 text = "run '%s' {} has the same plan; it is not shown"
@@ -247,7 +235,7 @@ class TeamWatch(Activity):
     def _show_run(self, run: str) -> None:
         """Show this run, since none was chosen, including the activity that its robots published
         earlier."""
-        self._run = run
+        self.run = run
         self._set_status(run=run)
         early, self._early = self._early, {}
         for address, told in early.items():
@@ -255,14 +243,14 @@ class TeamWatch(Activity):
 
     def _on_activity(self, address: str, activity: Dict[str, Any]) -> None:
         name = str(activity["robot"])
-        if activity["run"] == self._run and activity["plan"] != self._hash and self._run:
+        if activity["run"] == self.run and activity["plan"] != self._hash and self.run:
             self._ask_now.set()  # the team may follow another plan
             return
-        if not self._run:  # it may remain from a run that has ended
+        if not self.run:  # it may remain from a run that has ended
             self._early[address] = activity
             return
         if not self._is_shown(str(activity["plan"]), str(activity["run"])):
-            self._names = {n: robot for n, robot in self._names.items() if n != address}
+            self.names = {n: robot for n, robot in self.names.items() if n != address}
             self._strangers |= {address}
             return
         self._is_ours(address, name)
@@ -306,8 +294,8 @@ class TeamWatch(Activity):
         )
 
     def _is_ours(self, address: str, name: str) -> None:
-        if self._names.get(address) != name:
-            self._names = {**self._names, address: name}
+        if self.names.get(address) != name:
+            self.names = {**self.names, address: name}
             self._strangers -= {address}
 
     def _on_room(self, room: Dict[str, Any]) -> None:
@@ -354,9 +342,7 @@ class TeamWatch(Activity):
             (address, status)
             for address, status in heard
             if status["plan"] != self._hash
-            and (
-                status["run"] == self._run if self._run else status.get("began_with") == self._given
-            )
+            and (status["run"] == self.run if self.run else status.get("began_with") == self._given)
         ]
         for address, status in sorted(others, key=lambda a: -int(a[1]["log_length"])):
             request = OperatorRequest("plan", run=status["run"])
@@ -371,12 +357,12 @@ class TeamWatch(Activity):
 
         :param heard: the robots' answers; at least one robot follows the plan.
         """
-        old, new = self._plan, deployed.plan
-        self._plan, self._net, self._hash = new, new.net, new.hash()
+        old, new = self.plan, deployed.plan
+        self.plan, self._net, self._hash = new, new.net, new.hash()
         self._stage = deployed.number
-        statuses = [s for _, s in heard if (s["plan"], s["run"]) == (self._hash, self._run)]
+        statuses = [s for _, s in heard if (s["plan"], s["run"]) == (self._hash, self.run)]
         newest = max(statuses, key=lambda s: int(s["log_length"]))
-        self._before = team_seen(self._plan, newest, statuses)
+        self._before = team_seen(self.plan, newest, statuses)
         self._follower = FiredFollower(new)
         self._follower.adopt(self._before, "")
         number = len(self._plans) + 1
@@ -396,18 +382,18 @@ class TeamWatch(Activity):
         """Whether a robot of the run shown follows another of its team's plans, because its log or
         the page lags behind."""
         ours = bool(self._stage) or status.get("began_with") == self._given
-        return ours and status["run"] == self._run and status["plan"] != self._hash
+        return ours and status["run"] == self.run and status["plan"] != self._hash
 
     def _on_answers(
         self, lost_track: bool, heard: List[StatusAnswer], deployed: Optional[DeployedPlan]
     ) -> None:
         answers = []
-        if not self._run:
+        if not self.run:
             same_plan = [s for _, s in heard if self._hash in (s["plan"], s.get("began_with"))]
             for status in sorted(same_plan, key=lambda s: bool(s["ended"]))[:1]:
                 self._show_run(status["run"])
         if deployed is not None and (deployed.run, deployed.number > self._stage) == (
-            self._run,
+            self.run,
             True,
         ):
             self._follow(deployed, heard)
@@ -434,7 +420,7 @@ class TeamWatch(Activity):
             return
         self._silent = 0
         newest = max(answers, key=lambda a: int(a["log_length"]))
-        team, before = team_seen(self._plan, newest, answers), self._before
+        team, before = team_seen(self.plan, newest, answers), self._before
         self._before = team
         self._note_deafness(team, before)
         # Firings that are also behind the previous answer were lost, not merely in transit.
@@ -456,7 +442,7 @@ class TeamWatch(Activity):
         """Show the robots that the team names, and drop those that it does not name and that do not
         report."""
         shown = self._hub.board().robots
-        heard = set(self._names.values())
+        heard = set(self.names.values())
         known = {name: seen for name, seen in self._follower.robots.items() if name in heard}
         self._follower.meet({**known, **team.robots})
         for name, seen in self._follower.robots.items():
@@ -471,8 +457,8 @@ class TeamWatch(Activity):
     def _compare_with_team(self, comparison: LiveComparison) -> None:
         """Predict the run with the robots heard, if they are not those of the plan."""
         there = set(self._follower.robots) - self._follower.gone
-        if there and there != {robot.name for robot in self._plan.robots}:
-            self._comparison = comparison.go_on(self._plan)
+        if there and there != {robot.name for robot in self.plan.robots}:
+            self._comparison = comparison.go_on(self.plan)
 
     def _note_deafness(self, team: TeamSeen, before: Optional[TeamSeen]) -> None:
         """Warn once if the team makes progress but none of its firings is received: the topic may
@@ -493,7 +479,7 @@ class TeamWatch(Activity):
     def _askable(self) -> List[str]:
         """The robots to ask: one in full synchronisation, where each knows the whole team; all in
         partial synchronisation, where each only knows itself."""
-        names, strangers = self._names, self._strangers
+        names, strangers = self.names, self._strangers
         addresses = sorted(self._known - strangers)
         if self._follower.full and self._before is not None and not self._silent:
             there = [n for n in sorted(names) if names[n] not in self._follower.gone] or addresses
@@ -503,7 +489,7 @@ class TeamWatch(Activity):
 
     def statuses(self, addresses: List[str], line: RobotLine) -> List[StatusAnswer]:
         """The robots' answers about the team, without late ones."""
-        request = OperatorRequest("status", argument="brief", run=self._run)
+        request = OperatorRequest("status", argument="brief", run=self.run)
         answers = ask_robots(line, dict.fromkeys(addresses, ""), request, STATUS_TIME + 0.2)
         found = []
         for address, answer in answers.items():
@@ -528,7 +514,7 @@ class TeamWatch(Activity):
         for robot in status["robots"]:
             phase = Phase.of_state(robot["state"]).logged
             was = Phase.of_value(self._shown.get(robot["robot"], {}).get("phase", ""))
-            silent = robot["robot"] not in self._names.values()  # does not publish
+            silent = robot["robot"] not in self.names.values()  # does not publish
             if silent or phase.gone or was.gone:  # a robot that left cannot report it
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
             self._show_extras(robot)
@@ -584,4 +570,4 @@ class TeamWatch(Activity):
         self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
 
     def _report_departures(self, found: Departures) -> None:
-        self._connection.report_departures(self._plan, self._run, found)
+        self._connection.report_departures(self.plan, self.run, found)

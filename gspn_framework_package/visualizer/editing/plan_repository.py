@@ -7,7 +7,7 @@ import re
 import secrets
 import shutil
 import threading
-from typing import Dict, List, NamedTuple, Optional
+from typing import Callable, Dict, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.analysis.plan.completion import complete
 from gspn_framework_package.formats import pipe
@@ -187,18 +187,16 @@ class PlanRepository:
         :raises GspnError: it cannot be saved; in this case, no folder is created.
         """
         new = document_in(document)
-        target = self._new_folder(name)
+        folder = self._new_name(name)
+        whole = self._whole(path)
+
+        def fill(made: str) -> None:
+            contents = PlanFiles(self.folder, whole, new["plan"]).contents()
+            _write(made, {**contents, **contents_of(new)})
+            read_plan(made, self.folder.root)
+
         with self._lock_of(path):
-            whole = self._whole(path)
-            files = PlanFiles(self.folder, whole, new["plan"])
-            made = self._begin(target)
-            try:
-                for inner, data in {**files.contents(), **contents_of(new)}.items():
-                    _write(os.path.join(made, inner), data)
-                read_plan(made, self.folder.root)
-                return self._finish(made, target)
-            except BaseException as error:
-                raise self._undone(made, target, error) from None
+            return self._make(folder, fill)
 
     def new(self, template: object, name: object) -> str:
         """Create a new plan from a template, or an empty one.
@@ -211,59 +209,54 @@ class PlanRepository:
             raise UsageError(
                 "there is no such template", hint="the templates are %s" % ", ".join(known)
             )
-        target = self._new_folder(name)
-        with self._lock:
-            made = self._begin(target)
-            try:
-                if template:
-                    os.rmdir(made)
-                    templates.write(template, made, plan=os.path.basename(target))
-                else:
-                    plan = {"plan": os.path.basename(target), **EMPTY["plan"]}
-                    for inner, data in contents_of({**EMPTY, "plan": plan}).items():
-                        _write(os.path.join(made, inner), data)
-                return self._finish(made, target)
-            except BaseException as error:
-                raise self._undone(made, target, error) from None
+        folder = self._new_name(name)
 
-    def _new_folder(self, name: object) -> str:
+        def fill(made: str) -> None:
+            if template:
+                os.rmdir(made)
+                templates.write(template, made, plan=folder)
+            else:
+                plan = {"plan": folder, **EMPTY["plan"]}
+                _write(made, contents_of({**EMPTY, "plan": plan}))
+
+        with self._lock:
+            return self._make(folder, fill)
+
+    def _new_name(self, name: object) -> str:
         if not isinstance(name, str) or not re.fullmatch(r"\w([\w .+-]{0,79}[\w+-])?", name):
             raise UsageError(
                 "that is not a valid name of a folder",
                 hint="letters, digits, '_', '-' and '.', at most 80",
             )
-        target = os.path.join(self.folder.root, name)
-        if os.path.lexists(target):
-            raise RefusedError("it exists already", hint="choose another name", file=name)
-        return target
+        self._check_free(name)
+        return name
 
-    def _begin(self, target: str) -> str:
-        """A folder that becomes ``target`` when it is complete."""
+    def _check_free(self, name: str) -> None:
+        if os.path.lexists(os.path.join(self.folder.root, name)):
+            raise RefusedError("it exists already", hint="choose another name", file=name)
+
+    def _make(self, name: str, fill: Callable[[str], None]) -> str:
+        """Make the folder of a new plan, completely or not at all; return the path of the plan.
+
+        :param fill: writes the files into an empty folder.
+        """
         made = os.path.join(self.folder.root, ".gspn_new_" + secrets.token_hex(6))
         try:
             os.mkdir(made)
         except OSError as error:
-            raise InputError(
-                "cannot create it: %s" % error.strerror, file=os.path.basename(target)
-            ) from None
-        return made
-
-    def _finish(self, made: str, target: str) -> str:
-        if os.path.lexists(target):
-            raise RefusedError(
-                "it exists already", hint="choose another name", file=os.path.basename(target)
-            )
-        os.rename(made, target)
-        return os.path.join(os.path.basename(target), PLAN_FILE)
-
-    def _undone(self, made: str, target: str, error: BaseException) -> BaseException:
-        shutil.rmtree(made, ignore_errors=True)
-        name = os.path.basename(target)
-        if isinstance(error, OSError):
-            return InputError("cannot write it: %s" % error.strerror, file=name)
-        if isinstance(error, GspnError) and error.file:
-            error.file = error.file.replace(made, name)
-        return error
+            raise InputError("cannot create it: %s" % error.strerror, file=name) from None
+        try:
+            fill(made)
+            self._check_free(name)
+            os.rename(made, os.path.join(self.folder.root, name))
+        except BaseException as error:
+            shutil.rmtree(made, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise InputError("cannot write it: %s" % error.strerror, file=name) from None
+            if isinstance(error, GspnError) and error.file:
+                error.file = error.file.replace(made, name)
+            raise
+        return os.path.join(name, PLAN_FILE)
 
     def everything_of(self, path: str, document: object) -> Dict[str, bytes]:
         """The plan as a folder, as it would be if the document were saved: the content of each
@@ -326,9 +319,12 @@ def _in_pipe(data: JsonObject) -> Optional[bytes]:
     return drawn if same_net(read, net) else None
 
 
-def _write(path: str, data: bytes) -> None:
-    os.makedirs(os.path.dirname(path), exist_ok=True)
-    with open(path, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
+def _write(folder: str, contents: Mapping[str, bytes]) -> None:
+    """Write files into a folder: path in it -> content."""
+    for name, data in contents.items():
+        path = os.path.join(folder, name)
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        with open(path, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())

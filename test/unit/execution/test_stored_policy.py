@@ -66,7 +66,7 @@ def test_every_reader_finds_the_policy(tmp_path) -> None:
     assert deque(replay(log), 1)[0].state.ended == "the end of the simulated time"
     assert verify([log]).violation is None
     assert gather(log_files([str(tmp_path)])).attempts
-    assert Replay.of_file(str(path)).document("run").plan == log.plan
+    assert Replay(str(path)).document("run").plan == log.plan
     assert main(["verify", str(tmp_path)]) == 0
 
 

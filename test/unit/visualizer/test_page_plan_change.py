@@ -31,7 +31,7 @@ def _deployed(tmp_path_factory):
 
 def replayed(path):
     """A replay whose log has been read, and its hub."""
-    activity, hub = Replay.of_file(path), Hub("", Board(0, []))
+    activity, hub = Replay(path), Hub("", Board(0, []))
     activity.begin(hub)
     cursor = hub.news(None).cursor
     while hub.info.get("loading"):

@@ -45,7 +45,7 @@ def finished(activity):
 
 def test_an_event_log_leads_to_the_state_of_the_run(recorded):
     path, firings, state = recorded
-    hub = finished(Replay.of_file(path))
+    hub = finished(Replay(path))
     board = hub.board()
     assert tuple(board.marking) == state.marking
     assert sum(board.counts) == len(firings)
@@ -65,7 +65,7 @@ def test_a_log_that_was_cut_is_shown_as_far_as_it_goes(recorded, tmp_path):
     cut = tmp_path / "cut.jsonl"
     # amid a line, wherever the half falls
     cut.write_bytes(data[: data.index(b"\n", len(data) // 2) + 10])
-    hub = finished(Replay.of_file(str(cut)))
+    hub = finished(Replay(str(cut)))
     assert hub.board().n > 50
     assert any("cut off" in note["text"] for note in hub.board().notes)
 
@@ -79,7 +79,7 @@ def test_a_log_that_contradicts_itself_says_where(recorded, tmp_path):
     record["firings"][0]["transition"] = firings[0].transition + "x"
     bad = tmp_path / "bad.jsonl"
     bad.write_text("".join(lines[:at]) + json.dumps(record) + "\n" + "".join(lines[at + 1 :]))
-    hub = finished(Replay.of_file(str(bad)))
+    hub = finished(Replay(str(bad)))
     assert any(
         "cannot be read further" in n["text"] and ":%d" % (at + 1) in n["text"]
         for n in hub.board().notes
@@ -116,7 +116,7 @@ def test_a_long_log_is_looked_up_in_its_file(recorded, monkeypatch):
     monkeypatch.setattr("gspn_framework_package.visualizer.recording.LINES_BETWEEN", 3)
     monkeypatch.setattr("gspn_framework_package.visualizer.recording.MARKS", 8)
     monkeypatch.setattr("gspn_framework_package.visualizer.recording.AT_HAND", 40)
-    hub = finished(Replay.of_file(path))
+    hub = finished(Replay(path))
     recording = hub._history
     assert len(recording._marks) <= 8  # whatever the length of the log
     expected = read_at_once(path)
@@ -143,7 +143,7 @@ def test_a_long_log_is_looked_up_in_its_file(recorded, monkeypatch):
 def test_viewers_are_told_how_far_a_log_has_been_read_and_fetch_what_they_look_at(recorded):
     path, _, _ = recorded
     hub = Hub("", Board(0, []))
-    activity = Replay.of_file(path)
+    activity = Replay(path)
     activity.begin(hub)
     cursor, news = hub.news(None).cursor, {}
     while hub.info["loading"]:
@@ -165,7 +165,7 @@ def test_the_clock_is_that_of_the_log(recorded, tmp_path):
     made = tmp_path / "clock.jsonl"
     lines = [{**line, "wall": wall, "mono": mono} for line, (wall, mono) in zip(lines, clocks)]
     made.write_text("".join(json.dumps(line) + "\n" for line in [header, *lines]))
-    events = finished(Replay.of_file(str(made))).events(0, 1000)
+    events = finished(Replay(str(made))).events(0, 1000)
     times = {tuple(e["s"])[0]: e["t"] for e in events if e["k"] == "fire"}
     slots = [line["slot"] for line in lines]
     assert (
@@ -179,7 +179,7 @@ def test_a_log_that_changes_under_the_page_is_reported(recorded, tmp_path, monke
     monkeypatch.setattr("gspn_framework_package.visualizer.recording.LINES_BETWEEN", 20)
     copy = tmp_path / "copy.jsonl"
     shutil.copy(path, str(copy))
-    hub = finished(Replay.of_file(str(copy)))
+    hub = finished(Replay(str(copy)))
     n = hub.board().n
     with open(str(copy), "r+b") as file:
         file.truncate(2000)
@@ -205,7 +205,7 @@ def test_whatever_breaks_in_the_reading_ends_it_and_is_reported(recorded, monkey
         return []
 
     monkeypatch.setattr(TeamEvents, "step", broken)
-    hub = finished(Replay.of_file(path))
+    hub = finished(Replay(path))
     assert not hub.info["loading"]
     assert any(
         "cannot be read further: ZeroDivisionError" in note["text"] for note in hub.board().notes
@@ -230,7 +230,7 @@ def test_a_line_that_is_no_record_ends_the_reading_and_is_named(recorded, tmp_pa
         lines = file.readlines()[:20]
     bad = tmp_path / "bad.jsonl"
     bad.write_text("".join(lines) + line + "\n")
-    hub = finished(Replay.of_file(str(bad)))
+    hub = finished(Replay(str(bad)))
     assert any(
         "cannot be read further" in note["text"] and "bad.jsonl:21" in note["text"]
         for note in hub.board().notes

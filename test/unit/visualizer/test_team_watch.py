@@ -336,7 +336,7 @@ def test_a_plan_that_cannot_be_read_is_none(said):
 
 def test_an_order_goes_to_the_robot_that_it_concerns_then_to_the_others(monkeypatch):
     page = Watched(monkeypatch)
-    page.watch._names = {"/r1": "robot_1", "/r2": "robot_2"}
+    page.watch.names = {"/r1": "robot_1", "/r2": "robot_2"}
     page.connection.answers = {"/r1": OperatorAnswer(True, "so be it")}
     assert page.watch.command("retry", {"robot": "robot_2"}) == {"message": "so be it"}
     assert page.connection.asked == [("/r2", "retry", ""), ("/r1", "retry", "")]
@@ -353,7 +353,7 @@ def test_an_order_goes_to_the_robot_that_it_concerns_then_to_the_others(monkeypa
 
 def test_breakpoints_go_to_every_robot_and_who_does_not_take_them_is_named(monkeypatch):
     page = Watched(monkeypatch)
-    page.watch._names = {"/r1": "robot_1", "/r2": "robot_2"}
+    page.watch.names = {"/r1": "robot_1", "/r2": "robot_2"}
     page.connection.answers = {name: OperatorAnswer(True, "") for name in ("/r1", "/r2")}
     place = page.plan.robots[0].place
     assert place in page.watch.command("breakpoints", {"names": [place]})["message"]
