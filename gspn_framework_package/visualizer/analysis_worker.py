@@ -34,6 +34,7 @@ from gspn_framework_package.visualizer.optimised import PolicyChanges
 from gspn_framework_package.visualizer.simulation_form import (
     asked_in_form,
     form_number,
+    form_texts,
     sweep_in_parts,
 )
 
@@ -227,9 +228,9 @@ def _questions(request: Dict[str, Any]) -> Questions:
             raise UsageError("the reward of '%s' is not a number" % name[:80])
     return Questions(
         at=tuple(sorted(times)),
-        reach=tuple(_texts(request, "reach")),
+        reach=tuple(form_texts(request, "reach", "conditions")),
         cover=tuple(dict(marking) for marking in request.get("cover", ())),
-        mean_time_to=tuple(_texts(request, "mean_time_to")),
+        mean_time_to=tuple(form_texts(request, "mean_time_to", "conditions")),
         rewards={name: float(value) for name, value in rewards.items()},
         settling=float(settling) if settling is not None else None,
         structure=bool(request.get("structure")),
@@ -244,13 +245,6 @@ def _numbers(request: Dict[str, Any], key: str) -> List[float]:
     ):
         raise UsageError("'%s' must be a list of times of at least 0" % key)
     return [float(v) for v in values]
-
-
-def _texts(request: Dict[str, Any], key: str) -> List[str]:
-    values = request.get(key, [])
-    if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-        raise UsageError("'%s' must be a list of conditions" % key)
-    return values
 
 
 def _say(**message: Any) -> None:

@@ -9,7 +9,7 @@ from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import GspnError, LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Activity
-from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.board import Event, note_event
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.fired_follower import FiredFollower, FiredMessage
 from gspn_framework_package.visualizer.hub import Hub
@@ -90,14 +90,14 @@ class BagReplay(Activity):
                 "the bag also contains other runs of this plan, which are not shown: %s"
                 % ", ".join(self.left_out)
             )
-            events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
+            events.append({**note_event("warning", text), "t": t})
         if self._others:
             text = (
                 "from %.1f s on, the run follows another plan; a bag does not contain it, so "
                 "nothing of it is shown: replay the event log of a robot"
                 % (self._others[0] - first)
             )
-            events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
+            events.append({**note_event("warning", text), "t": t})
         hub.publish(*events)
 
 

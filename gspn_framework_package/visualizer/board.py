@@ -132,6 +132,24 @@ def mark_event(enabled: EnabledSet, why: str) -> Event:
     }
 
 
+def note_event(level: str, text: str, robot: str = "") -> Event:
+    """The event for a note; see the module."""
+    return {"k": "note", "level": level, "robot": robot, "text": text}
+
+
+def first_status(run: str, running: bool) -> Dict[str, Any]:
+    """The status of a run of which nothing more is known; see the module."""
+    return {
+        "run": run,
+        "running": running,
+        "paused": False,
+        "ended": None,
+        "finished": False,
+        "stalled": "",
+        "fault": False,
+    }
+
+
 def renumbered(place: Optional[int], places: Sequence[Optional[int]]) -> int:
     """The new number of a robot's place; -1 if it has none in the new net.
 

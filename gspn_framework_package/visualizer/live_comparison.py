@@ -39,7 +39,7 @@ from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS, AnalysisJobs
-from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.board import Board, Event, note_event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
 
@@ -324,7 +324,7 @@ class LiveComparison:
         for alarm in new:
             since = max(alarm.since, 0.0) + self._began
             text = "%s, since about %.0f s" % (alarm.describe(), since)
-            self._hub.publish({"k": "note", "level": "warning", "robot": alarm.robot, "text": text})
+            self._hub.publish(note_event("warning", text, alarm.robot))
         lasting = monitor.on
         if self._listener is not None:
             levels = [(_name(stream), _level(stream)) for stream in monitor.streams]

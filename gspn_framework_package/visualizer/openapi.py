@@ -510,9 +510,11 @@ def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any
         "responses": {
             "200": {
                 "description": "the answer",
-                "content": {operation.media: {"schema": _object(operation.answer)}}
-                if operation.media == "application/json"
-                else {operation.media: {"schema": TEXTS[operation.media]}},
+                "content": {
+                    operation.media: {
+                        "schema": TEXTS.get(operation.media) or _object(operation.answer)
+                    }
+                },
             },
             "default": {
                 "description": "the reason: 400 wrong input, 401 and 403 not allowed, 409 refused",

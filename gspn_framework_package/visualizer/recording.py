@@ -24,7 +24,7 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.board import Board, Event, note_event
 from gspn_framework_package.visualizer.hub import KeptEvents
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
@@ -152,7 +152,7 @@ class _Reader:
 
 
 def _order_note(robot: str, text: str, t: float) -> Event:
-    return {"k": "note", "level": "info", "robot": robot, "text": text, "t": t}
+    return {**note_event("info", text, robot), "t": t}
 
 
 class Recording(KeptEvents):
@@ -224,14 +224,7 @@ class Recording(KeptEvents):
 
     def _append(self, reader: _Reader, level: str, text: str) -> None:
         """Add a note after all events of the file."""
-        t = round(reader.board.t, 4)
-        event = {
-            "k": "note",
-            "t": t,
-            "level": level,
-            "robot": "",
-            "text": text,
-        }
+        event = {**note_event(level, text), "t": round(reader.board.t, 4)}
         reader.board.admit(event)
         self._last.append(event)
 

@@ -84,7 +84,7 @@ def sweep_in_parts(
     )
 
     asked = asked_in_form(form, "sweep")
-    variations = [read_variation(text) for text in _texts(form, "vary")]
+    variations = [read_variation(text) for text in _few_texts(form, "vary")]
     if not variations:
         raise UsageError("no parameter to vary", hint="write robots=1..5, for example")
     if any(variation.kind == "policy" for variation in variations):
@@ -94,7 +94,7 @@ def sweep_in_parts(
             "the page shows at most %d points" % MOST_SWEEP_POINTS, hint="gspn sweep has no limit"
         )
     ends = asked.until is not None or isinstance(subject, Plan) and subject.until is not None
-    wanted = chosen(subject, _texts(form, "measure"), ends)
+    wanted = chosen(subject, _few_texts(form, "measure"), ends)
     sweep = Sweep(subject, variations, asked)
     points: List[SweepPoint] = []
     told = clock.monotonic()
@@ -106,10 +106,16 @@ def sweep_in_parts(
     tell({**sweep.to_json(points, wanted), "of": len(sweep.points)})
 
 
-def _texts(form: Dict[str, Any], key: str) -> List[str]:
+def form_texts(form: Dict[str, Any], key: str, what: str = "texts") -> List[str]:
+    """A list of texts of a form. :raises UsageError: it is not."""
     values = form.get(key, [])
     if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-        raise UsageError("'%s' must be a list of texts" % key)
+        raise UsageError("'%s' must be a list of %s" % (key, what))
+    return values
+
+
+def _few_texts(form: Dict[str, Any], key: str) -> List[str]:
+    values = form_texts(form, key)
     if len(values) > _TEXTS:
         raise UsageError("'%s' has more than %d entries" % (key, _TEXTS))
     return values

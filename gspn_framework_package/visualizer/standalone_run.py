@@ -30,7 +30,7 @@ from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.team.orders import ORDERS, PAGE
 from gspn_framework_package.team.verdict import obey, verdict
 from gspn_framework_package.visualizer.activity import Activity, Handler, RequestFields
-from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.board import Event, note_event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.feedback import FeedbackStream
 from gspn_framework_package.visualizer.hub import Hub
@@ -260,7 +260,7 @@ class StandaloneRun(Activity, Listener):
     def on_fault(self, agent: str, message: str) -> None:
         """Publish a fault, on the executor's thread."""
         if not self._told_end:
-            self._hub.publish({"k": "note", "level": "fault", "robot": agent, "text": message})
+            self._hub.publish(note_event("fault", message, agent))
 
     def on_end(self, reason: str, finished: bool) -> None:
         """Publish the end of the run, on the executor's thread."""
@@ -277,7 +277,7 @@ class StandaloneRun(Activity, Listener):
     def _gave_way(self, reason: str) -> None:
         """End the run by a fault that has not been reported yet."""
         if not self._told_end:
-            self._hub.publish({"k": "note", "level": "fault", "robot": "", "text": reason})
+            self._hub.publish(note_event("fault", reason))
         self._ended(reason, fault=True)
 
     def _ended(self, reason: str, finished: bool = False, fault: bool = False) -> None:

@@ -26,6 +26,7 @@ from gspn_framework_package.visualizer.board import (
     data_event,
     enter,
     fire_event,
+    first_status,
     mark_event,
     plan_event,
     renumbered,
@@ -60,15 +61,7 @@ class TeamEvents:
 
     def board(self, running: bool, run: str = "") -> Board:
         """The board before the run ``run`` begins."""
-        self._status = {
-            "run": run,
-            "running": running,
-            "paused": False,
-            "ended": None,
-            "finished": False,
-            "fault": False,
-            "stalled": "",
-        }
+        self._status = first_status(run, running)
         return Board(
             len(self.net.transitions), self._enabled.marking, self._enabled.now, self._status
         )

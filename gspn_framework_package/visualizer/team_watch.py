@@ -40,7 +40,14 @@ from gspn_framework_package.team.deploy_team import DeployOutcome, Votes
 from gspn_framework_package.team.deployed_plan import DeployedPlan, read_deployed
 from gspn_framework_package.team.operator_client import RobotLine, UnreachableError, ask_robots
 from gspn_framework_package.visualizer.activity import Activity
-from gspn_framework_package.visualizer.board import Event, data_event, plan_event, renumbered
+from gspn_framework_package.visualizer.board import (
+    Event,
+    data_event,
+    first_status,
+    note_event,
+    plan_event,
+    renumbered,
+)
 from gspn_framework_package.visualizer.feedback import FeedbackStream
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
@@ -157,16 +164,7 @@ class TeamWatch(Activity):
         """Subscribe, and start asking the team for its state."""
         self._hub = hub
         self._feedback = FeedbackStream(hub)
-        self._status = {
-            "run": self.run,
-            "running": False,
-            "paused": False,
-            "ended": None,
-            "finished": False,
-            "stalled": "",
-            "unreachable": "",
-            "fault": False,
-        }
+        self._status = {**first_status(self.run, False), "unreachable": ""}
         offered = sorted([*self.commands, "deploy"]) if self.commands else []
         info = {"commands": offered, "says": self._connection.says}
         hub.restart(self.mode, self._follower.board(self._status), info)
@@ -567,7 +565,7 @@ class TeamWatch(Activity):
             self._hub.publish({"k": "status", "status": changed})
 
     def _note(self, level: str, robot: str, text: str) -> None:
-        self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
+        self._hub.publish(note_event(level, text, robot))
 
     def _report_departures(self, found: Departures) -> None:
         self._connection.report_departures(self.plan, self.run, found)

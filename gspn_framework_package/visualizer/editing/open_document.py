@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_parts import JsonObject, PlanParts, read_parts
@@ -110,10 +110,14 @@ def _placed(net: JsonObject, positions: Dict[str, Point], anew: bool) -> JsonObj
         x, y = positions[node["name"]]
         return {**node, "position": [round(x, 1), round(y, 1)]}
 
+    return with_nodes(net, placed)
+
+
+def with_nodes(net: JsonObject, change: Callable[[JsonObject], JsonObject]) -> JsonObject:
+    """The net with each of its nodes changed."""
     return {
         **net,
-        "places": [placed(node) for node in net["places"]],
-        "transitions": [placed(node) for node in net["transitions"]],
+        **{key: [change(node) for node in net[key]] for key in ("places", "transitions")},
     }
 
 

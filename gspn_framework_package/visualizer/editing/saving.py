@@ -17,7 +17,7 @@ from gspn_framework_package.formats.plan_parts import JsonObject
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.visualizer.documents import check_size
-from gspn_framework_package.visualizer.editing.open_document import Opened
+from gspn_framework_package.visualizer.editing.open_document import Opened, with_nodes
 
 _DEPTH = 60
 """Largest nesting depth of a document."""
@@ -185,11 +185,7 @@ def settled_net(opened: Opened, net: JsonObject) -> JsonObject:
             kept["position"] = file[name]
         return kept
 
-    return {
-        **net,
-        "places": [settled(node) for node in net["places"]],
-        "transitions": [settled(node) for node in net["transitions"]],
-    }
+    return with_nodes(net, settled)
 
 
 def _positions(net: JsonObject) -> Dict[str, Optional[List[float]]]:

@@ -16,14 +16,8 @@ export function answersTo(show, result, request, body) {
   if (request.at && !request.mean_time_to) parts.push(transient(show, result));
   if (request.settling !== undefined) parts.push(settling(show, result));
   if (request.structure) parts.push(structure(show, result));
-  if (
-    !request.reach &&
-    !request.cover &&
-    !request.mean_time_to &&
-    !request.at &&
-    request.settling === undefined &&
-    result.bounded !== undefined
-  )
+  const particular = ["reach", "cover", "mean_time_to", "at", "settling"];
+  if (!particular.some((key) => key in request) && result.bounded !== undefined)
     parts.push(behaviour(show, result, body));
   if (request.timing) parts.push(steadyState(show, result));
   return parts.flat().filter(Boolean);

@@ -71,21 +71,23 @@ export const facts = (pairs) =>
       .map(([name, value]) => [h("dt", name), h("dd", value)]),
   );
 
-/** A table; `kind`: its selector. Cells that are no cells yet are numbers, but for the first of a row. */
+/** The heads of columns of texts. */
+export const columns = (heads) => heads.map((head) => h("th", { scope: "col" }, head));
+
+/** A table; `kind`: its selector. Rows are lists of cells, or rows already; cells that are no cells yet are numbers,
+ * but for the first of a row. */
 export function table(kind, heads, rows) {
-  const cells = (tag, row) =>
-    h(
-      "tr",
-      row.map((cell, i) => (cell?.matches?.("td, th") ? cell : h(i ? `${tag}.number` : tag, cell))),
-    );
-  return h(
-    kind,
-    h("thead", cells("th", heads)),
-    h(
-      "tbody",
-      rows.map((row) => cells("td", row)),
-    ),
-  );
+  const cellOf = (tag, cell, i) =>
+    cell?.matches?.("td, th") ? cell : h(i ? `${tag}.number` : tag, cell);
+  const rowOf = (tag, row) =>
+    Array.isArray(row)
+      ? h(
+          "tr",
+          row.map((cell, i) => cellOf(tag, cell, i)),
+        )
+      : row;
+  const body = rows.map((row) => rowOf("td", row));
+  return h(kind, h("thead", rowOf("th", heads)), h("tbody", body));
 }
 
 let toastTimer = 0;

@@ -1,6 +1,6 @@
 // A fleet's history: what months of logs show about robots, places and days, with a link to the replay of each moment.
 
-import { $, h, s, attempt, menu, number, plural } from "./dom.js";
+import { $, h, s, attempt, columns, menu, number, plural, table } from "./dom.js";
 import { get } from "./api.js";
 import { curvePlot, CURVES } from "./plot.js";
 
@@ -10,14 +10,14 @@ export const HISTORY = "history";
 const GROUPS = ["robot", "place", "day"];
 const KINDS = { failure: "failure", alarm: "alarm", intervention: "order", wait: "long wait" };
 const COLUMNS = [
-  ["visits", "Visits", (row) => number(row.visits)],
-  ["acting_s", "Acting (h)", (row) => hours(row.acting_s)],
-  ["waiting_s", "Waiting (h)", (row) => hours(row.waiting_s)],
-  ["paused_s", "Paused (h)", (row) => hours(row.paused_s)],
-  ["failed_s", "Failed (h)", (row) => hours(row.failed_s)],
-  ["failures", "Failures", (row) => number(row.failures)],
-  ["alarms", "Alarms", (row) => number(row.alarms)],
-  ["interventions", "Orders", (row) => number(row.interventions)],
+  ["Visits", (row) => number(row.visits)],
+  ["Acting (h)", (row) => hours(row.acting_s)],
+  ["Waiting (h)", (row) => hours(row.waiting_s)],
+  ["Paused (h)", (row) => hours(row.paused_s)],
+  ["Failed (h)", (row) => hours(row.failed_s)],
+  ["Failures", (row) => number(row.failures)],
+  ["Alarms", (row) => number(row.alarms)],
+  ["Orders", (row) => number(row.interventions)],
 ];
 
 const asked = { by: "robot", since: "", until: "", robot: "", place: "" }; // kept while the user looks at replays
@@ -81,7 +81,7 @@ async function ask(answer) {
   if (mine !== latest) return;
   answer.inert = false;
   if (!told || !daily) return;
-  answer.replaceChildren(...plots(daily.rows), table(told), h("div", { id: "fleet-moments" }));
+  answer.replaceChildren(...plots(daily.rows), report(told), h("div", { id: "fleet-moments" }));
   await tellMoments({});
 }
 
@@ -145,43 +145,21 @@ function share(value) {
 }
 
 /** The report; a click on a row shows the moments behind it. */
-function table({ rows, left_out: leftOut }) {
+function report({ rows, left_out: leftOut }) {
   if (!rows.length) return h("p.muted", "The store contains nothing for this selection.");
   const group = asked.by;
+  const cells = (row) => {
+    const onclick = () => tellMoments(ofRow(row));
+    const link = h("button.link", { text: nameOf(row[group]), title: "What happened", onclick });
+    const values = [share(row.use), ...COLUMNS.map(([, told]) => told(row))];
+    return [h("th", { scope: "row" }, link), ...values.map((value) => h("td", value))];
+  };
+  const heads = columns([group, "Use", ...COLUMNS.map(([head]) => head)]);
+  const shown = table("table", heads, rows.map(cells));
+  shown.id = "fleet-table";
   return h(
     "div.fleet-table",
-    h(
-      "table",
-      { id: "fleet-table" },
-      h(
-        "thead",
-        h(
-          "tr",
-          h("th", { scope: "col", text: group }),
-          h("th", { scope: "col", text: "Use" }),
-          COLUMNS.map(([, head]) => h("th", { scope: "col", text: head })),
-        ),
-      ),
-      h(
-        "tbody",
-        rows.map((row) =>
-          h(
-            "tr",
-            h(
-              "th",
-              { scope: "row" },
-              h("button.link", {
-                text: nameOf(row[group]),
-                title: "What happened",
-                onclick: () => tellMoments(ofRow(row)),
-              }),
-            ),
-            h("td", share(row.use)),
-            COLUMNS.map(([, , told]) => h("td", told(row))),
-          ),
-        ),
-      ),
-    ),
+    shown,
     leftOut > 0 && h("p.muted", `${plural(leftOut, "row")} not shown.`),
   );
 }

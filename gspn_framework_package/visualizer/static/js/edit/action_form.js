@@ -1,12 +1,12 @@
 // What a robot does in a place: a choice among the kinds of action, and the fields of the chosen kind.
 
 import { h, options } from "../dom.js";
-import { problemOfData, valueField } from "./data_form.js";
+import { problemOfData } from "./data_form.js";
 import { messageHint, messagesOf, pathsOf } from "./message_form.js";
 import { nodeKey } from "./net_edits.js";
 import { problemOf } from "./schema.js";
 import { NAMES } from "./names.js";
-import { group, objectForm } from "./schema_form.js";
+import { objectForm } from "./schema_form.js";
 
 const TITLES = {
   none: "nothing: done at once",
@@ -18,16 +18,8 @@ const TITLES = {
   command: "a program",
   plan: "another plan (subnet)",
 };
-const START = {
-  none: () => null,
-  function: () => "",
-  server: () => ({ server: "" }),
-  service: () => ({ service: "", type: "" }),
-  publish: () => ({ publish: "", type: "" }),
-  wait_for: () => ({ wait_for: "", type: "" }),
-  command: () => ({ command: [""] }),
-  plan: () => ({ plan: "", entry: "", exit: "" }),
-};
+/** What an action begins with, unless it is an object with empty texts. */
+const START = { none: null, function: "", command: { command: [""] } };
 
 const SENT = { server: "goal", service: "request", publish: "message" };
 
@@ -65,7 +57,7 @@ export function actionField(form, lens, title, schema) {
       (it) => (it === undefined ? undefined : kindOfAction(it)),
       (chosen) =>
         chosen in START
-          ? START[chosen]()
+          ? START[chosen]
           : Object.fromEntries(kinds.get(chosen).required.map((key) => [key, ""])),
       "kind",
     ),
@@ -96,14 +88,20 @@ export function actionField(form, lens, title, schema) {
   );
 }
 
+/** Where the palette lists what exists on ROS for a kind of action. */
+const LIVE = { server: "actions", service: "services", publish: "topics", wait_for: "topics" };
+const liveOf = (ros, kind) => ros?.[LIVE[kind]] ?? [];
+
 /** The choices for a kind of action: [text, value, help]. */
 function offered({ functions, plans, ros }, kind, allowed) {
+  const live = (each, actionOf) =>
+    liveOf(ros, each).map(({ name, type }) => [name, actionOf(name, type), type]);
   const list = {
     function: (functions ?? []).map(({ name, doc }) => [name, name, doc]),
-    server: (ros?.actions ?? []).map(({ name, type }) => [name, { type, server: name }, type]),
-    service: (ros?.services ?? []).map(({ name, type }) => [name, { service: name, type }, type]),
-    publish: (ros?.topics ?? []).map(({ name, type }) => [name, { publish: name, type }, type]),
-    wait_for: (ros?.topics ?? []).map(({ name, type }) => [name, { wait_for: name, type }, type]),
+    server: live("server", (name, type) => ({ type, server: name })),
+    service: live("service", (name, type) => ({ service: name, type })),
+    publish: live("publish", (name, type) => ({ publish: name, type })),
+    wait_for: live("wait_for", (name, type) => ({ wait_for: name, type })),
     plan: allowed
       ? (plans ?? []).map(({ file, places }) => [
           file,
@@ -165,7 +163,7 @@ const parameterName = (parameter) => (typeof parameter === "string" ? parameter 
 
 function hints(form, kind, value, place) {
   const { functions = [], plans = [], ros, types = {} } = form.palette ?? {};
-  const of = (list) => () => (list ?? []).map(({ name }) => name);
+  const of = (list) => () => list.map(({ name }) => name);
   const { outcomes, keep } = actionHints(place);
   if (kind === "function") {
     const known = functions.find(({ name }) => name === value.function);
@@ -194,18 +192,13 @@ function hints(form, kind, value, place) {
       },
     };
   }
-  const lists = {
-    server: ros?.actions,
-    service: ros?.services,
-    publish: ros?.topics,
-    wait_for: ros?.topics,
-  };
-  if (kind === "command") return { outcomes, keep, command: { draw: commandField } };
+  if (kind === "command") return { outcomes, keep, command: { data: true } };
   const messages = messagesOf(form, kind, value.type);
-  const live = (lists[kind] ?? []).map(({ type }) => type).filter(Boolean);
+  const live = liveOf(ros, kind);
+  const known = live.map(({ type }) => type).filter(Boolean);
   return {
-    [kind]: { names: of(lists[kind]) },
-    type: { names: () => [...new Set([...live, ...(types[kind] ?? [])])] },
+    [kind]: { names: of(live) },
+    type: { names: () => [...known, ...(types[kind] ?? [])] },
     [SENT[kind]]: messageHint(messages, value.type),
     outcomes,
     keep: { ...keep, each: { names: () => pathsOf(messages.received) } },
@@ -220,10 +213,6 @@ function opener(form, lens, value) {
     "div.buttons",
     form.button(`${lens.key} open`, `Open ${value.plan}`, () => form.mode.actions.openSubnet(key)),
   );
-}
-
-function commandField(form, lens, title) {
-  return group(title, valueField(form, lens, title, { kinds: ["array"] }));
 }
 
 /** The docstring and the parameters of the function that an action names. */

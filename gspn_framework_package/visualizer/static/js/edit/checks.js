@@ -10,13 +10,11 @@ const LISTED = 60; // findings listed per level
 const LEVELS = { error: "Error", warning: "Warning", note: "Note" };
 const RANK = { error: 3, warning: 2, note: 1 };
 
-/** The keys of the elements that a finding is about; for an arc, also its ends, which can carry a mark. */
-function keysOf(elements) {
-  const keys = [];
-  for (const { kind, name } of elements)
-    if (kind === "place" || kind === "transition" || kind === "arc") keys.push(`${kind}:${name}`);
-  return keys;
-}
+/** The keys of the elements that a finding is about. */
+const keysOf = (elements) =>
+  elements
+    .filter(({ kind }) => ["place", "transition", "arc"].includes(kind))
+    .map(({ kind, name }) => `${kind}:${name}`);
 
 /** Sets `mode.findings` and fires "findings" on the mode. */
 export class Checks {

@@ -81,6 +81,12 @@ export function valueField(form, lens, label, { kinds = null, remove = null } = 
   return h("div.value", h("div.entry", chooser, control, remove), below);
 }
 
+/** Why an object cannot get an entry of this name; "" if it can. */
+export function problemOfKey(lens, name) {
+  if (!name) return "a name is needed";
+  return name in (lens.get() ?? {}) ? "this name exists already" : "";
+}
+
 /** The fields of an object whose keys are free. `start`: name -> the value of a new one. */
 export function fields(
   form,
@@ -105,12 +111,7 @@ export function fields(
     form.namer(
       lens.key,
       `Name of another field of ${label}`,
-      (name) =>
-        !name
-          ? "a name is needed"
-          : name in (lens.get() ?? {})
-            ? "this name exists already"
-            : check(name),
+      (name) => problemOfKey(lens, name) || check(name),
       (name) => {
         form.wanted = inside(name).key;
         form.put(inside(name), start(name), `Add ${label} ${name}`);

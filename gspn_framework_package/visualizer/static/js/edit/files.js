@@ -90,7 +90,7 @@ export class Files {
   }
 
   tellReadOnly() {
-    this.banner.replaceChildren(
+    this.showBanner(
       h("span", `It cannot be saved here: ${this.readOnly}.`),
       h("button", { text: "Save as…", onclick: () => this.saveAs() }),
       h("button", {
@@ -99,6 +99,10 @@ export class Files {
         onclick: () => this.hideBanner(),
       }),
     );
+  }
+
+  showBanner(...parts) {
+    this.banner.replaceChildren(...parts);
     this.banner.hidden = false;
   }
 
@@ -277,7 +281,7 @@ export class Files {
     const { draft, mode } = this;
     const older = draft.etag !== undefined && draft.etag !== mode.opened.etag;
     const decide = (label, id, action) => h("button", { text: label, id, onclick: action });
-    this.banner.replaceChildren(
+    this.showBanner(
       h(
         "span",
         `A draft from ${moment(draft.saved_at)} was not saved.${older ? " The files have changed since." : ""}`,
@@ -301,7 +305,6 @@ export class Files {
         this.later();
       }),
     );
-    this.banner.hidden = false;
   }
 
   // -- export --------------------------------------------------------------------------------------

@@ -170,9 +170,7 @@ function evidence(form, schema, lens, title) {
               form.whole(of, (value) => problemOf(part, value, form.schema)),
               title,
             ),
-            form.remove(of.key, "what it was learned from", () =>
-              form.put(of, undefined, `Remove the source of ${title}`),
-            ),
+            form.removal(of, "what it was learned from", null, `Remove the source of ${title}`),
           ]
         : form.button(`${of.key} add`, "Record what it was learned from", () =>
             form.put(of, { observations: 0 }, `Record what ${title} was learned from`),

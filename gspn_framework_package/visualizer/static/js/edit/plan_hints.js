@@ -8,6 +8,7 @@ import { NAMES } from "./names.js";
 import { changedCondition } from "./rename.js";
 import { robotsForm } from "./robots_form.js";
 import { failureRule, lostRule } from "./rule_form.js";
+import { problemOfSum } from "./schema.js";
 
 const placeCondition = (text, state) => {
   const known = new Set(state.net.places.map(({ name }) => name));
@@ -64,7 +65,7 @@ export const HINTS = {
       };
     },
   },
-  "plan.outcomes.*": { draw: learnedForm(sumsToOne) },
+  "plan.outcomes.*": { draw: learnedForm(({ probabilities }) => problemOfSum(probabilities)) },
   "plan.outcomes.*.probabilities": {
     keys: (state) => ["", ...NAMES.transitions(state)],
     start: () => 0,
@@ -90,10 +91,3 @@ export const HINTS = {
     draw: () => h("p.muted", "Generated; to edit it, open the subnet."),
   },
 };
-
-function sumsToOne(value) {
-  const sum = Object.values(value?.probabilities ?? {}).reduce((total, it) => total + it, 0);
-  return Math.abs(sum - 1) <= 1e-6
-    ? ""
-    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not 1`;
-}

@@ -1,24 +1,21 @@
 // The policy as a table: a column for each place in the rows, a row for each marking, and the transitions
 // that it chooses.
 
-import { h, plural } from "../dom.js";
+import { columns, h, plural, table } from "../dom.js";
 import { Lens } from "./form.js";
 import { NAMES } from "./names.js";
 import { PlanForm } from "./property_panel.js";
 import { ProposedRows } from "./proposed_rows.js";
+import { problemOfSum } from "./schema.js";
 
 const ROWS = 20; // on one page of the table
-const TOLERANCE = 1e-6; // as in model/policy.py
 
 /** Why the choice of a row is not valid; "" if it is. */
 function problemOfChoice(choose) {
   const values = Object.values(choose).map(Number);
   if (!values.length) return ""; // the robots wait
   if (values.some((value) => !(value >= 0))) return "a probability is at least 0";
-  const sum = values.reduce((total, value) => total + value, 0);
-  return Math.abs(sum - 1) <= TOLERANCE
-    ? ""
-    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not 1`;
+  return problemOfSum(choose);
 }
 
 const wild = (cell) => cell === "-";
@@ -220,23 +217,11 @@ export class PolicyPanel extends PlanForm {
       h(
         "div.scroll",
         { tabindex: "0", role: "region", "aria-label": "Rows of the policy" },
-        h(
+        table(
           "table.ed-policy",
-          h(
-            "thead",
-            h(
-              "tr",
-              h("th", { scope: "col", text: "Row" }),
-              policy.places.map((name) => h("th", { scope: "col", text: name })),
-              h("th", { scope: "col", text: "Chooses" }),
-              h("th", { scope: "col" }, h("span.unseen", "Change the rows")),
-            ),
-          ),
-          h(
-            "tbody",
-            page.map((row, i) =>
-              this.tableRow(policy, row, this.first + i, marks.get(this.first + i)),
-            ),
+          columns(["Row", ...policy.places, "Chooses", h("span.unseen", "Change the rows")]),
+          page.map((row, i) =>
+            this.tableRow(policy, row, this.first + i, marks.get(this.first + i)),
           ),
         ),
       ),

@@ -1,6 +1,6 @@
 // The rows of a policy that the optimiser proposes, next to those of the plan.
 
-import { h, plural } from "../dom.js";
+import { columns, h, plural, table } from "../dom.js";
 import { get } from "../api.js";
 import { choiceText } from "../policy_table.js";
 import { NAMES } from "./names.js";
@@ -47,43 +47,20 @@ export class ProposedRows {
       h(
         "div.scroll",
         { tabindex: "0", role: "region", "aria-label": "Proposed rows" },
-        h(
+        table(
           "table.ed-policy",
-          h(
-            "thead",
-            h(
-              "tr",
-              ["Marking", "Now", "Proposed", "Take"].map((text) => h("th", { scope: "col", text })),
-            ),
-          ),
-          h(
-            "tbody",
-            rows.map((row) => {
-              const now = same ? this.present(row.marking) : null;
-              return h(
-                "tr",
-                h("td", markingText(places, row.marking)),
-                h("td", now ? choiceText(now.choose) : "no such row"),
-                h(
-                  "td",
-                  Object.keys(row.choose).length ? choiceText(row.choose) : "wait",
-                  " ",
-                  row.differs === true && h("span.badge.warn", "differs"),
-                ),
-                h(
-                  "td",
-                  this.panel.button(
-                    `take ${row.number}`,
-                    "Take over",
-                    () => this.take(places, [row]),
-                    {
-                      "aria-label": `Take over the proposed row ${row.number}`,
-                    },
-                  ),
-                ),
-              );
-            }),
-          ),
+          columns(["Marking", "Now", "Proposed", "Take"]),
+          rows.map((row) => {
+            const now = same ? this.present(row.marking) : null;
+            const about = { "aria-label": `Take over the proposed row ${row.number}` };
+            const take = () => this.take(places, row);
+            return [
+              markingText(places, row.marking),
+              now ? choiceText(now.choose) : "no such row",
+              [choiceText(row.choose), " ", row.differs && h("span.badge.warn", "differs")],
+              this.panel.button(`take ${row.number}`, "Take over", take, about),
+            ].map((cell) => h("td", cell));
+          }),
         ),
       ),
       h(
@@ -98,53 +75,40 @@ export class ProposedRows {
   }
 
   present(marking) {
-    return this.panel.policy.rows.find(
-      (row) => row.marking.map(String).join() === marking.map(String).join(),
-    );
+    return this.panel.policy.rows.find((row) => sameMarking(row.marking, marking));
   }
 
-  /** Take over proposed rows: each replaces the row of the same marking, or is inserted before those with more
-   * wildcards. */
-  take(places, taken) {
-    const unknown = [...new Set(taken.flatMap(({ choose }) => Object.keys(choose)))].find(
-      (name) => !this.panel.immediate.includes(name),
-    );
+  /** Take over a proposed row: it replaces the row of the same marking, or comes last. */
+  take(places, { marking, choose }) {
+    const { panel } = this;
+    const { policy } = panel;
+    const unknown = Object.keys(choose).find((name) => !panel.immediate.includes(name));
     if (unknown !== undefined) {
-      this.panel.mode.say(`The net here has no immediate transition '${unknown}' any more.`);
+      panel.mode.say(`The net here has no immediate transition '${unknown}' any more.`);
       return;
     }
-    let { policy } = this.panel;
     const missing = places.filter((name) => !policy.places.includes(name));
-    if (missing.some((name) => !NAMES.places(this.panel.state).includes(name))) {
-      this.panel.mode.say(`The net here has no place '${missing[0]}' any more.`);
+    if (missing.some((name) => !NAMES.places(panel.state).includes(name))) {
+      panel.mode.say(`The net here has no place '${missing[0]}' any more.`);
       return;
     }
-    policy = {
-      ...policy,
-      places: [...policy.places, ...missing],
-      rows: policy.rows.map((row) => ({
-        ...row,
-        marking: [...row.marking, ...missing.map(() => "-")],
-      })),
-    };
-    for (const { marking, choose } of taken) {
-      const cells = policy.places.map((name) =>
-        places.includes(name) ? marking[places.indexOf(name)] : "-",
-      );
-      const key = cells.map(String).join();
-      const at = policy.rows.findIndex((row) => row.marking.map(String).join() === key);
-      const row = { marking: cells, choose };
-      policy.rows =
-        at < 0
-          ? [...policy.rows, row]
-          : policy.rows.map((it, i) => (i === at ? { ...it, choose } : it));
-    }
-    this.panel.drafts.clear();
-    this.panel.put(
-      this.panel.lens(),
-      policy,
-      taken.length === 1 ? "Take over a proposed row" : "Take over the proposed policy",
+    const columnsNow = [...policy.places, ...missing];
+    const rows = policy.rows.map((row) => ({
+      ...row,
+      marking: [...row.marking, ...missing.map(() => "-")],
+    }));
+    const cells = columnsNow.map((name) =>
+      places.includes(name) ? marking[places.indexOf(name)] : "-",
     );
+    const at = rows.findIndex((row) => sameMarking(row.marking, cells));
+    if (at < 0) rows.push({ marking: cells, choose });
+    else rows[at] = { ...rows[at], choose };
+    this.put({ ...policy, places: columnsNow, rows }, "Take over a proposed row");
+  }
+
+  put(policy, label) {
+    this.panel.drafts.clear();
+    this.panel.put(this.panel.lens(), policy, label);
   }
 
   async takeAll() {
@@ -166,21 +130,16 @@ export class ProposedRows {
         this.panel.mode.say(`The net here has no '${foreign ?? unknown}' any more.`);
         return;
       }
-      this.panel.drafts.clear();
-      this.panel.put(
-        this.panel.lens(),
-        {
-          ...this.panel.policy,
-          places: page.places,
-          rows: rows.map(({ marking, choose }) => ({ marking, choose })),
-        },
-        "Take over the proposed policy",
-      );
+      const taken = rows.map(({ marking, choose }) => ({ marking, choose }));
+      const policy = { ...this.panel.policy, places: page.places, rows: taken };
+      this.put(policy, "Take over the proposed policy");
     } catch (error) {
       this.panel.mode.say(error.message);
     }
   }
 }
+
+const sameMarking = (one, other) => one.map(String).join() === other.map(String).join();
 
 const markingText = (places, marking) =>
   places

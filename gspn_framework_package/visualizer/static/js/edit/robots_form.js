@@ -132,8 +132,11 @@ export function robotRow(form, lens, robot, i, places) {
             own,
             `Action of ${robot.name} in ${place}`,
           ),
-          form.remove(own.key, `the action of ${robot.name} in ${place}`, () =>
-            form.put(own, undefined, `Remove an action of ${robot.name}`),
+          form.removal(
+            own,
+            `the action of ${robot.name} in ${place}`,
+            null,
+            `Remove an action of ${robot.name}`,
           ),
         );
       }),

@@ -3,6 +3,10 @@
 import { NAMES } from "./names.js";
 import { problemOf, resolved, typeOf } from "./schema.js";
 
+/** A rule that tries again, as an object. */
+const retryOf = (rule) =>
+  typeOf(rule) === "object" ? rule : { retry: Number(String(rule).split(" ")[1]) };
+
 /** wait, stop, retry N, fire T, {retry, delay}. */
 export function failureRule(form, lens, title) {
   const value = lens.get();
@@ -17,14 +21,14 @@ export function failureRule(form, lens, title) {
     ...(leaving.length || kind === "fire" ? [["fire", "fire a transition"]] : []),
   ];
   const times = lens.as(
-    (it) => (typeOf(it) === "object" ? it.retry : Number(String(it).split(" ")[1])),
+    (it) => retryOf(it).retry,
     (n, it) => (typeOf(it) === "object" ? { ...it, retry: n } : `retry ${n}`),
     "retry",
   );
   const delay = lens.as(
-    (it) => (typeOf(it) === "object" ? it.delay : undefined),
+    (it) => retryOf(it).delay,
     (seconds, it) => {
-      const retry = typeOf(it) === "object" ? it.retry : Number(String(it).split(" ")[1]);
+      const { retry } = retryOf(it);
       return seconds === undefined ? `retry ${retry}` : { retry, delay: seconds };
     },
     "delay",

@@ -3,6 +3,8 @@
 
 import { changed } from "./plan_document.js";
 
+const TOLERANCE = 1e-6; // of a sum of probabilities; as in model/policy.py
+
 let loaded = null;
 
 /** The schema; it is fetched once. */
@@ -25,6 +27,14 @@ export function resolved(schema, root) {
     .split("/")
     .reduce((at, key) => at[key], root);
   return resolved({ ...found, ...changed(schema, { $ref: undefined }) }, root);
+}
+
+/** What is wrong with the sum of probabilities: name -> probability. */
+export function problemOfSum(probabilities = {}) {
+  const sum = Object.values(probabilities).reduce((total, it) => total + Number(it), 0);
+  return Math.abs(sum - 1) <= TOLERANCE
+    ? ""
+    : `the probabilities add up to ${Number(sum.toPrecision(6))}, not 1`;
 }
 
 /** The numbers in a text, and what is wrong with one of them. */

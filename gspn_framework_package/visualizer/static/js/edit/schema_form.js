@@ -3,7 +3,7 @@
 
 import { h } from "../dom.js";
 import { numbersIn, problemOf, resolved } from "./schema.js";
-import { fields, valueField } from "./data_form.js";
+import { fields, problemOfKey, valueField } from "./data_form.js";
 
 const WORDS = {
   plan: "Name of the plan",
@@ -81,7 +81,7 @@ export function schemaField(form, part, lens, title, given = {}, required = fals
     );
   if (type.includes("array")) {
     const item = resolved(schema.items ?? {}, root);
-    if (hint.data) return group(title, valueList(form, lens, title));
+    if (hint.data) return group(title, valueField(form, lens, title, { kinds: ["array"] }));
     if (item.type === "number")
       return form.labelled(title, numbersField(form, schema, lens, title), schema.description);
     return item.type === "object"
@@ -96,10 +96,7 @@ export function schemaField(form, part, lens, title, given = {}, required = fals
         fields(form, lens, title, {
           names: hint.names?.(form.state),
           start: hint.start && ((name) => hint.start(form.state, name)),
-          check: (name) =>
-            schema.propertyNames
-              ? problemOf({ type: "string", ...schema.propertyNames }, name, root)
-              : "",
+          check: (name) => nameProblem(form, schema, name),
         }),
       );
     return mapForm(form, schema, lens, title, hint);
@@ -214,10 +211,6 @@ function objectsForm(form, schema, lens, title) {
   );
 }
 
-function valueList(form, lens, title) {
-  return valueField(form, lens, title, { kinds: ["array"] });
-}
-
 /** The smallest value that a schema allows, as far as that can be derived. */
 function blankOf(part, root) {
   const schema = resolved(part, root);
@@ -229,7 +222,6 @@ function blankOf(part, root) {
     case "array":
       return [];
     case "integer":
-      return schema.minimum ?? 1;
     case "number":
       return schema.minimum ?? 1;
     case "boolean":
@@ -258,6 +250,10 @@ export function objectForm(form, schema, lens, title, hint = {}) {
       ),
   );
 }
+
+/** What is wrong with a name for a value in a map; "" if nothing is. */
+const nameProblem = (form, { propertyNames: names }, name) =>
+  names ? problemOf({ type: "string", ...names }, name, form.schema) : "";
 
 /** A map from names to values. */
 function mapForm(form, schema, lens, title, hint) {
@@ -304,15 +300,7 @@ function mapForm(form, schema, lens, title, hint) {
           lens.key,
           `Add to ${title}`,
           (name) =>
-            (!name
-              ? "a name is needed"
-              : name in (lens.get() ?? {})
-                ? "this name exists already"
-                : "") ||
-            (hint.nameCheck?.(name) ?? "") ||
-            (schema.propertyNames
-              ? problemOf({ type: "string", ...schema.propertyNames }, name, form.schema)
-              : ""),
+            problemOfKey(lens, name) || hint.nameCheck?.(name) || nameProblem(form, schema, name),
           add,
           hint.names?.(form.state),
         ),
