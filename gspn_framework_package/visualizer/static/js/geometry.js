@@ -292,3 +292,9 @@ export function boundsOf(nodes, margin, above) {
   }
   return [x0 - margin, y0 - above, x1 + margin, y1 + margin];
 }
+
+/** Begin a path on a canvas through these points. */
+export function trace(canvas, points) {
+  canvas.beginPath();
+  for (const [x, y] of points) canvas.lineTo(x, y);
+}

@@ -141,8 +141,7 @@ export class Model extends EventTarget {
 
   append(events) {
     this.lastEvent = performance.now();
-    const tail = this.events.length ? this.events[this.events.length - 1].n : this.board.n;
-    if (events[0].n === tail + 1) {
+    if (events[0].n === (this.events.at(-1) ?? this.board).n + 1) {
       this.events = this.events.concat(events);
       this.trim();
     }
@@ -270,8 +269,8 @@ export class Model extends EventTarget {
   /** Load the events around the board. */
   async fetchAround() {
     const n = this.board.n;
-    const first = this.events.length ? this.events[0].n : Infinity;
-    const last = this.events.length ? this.events[this.events.length - 1].n : -1;
+    const first = this.events[0]?.n ?? Infinity;
+    const last = this.events.at(-1)?.n ?? -1;
     const to = Math.min(this.head.n, n + 2000);
     if (first <= Math.max(this.oldest + 1, n - 500) && last >= Math.min(this.head.n, n + 500))
       return;
@@ -284,21 +283,14 @@ export class Model extends EventTarget {
   /** Load more events after the loaded ones. */
   async fetchAhead() {
     const { epoch } = this;
-    const tail = this.events.length ? this.events[this.events.length - 1].n : -1;
+    const tail = this.events.at(-1)?.n ?? -1;
     if (tail < this.board.n) return this.fetchAround();
+    const current = () => this.epoch === epoch && this.events.at(-1)?.n === tail;
     const data = await get("events", { id: this.session.id, after: tail, to: tail + AHEAD });
-    if (
-      data.epoch !== epoch ||
-      this.epoch !== epoch ||
-      this.events[this.events.length - 1]?.n !== tail ||
-      data.events[0]?.n !== tail + 1
-    )
-      return undefined;
-    await this.loadScenes(
-      data.events.map((event) => event.p || 0),
-      epoch,
-    );
-    if (this.epoch !== epoch || this.events[this.events.length - 1]?.n !== tail) return undefined;
+    if (data.epoch !== epoch || !current() || data.events[0]?.n !== tail + 1) return undefined;
+    const plans = data.events.map((event) => event.p || 0);
+    await this.loadScenes(plans, epoch);
+    if (!current()) return undefined;
     this.events = this.events.concat(data.events);
     if (this.board.n - this.events[0].n > KEPT / 2) this.trim();
     return undefined;
@@ -354,7 +346,7 @@ export class Model extends EventTarget {
       const clock = this.playClock + (Math.min(now - before, STALL) / 1000) * this.speed;
       before = now;
       // never beyond the loaded events: the next ones are not known yet
-      const tail = this.events[this.events.length - 1];
+      const tail = this.events.at(-1);
       const known =
         this.events[this.indexAfter(this.board.n)]?.n === this.board.n + 1 ? tail : null;
       this.playClock = Math.max(
@@ -385,10 +377,6 @@ export class Model extends EventTarget {
     requestAnimationFrame(tick);
   }
 
-  setSpeed(speed) {
-    this.speed = speed;
-  }
-
   stopPlaying() {
     this.playing = false;
     this.emit("view");
@@ -398,7 +386,7 @@ export class Model extends EventTarget {
   backToLive() {
     this.playing = false;
     this.following = true;
-    const last = this.events.length ? this.events[this.events.length - 1].n : -1;
+    const last = this.events.at(-1)?.n ?? -1;
     if (last === this.head.n && this.head.n - this.board.n < 200) {
       this.forward(this.head.n);
     } else if (last !== this.head.n) {

@@ -159,17 +159,8 @@ export class RobotsPanel extends RestingList {
     const { model, orders } = this;
     const buttons = model.mode === "LIVE" ? orders.ofRobot(robot) : [];
     const looks = JSON.stringify([
-      robot.place,
-      robot.phase,
-      robot.paused,
-      robot.attempt,
-      robot.why,
-      robot.refused,
-      robot.task,
-      robot.held,
+      robot,
       model.info.breakpoints,
-      robot.resumed_from,
-      robot.data,
       model.board.status.ended,
       model.following,
       buttons.map((b) => [b.textContent, b.disabled]),

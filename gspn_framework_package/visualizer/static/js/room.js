@@ -2,6 +2,7 @@
 
 import { $ } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
+import { trace } from "./geometry.js";
 
 const WIDEST = 300; // px
 const SHARE = 0.5; // largest share of the panel's height
@@ -48,11 +49,10 @@ export class Room {
     const height = Math.round(
       Math.min(WIDEST, clientHeight * SHARE, Math.max(150, (width * (y1 - y0)) / (x1 - x0))),
     );
-    if (this.canvas.width !== width * ratio || this.canvas.height !== height * ratio) {
-      this.canvas.width = width * ratio;
-      this.canvas.height = height * ratio;
-      this.canvas.style.width = `${width}px`;
-      this.canvas.style.height = `${height}px`;
+    const { canvas } = this;
+    if (canvas.width !== width * ratio || canvas.height !== height * ratio) {
+      Object.assign(canvas, { width: width * ratio, height: height * ratio });
+      Object.assign(canvas.style, { width: `${width}px`, height: `${height}px` });
     }
     const k = Math.min(width / (x1 - x0), height / (y1 - y0)) * 0.94;
     const at = ([x, y]) => [
@@ -89,12 +89,7 @@ export class Room {
         c.strokeStyle = colourOf(name);
         c.globalAlpha = 0.5;
         c.setLineDash([4, 3]);
-        c.beginPath();
-        robot.path.forEach((point, i) => {
-          const [x, y] = at(point);
-          if (i) c.lineTo(x, y);
-          else c.moveTo(x, y);
-        });
+        trace(c, robot.path.map(at));
         c.stroke();
         c.setLineDash([]);
         c.globalAlpha = 1;
@@ -158,8 +153,7 @@ function disc(c, x, y, radius, colour, height = 1) {
 }
 
 function polygon(c, points) {
-  c.beginPath();
-  points.forEach(([x, y], i) => (i ? c.lineTo(x, y) : c.moveTo(x, y)));
+  trace(c, points);
   c.closePath();
   c.fill();
 }

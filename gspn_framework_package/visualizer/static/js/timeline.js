@@ -4,6 +4,7 @@
 import { $, firstWhere, attempt, natural, options, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 import { courseOf, lanesOf } from "./course.js";
+import { trace } from "./geometry.js";
 import { reportOf, robotReport } from "./phases.js";
 import { RestingList } from "./resting_list.js";
 
@@ -163,13 +164,9 @@ export class TimeLine extends RestingList {
     const height = Math.max(shown, top + bottom + rows * LANE[0]);
     const step = Math.min(LANE[1], (height - top - bottom) / rows);
     canvas.style.height = height > shown ? `${height}px` : "100%";
-    if (
-      canvas.width !== Math.round(width * ratio) ||
-      canvas.height !== Math.round(height * ratio)
-    ) {
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
-    }
+    const [wide, high] = [width, height].map((length) => Math.round(length * ratio));
+    if (canvas.width !== wide || canvas.height !== high)
+      Object.assign(canvas, { width: wide, height: high });
     const style = getComputedStyle(document.body);
     const ink = (name) => style.getPropertyValue(name).trim();
     const c = canvas.getContext("2d");
@@ -266,25 +263,15 @@ export class TimeLine extends RestingList {
       c.fillStyle = ink("--ink-2");
       c.textAlign = "left";
       c.fillText(fitted(name), 14, base - step / 2 + 4);
-      c.beginPath();
-      c.moveTo(Math.max(label, x(points[0][0])), base);
-      points.forEach(([t, count], i) => {
-        const y = base - count * rise;
-        c.lineTo(Math.max(label, x(t)), y);
-        c.lineTo(Math.max(label, x(i + 1 < points.length ? points[i + 1][0] : end)), y);
-      });
-      c.lineTo(x(end), base);
+      const steps = points.flatMap(([t, count], i) =>
+        [t, points[i + 1]?.[0] ?? end].map((at) => [Math.max(label, x(at)), base - count * rise]),
+      );
+      trace(c, [[steps[0][0], base], ...steps, [x(end), base]]);
       c.globalAlpha = 0.2;
       c.fillStyle = timed;
       c.fill();
       c.globalAlpha = 1;
-      c.beginPath();
-      points.forEach(([t, count], i) => {
-        const y = base - count * rise;
-        if (i) c.lineTo(x(t), y);
-        else c.moveTo(Math.max(label, x(t)), y);
-        c.lineTo(Math.max(label, x(i + 1 < points.length ? points[i + 1][0] : end)), y);
-      });
+      trace(c, steps);
       c.strokeStyle = timed;
       c.stroke();
       if (x(end) < right - 24) {

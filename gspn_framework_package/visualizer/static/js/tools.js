@@ -272,7 +272,9 @@ export class Tools {
           [0.25, 0.5, 1, 2, 5, 20, 100],
           this.model.speed,
           "×",
-          (speed) => this.model.setSpeed(speed),
+          (speed) => {
+            this.model.speed = speed;
+          },
         ),
       ];
     }

@@ -200,7 +200,7 @@ export class Checks {
       this.mode.choose(keys);
       const shown = keys.find((key) => this.mode.selection.has(key));
       if (shown) this.mode.flyTo(shown);
-    } else if (rows.length && this.mode.panels.has("policy")) this.mode.showPanel("policy");
+    } else if (rows.length) this.mode.showPanel("policy");
   }
 
   close() {

@@ -139,7 +139,7 @@ function withControl(event, mode) {
   const acts = {
     z: () => (event.shiftKey ? mode.redo() : mode.undo()),
     y: () => mode.redo(),
-    s: () => mode.save(),
+    s: () => mode.files.save(),
     a: () => actions.selectAll(),
     d: () => actions.duplicate(),
     enter: () => selection.size === 1 && actions.openSubnet([...selection][0]),

@@ -84,7 +84,7 @@ export class Editor {
       const names = unsaved.map((key) => this.kept.get(key).opened.path);
       const { files } = this.mode;
       const only = unsaved.length === 1 && unsaved[0] === this.id;
-      if (!(await mayLeave(names, only && files ? () => files.save() : null))) return false;
+      if (!(await mayLeave(names, only ? () => files.save() : null))) return false;
       history.replaceState(null, "", hash);
     }
     this.mode.close();

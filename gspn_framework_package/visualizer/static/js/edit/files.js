@@ -191,7 +191,7 @@ export class Files {
     );
     if (answer === "mine") return this.tryToPut(state, theirs.etag);
     if (answer === "theirs") this.take(theirs);
-    else if (mode.diff) mode.diff.show({ title: "From theirs to yours", from: theirs.document });
+    else mode.diff.show({ title: "From theirs to yours", from: theirs.document });
     return false;
   }
 
@@ -289,7 +289,7 @@ export class Files {
       decide("Continue it", "ed-draft-continue", () => {
         this.draft = null;
         this.hideBanner();
-        mode.diff?.hide();
+        mode.diff.hide();
         mode.document.edit("Continue the draft", () => draft.document);
         if (older) mode.opened.etag = draft.etag; // saving it will ask about changes made since
         this.refresh();
@@ -301,7 +301,7 @@ export class Files {
         await attempt(() => this.dropDraft());
         this.draft = null;
         this.hideBanner();
-        mode.diff?.hide();
+        mode.diff.hide();
         this.later();
       }),
     );

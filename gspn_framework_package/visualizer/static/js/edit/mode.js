@@ -42,7 +42,6 @@ export class EditMode extends EventTarget {
     this.arcStart = this.arcEnd = null; // keys of the nodes of the arc being made
     this.panning = false; // whether dragging moves the view
     this.witness = null; // the sequence being played
-    this.files = null; // the part that saves
     this.added = null; // {key, state}: the node last added by key, and the state of the document then
     this.bound = new AbortController(); // aborts when the mode is left
     this.build(crumbs);
@@ -220,10 +219,6 @@ export class EditMode extends EventTarget {
     this.witness = new Witness(this, transitions, markings);
   }
 
-  async save() {
-    if (this.files) await this.files.save();
-  }
-
   // -- the tool bar --------------------------------------------------------------------------------
 
   buttons() {
@@ -371,7 +366,7 @@ export class EditMode extends EventTarget {
       const from = this.canvas.byKey.get(this.arcStart).name;
       this.say(problem || `An arc from ${from} to ${node.name}: press Enter to add it.`);
     }
-    this.list?.mark();
+    this.list.mark();
   }
 
   aimNext(step) {

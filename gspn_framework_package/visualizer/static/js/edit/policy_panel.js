@@ -105,10 +105,9 @@ export class PolicyPanel extends PlanForm {
           disabled: !this.immediate.length,
           title: this.immediate.length ? "" : "The net has no immediate transition to choose",
         }),
-        this.mode.panels?.has("here") &&
-          this.button("policy here", "What would happen here?", () => this.mode.showPanel("here"), {
-            title: "Which row applies in a marking, and what robots would choose",
-          }),
+        this.button("policy here", "What would happen here?", () => this.mode.showPanel("here"), {
+          title: "Which row applies in a marking, and what robots would choose",
+        }),
       ),
       this.general(),
       this.section("policy proposed", "Rows that the optimiser proposes", false, () =>
@@ -119,7 +118,7 @@ export class PolicyPanel extends PlanForm {
 
   /** Findings of the check about the policy as a whole, such as markings that no row covers. */
   gaps() {
-    const found = (this.mode.findings ?? []).filter(
+    const found = this.mode.findings.filter(
       ({ text, elements = [] }) =>
         /\b(policy|row|rows)\b/.test(text) && !elements.some(({ kind }) => kind === "row"),
     );
@@ -247,7 +246,7 @@ export class PolicyPanel extends PlanForm {
       this.overlaps = overlaps(policy.rows);
     }
     for (const [i, text] of this.overlaps) add(i, text);
-    for (const { text, elements } of this.mode.findings ?? [])
+    for (const { text, elements } of this.mode.findings)
       for (const { kind, name } of elements ?? []) if (kind === "row") add(Number(name) - 1, text);
     return found;
   }
@@ -378,8 +377,7 @@ export class PolicyPanel extends PlanForm {
 
   addRow() {
     const { policy } = this;
-    const first =
-      this.mode.selection && [...this.mode.selection].find((key) => key.startsWith("transition:"));
+    const first = [...this.mode.selection].find((key) => key.startsWith("transition:"));
     const chosen = first?.slice("transition:".length);
     const transition = this.immediate.includes(chosen) ? chosen : this.immediate[0];
     this.insertRow(
