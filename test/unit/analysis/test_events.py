@@ -220,6 +220,7 @@ def test_both_readings_are_one_chain_where_no_split_is_due(plan):
     assert abs(rates[0] - rates[1]).max(initial=0.0) < 1e-12
 
 
+@pytest.mark.long
 @settings(relaxed, max_examples=12)
 @given(with_events(small_plans()))
 def test_the_simulation_agrees_with_the_run_in_virtual_time(plan):
@@ -232,6 +233,7 @@ def test_the_simulation_agrees_with_the_run_in_virtual_time(plan):
     assert_alike(plan, expected, rows)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
 @settings(relaxed, max_examples=20)
 @given(with_events(small_plans()))

@@ -527,6 +527,7 @@ def as_net(plan):
     )
 
 
+@pytest.mark.long
 @settings(relaxed, max_examples=12, derandomize=True)
 @given(running_plans())
 def test_a_run_in_virtual_time_has_the_measures_of_the_chain(plan):

@@ -525,6 +525,7 @@ def test_a_draw_is_kept_while_others_go_round_where_they_are(tmp_path):
     assert verify([read_log(log)]).violation is None
 
 
+@pytest.mark.long
 def test_a_cycle_without_time_may_begin_with_an_event(tmp_path):
     """The firing of the event is none of those that are counted until the run is cut off."""
     net = NetBuilder().place("a", 1).place("b").exponential("call", inputs="a", outputs="b")

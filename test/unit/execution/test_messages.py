@@ -249,6 +249,7 @@ values = st.recursive(
 )
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_message_with_any_field_replaced_is_understood_or_refused(data: Any) -> None:
@@ -280,6 +281,7 @@ def test_a_batch_is_read_once_and_goes_on_as_it_came(monkeypatch: pytest.MonkeyP
     assert replica.ledger.length == before + 1 and not read
 
 
+@pytest.mark.long
 def test_a_hello_does_not_grow_with_the_team() -> None:
     sizes = []
     for robots in (3, 13):

@@ -134,6 +134,7 @@ def _module(name):
     return next((m for n, m in sys.modules.items() if n.endswith(name)), None)
 
 
+@pytest.mark.long
 def test_a_large_policy_is_not_in_the_log_of_a_run_that_adopts_it(tmp_path) -> None:
     name = "acts_%d" % time.monotonic_ns()
     (tmp_path / (name + ".py")).write_text(ACTIONS)

@@ -491,6 +491,7 @@ def test_agents_are_forked_and_destroyed() -> None:
     assert [m.target for m in run.firings[-1].moves].count(None) == 1
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_any_order_of_results_keeps_the_invariants_and_replays_exactly(data: Any) -> None:

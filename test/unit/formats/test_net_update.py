@@ -209,6 +209,7 @@ def plain(net):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("format", "features"),
     [

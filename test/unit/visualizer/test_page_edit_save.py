@@ -247,6 +247,7 @@ def _without_ones(arc):
     return {k: v for k, v in arc.items() if (k, v) != ("weight", 1)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["patrol", "warehouse"])
 def test_any_edits_are_saved_and_taken_back(folder, editor, name):
     first = editor.open(name)
