@@ -16,13 +16,13 @@ The number of cores is numba's own setting, the environment variable ``NUMBA_NUM
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import partial
 from typing import Any, List, NamedTuple, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices, Words
-from gspn_framework_package.analysis.compiling import Function, compiled, config
+from gspn_framework_package.analysis.compiling import compiled, config
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
     Allowance,
@@ -33,6 +33,10 @@ from gspn_framework_package.analysis.state_space.exploration import (
 )
 from gspn_framework_package.analysis.state_space.packing import PackedNet
 from gspn_framework_package.analysis.watch import Watch
+
+_Width = Tuple[int, ...]
+"""A tuple with an element for each word of a marking. Its length is a part of its type: the
+compiler unrolls the loops over it, and keeps the machine code of each length on the disk."""
 
 _MIX_1 = np.uint64(0x9E3779B97F4A7C15)
 _MIX_2 = np.uint64(0xFF51AFD7ED558CCD)
@@ -81,8 +85,9 @@ def explore(
     targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
     labels = Growing(label_type(transitions))
     table = np.zeros(1 << 12, dtype=np.uint64)
-    expand, enter = _expand_for(packed.words), _enter_for(packed.words)
-    enter(table, states.array, 0, packed.initial[None, :], np.zeros(0, np.int64), targets.array)
+    width = (0,) * packed.words
+    no_arcs = np.zeros(0, np.int64)
+    _enter(width, table, states.array, 0, packed.initial[None, :], no_arcs, targets.array)
     rules = _Rules(*(getattr(packed, name) for name in _Rules._fields))
     buffers = [_new_buffers(share, transitions, packed.words, targets, labels)]
     explored = 0
@@ -104,10 +109,11 @@ def explore(
             while len(buffers) < len(bounds):
                 buffers.append(_new_buffers(share, transitions, packed.words, targets, labels))
             work: List[Tuple[Any, ...]] = [
-                (rules, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)
+                (width, rules, states.array, table, part, buffer)
+                for part, buffer in zip(bounds, buffers)
             ]
-            running = [others.submit(expand, *arguments) for arguments in work[1:]]
-            done = [expand(*work[0])] + [future.result() for future in running]
+            running = [others.submit(_expand, *arguments) for arguments in work[1:]]
+            done = [_expand(*work[0])] + [future.result() for future in running]
             _check_overflow(buffers)
             new = sum(misses for _, misses, _ in done)
             states.reserve(states.used + new)
@@ -118,7 +124,8 @@ def explore(
                 targets.extend(buffer.targets[:arcs])
                 labels.extend(buffer.labels[:arcs])
                 offsets.extend(buffer.ends[: stop - begin] + base)
-                states.used = enter(
+                states.used = _enter(
+                    width,
                     table,
                     states.array,
                     states.used,
@@ -205,7 +212,8 @@ def _go_narrow(
     labels.reserve(len(targets.array))
     offsets.reserve(len(states.array) + 1)
     most = min(limit, len(states.array) - room, states.used + _STRIDE)
-    explored, states.used, targets.used = _narrow_for(len(rules.guard))(
+    explored, states.used, targets.used = _narrow(
+        (0,) * len(rules.guard),
         rules,
         explored,
         states.used,
@@ -275,195 +283,183 @@ def _hash(keys: Words, row: int, words: int) -> np.uint64:
     return value
 
 
-@lru_cache(maxsize=None)
-def _find_for(words: int) -> Function:
-    """Compile ``find`` for markings of this many words: a constant, so that the compiler unrolls
-    the loops over it."""
+@partial(compiled, allocates=False)
+def _find(
+    width: _Width,
+    table: Words,
+    states: Words,
+    keys: Words,
+    row: int,
+    value: np.uint64,
+    shift: np.uint64,
+) -> Tuple[np.uint64, np.int64]:
+    """Look a row of ``keys`` with this hash up; returns its slot and the number of the state, or a
+    free slot and -1."""
+    mask = np.uint64(len(table) - 1)
+    slot = value >> shift
+    high = value & ~_LOW
+    while True:
+        entry = table[slot]
+        if entry == _ZERO:
+            return slot, np.int64(-1)
+        if entry & ~_LOW == high:
+            number = np.int64(entry & _LOW) - 1
+            same = True
+            for w in range(len(width)):
+                if states[number, w] != keys[row, w]:
+                    same = False
+                    break
+            if same:
+                return slot, number
+        slot = (slot + _ONE) & mask
 
-    def find(
-        table: Words, states: Words, keys: Words, row: int, value: np.uint64, shift: np.uint64
-    ) -> Tuple[np.uint64, np.int64]:
-        """Look a row of ``keys`` with this hash up; returns its slot and the number of the state,
-        or a free slot and -1."""
-        mask = np.uint64(len(table) - 1)
-        slot = value >> shift
-        high = value & ~_LOW
-        while True:
-            entry = table[slot]
-            if entry == _ZERO:
-                return slot, np.int64(-1)
-            if entry & ~_LOW == high:
-                number = np.int64(entry & _LOW) - 1
-                same = True
+
+@compiled
+def _enter(
+    width: _Width,
+    table: Words,
+    states: Words,
+    known: np.integer[Any],
+    keys: Words,
+    arcs: Indices,
+    targets: Indices,
+) -> np.integer[Any]:
+    """Number the states ``keys`` that are not known yet, from ``known`` on, and store the targets
+    of ``arcs``; returns the number of states then known. The keys are entered even if there are no
+    arcs."""
+    words = len(width)
+    shift = _shift(table)
+    hashes = np.empty(_BLOCK, np.uint64)
+    for begin in range(0, len(keys), _BLOCK):
+        stop = min(begin + _BLOCK, len(keys))
+        for i in range(begin, stop):
+            hashes[i - begin] = _hash(keys, i, words)
+        for i in range(begin, stop):
+            value = hashes[i - begin]
+            slot, number = _find(width, table, states, keys, i, value, shift)
+            if number < 0:
                 for w in range(words):
-                    if states[number, w] != keys[row, w]:
-                        same = False
-                        break
-                if same:
-                    return slot, number
-            slot = (slot + _ONE) & mask
+                    states[known, w] = keys[i, w]
+                number = known
+                known += 1
+                table[slot] = (value & ~_LOW) | np.uint64(known)
+            if len(arcs):
+                targets[arcs[i]] = number
+    return known
 
-    return compiled(find, allocates=False)
 
+@compiled
+def _expand(
+    width: _Width,
+    rules: _Rules,
+    states: Words,
+    table: Words,
+    share: Tuple[int, int],
+    found: _Buffers,
+) -> Tuple[int, int, np.uint64]:
+    """Expand the states from the first of ``share`` up to the second; the results go into
+    ``found``.
 
-@lru_cache(maxsize=None)
-def _enter_for(words: int) -> Function:
-    """Compile ``enter`` for markings of this many words."""
-    find = _find_for(words)
-
-    @compiled
-    def enter(
-        table: Words,
-        states: Words,
-        known: np.integer[Any],
-        keys: Words,
-        arcs: Indices,
-        targets: Indices,
-    ) -> np.integer[Any]:
-        """Number the states ``keys`` that are not known yet, from ``known`` on, and store the
-        targets of ``arcs``; returns the number of states then known. The keys are entered even if
-        there are no arcs."""
-        shift = _shift(table)
-        hashes = np.empty(_BLOCK, np.uint64)
-        for begin in range(0, len(keys), _BLOCK):
-            stop = min(begin + _BLOCK, len(keys))
-            for i in range(begin, stop):
-                hashes[i - begin] = _hash(keys, i, words)
-            for i in range(begin, stop):
-                value = hashes[i - begin]
-                slot, number = find(table, states, keys, i, value, shift)
-                if number < 0:
+    Returns the number of arcs, the number of arcs that lead to markings not known yet, and a value
+    that keeps the compiler from removing the touching.
+    """
+    words = len(width)
+    need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
+    targets, labels, ends, keys, key_arcs, overflow = found
+    begin, end = share
+    transitions = need.shape[0]
+    shift = _shift(table)
+    batch = np.empty((_BLOCK * transitions, words), np.uint64)
+    hashes = np.empty(_BLOCK * transitions, np.uint64)
+    # a local array, since the caller's may share a cache line with another core's
+    hit = np.zeros(words, np.uint64)
+    touched = _ZERO
+    arcs, misses = 0, 0
+    for here in range(begin, end, _BLOCK):
+        n = 0
+        for s in range(here, min(here + _BLOCK, end)):
+            first = 0
+            for c in range(len(class_ends)):
+                before = n
+                for t in range(first, class_ends[c]):
+                    enabled = True
                     for w in range(words):
-                        states[known, w] = keys[i, w]
-                    number = known
-                    known += 1
-                    table[slot] = (value & ~_LOW) | np.uint64(known)
-                if len(arcs):
-                    targets[arcs[i]] = number
-        return known
-
-    return enter
-
-
-@lru_cache(maxsize=None)
-def _expand_for(words: int) -> Function:
-    """Compile ``expand`` for markings of this many words."""
-    find = _find_for(words)
-
-    @compiled
-    def expand(
-        rules: _Rules, states: Words, table: Words, share: Tuple[int, int], found: _Buffers
-    ) -> Tuple[int, int, np.uint64]:
-        """Expand the states from the first of ``share`` up to the second; the results go into
-        ``found``.
-
-        Returns the number of arcs, the number of arcs that lead to markings not known yet, and a
-        value that keeps the compiler from removing the touching.
-        """
-        need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
-        targets, labels, ends, keys, key_arcs, overflow = found
-        begin, end = share
-        transitions = need.shape[0]
-        shift = _shift(table)
-        batch = np.empty((_BLOCK * transitions, words), np.uint64)
-        hashes = np.empty(_BLOCK * transitions, np.uint64)
-        # a local array, since the caller's may share a cache line with another core's
-        hit = np.zeros(words, np.uint64)
-        touched = _ZERO
-        arcs, misses = 0, 0
-        for here in range(begin, end, _BLOCK):
-            n = 0
-            for s in range(here, min(here + _BLOCK, end)):
-                first = 0
-                for c in range(len(class_ends)):
-                    before = n
-                    for t in range(first, class_ends[c]):
-                        enabled = True
+                        word = states[s, w]
+                        g = need_guard[t, w]
+                        if ((word | g) - need[t, w]) & g != g:
+                            enabled = False
+                            break
+                        g = inhibit_guard[t, w]
+                        if ((word | g) - inhibit[t, w]) & g != _ZERO:
+                            enabled = False
+                            break
+                    if enabled:
                         for w in range(words):
-                            word = states[s, w]
-                            g = need_guard[t, w]
-                            if ((word | g) - need[t, w]) & g != g:
-                                enabled = False
-                                break
-                            g = inhibit_guard[t, w]
-                            if ((word | g) - inhibit[t, w]) & g != _ZERO:
-                                enabled = False
-                                break
-                        if enabled:
-                            for w in range(words):
-                                batch[n, w] = states[s, w] + change[t, w]
-                                hit[w] |= batch[n, w] & guard[w]
-                            value = _hash(batch, n, words)
-                            hashes[n] = value
-                            touched ^= table[value >> shift]
-                            labels[arcs + n] = t
-                            n += 1
-                    first = class_ends[c]
-                    if n > before:
-                        break
-                ends[s - begin] = arcs + n
-            for w in range(words):
-                if hit[w] != _ZERO:
-                    overflow[:] = hit
-                    return arcs, misses, touched
-            for i in range(n):
-                entry = table[hashes[i] >> shift]
-                if entry != _ZERO:
-                    touched ^= states[np.int64(entry & _LOW) - 1, 0]
-            for i in range(n):
-                _, number = find(table, states, batch, i, hashes[i], shift)
-                targets[arcs + i] = number
-                if number < 0:
-                    for w in range(words):
-                        keys[misses, w] = batch[i, w]
-                    key_arcs[misses] = arcs + i
-                    misses += 1
-            arcs += n
-        return arcs, misses, touched
-
-    return expand
+                            batch[n, w] = states[s, w] + change[t, w]
+                            hit[w] |= batch[n, w] & guard[w]
+                        value = _hash(batch, n, words)
+                        hashes[n] = value
+                        touched ^= table[value >> shift]
+                        labels[arcs + n] = t
+                        n += 1
+                first = class_ends[c]
+                if n > before:
+                    break
+            ends[s - begin] = arcs + n
+        for w in range(words):
+            if hit[w] != _ZERO:
+                overflow[:] = hit
+                return arcs, misses, touched
+        for i in range(n):
+            entry = table[hashes[i] >> shift]
+            if entry != _ZERO:
+                touched ^= states[np.int64(entry & _LOW) - 1, 0]
+        for i in range(n):
+            _, number = _find(width, table, states, batch, i, hashes[i], shift)
+            targets[arcs + i] = number
+            if number < 0:
+                for w in range(words):
+                    keys[misses, w] = batch[i, w]
+                key_arcs[misses] = arcs + i
+                misses += 1
+        arcs += n
+    return arcs, misses, touched
 
 
-@lru_cache(maxsize=None)
-def _narrow_for(words: int) -> Function:
-    """Compile ``narrow``, for rounds of few states, for markings of this many words."""
-    expand, enter = _expand_for(words), _enter_for(words)
+@compiled
+def _narrow(
+    width: _Width,
+    rules: _Rules,
+    explored: int,
+    known: int,
+    most: int,
+    few: int,
+    states: Words,
+    table: Words,
+    offsets: Indices,
+    found: _Buffers,
+    arcs: int,
+) -> Tuple[int, int, int]:
+    """Continue while fewer than ``few`` states are waiting, at most ``most`` are known, and there
+    is room for their successors. ``found`` holds all targets and labels, ``arcs`` of them at the
+    start.
 
-    @compiled
-    def narrow(
-        rules: _Rules,
-        explored: int,
-        known: int,
-        most: int,
-        few: int,
-        states: Words,
-        table: Words,
-        offsets: Indices,
-        found: _Buffers,
-        arcs: int,
-    ) -> Tuple[int, int, int]:
-        """Continue while fewer than ``few`` states are waiting, at most ``most`` are known, and
-        there is room for their successors. ``found`` holds all targets and labels, ``arcs`` of them
-        at the start.
-
-        Returns the first unexplored state, the number of known states, and the number of arcs.
-        """
-        while explored < known <= most and known - explored < few:
-            new = (known - explored) * rules.need.shape[0]
-            if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
-                break
-            targets, labels = found.targets[arcs:], found.labels[arcs:]
-            buffers = _Buffers(targets, labels, found.ends, found.keys, found.arcs, found.overflow)
-            more, misses, _ = expand(rules, states, table, (explored, known), buffers)
-            if found.overflow.any():
-                break
-            for s in range(explored, known):
-                offsets[s + 1] = arcs + found.ends[s - explored]
-            known, explored = (
-                enter(table, states, known, found.keys[:misses], found.arcs[:misses], targets),
-                known,
-            )
-            arcs += more
-        return explored, known, arcs
-
-    return narrow
+    Returns the first unexplored state, the number of known states, and the number of arcs.
+    """
+    while explored < known <= most and known - explored < few:
+        new = (known - explored) * rules.need.shape[0]
+        if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
+            break
+        targets, labels = found.targets[arcs:], found.labels[arcs:]
+        buffers = _Buffers(targets, labels, found.ends, found.keys, found.arcs, found.overflow)
+        more, misses, _ = _expand(width, rules, states, table, (explored, known), buffers)
+        if found.overflow.any():
+            break
+        for s in range(explored, known):
+            offsets[s + 1] = arcs + found.ends[s - explored]
+        known, explored = (
+            _enter(width, table, states, known, found.keys[:misses], found.arcs[:misses], targets),
+            known,
+        )
+        arcs += more
+    return explored, known, arcs
