@@ -8,6 +8,7 @@ import time
 
 import psutil
 import pytest
+from waiting import wait_for
 
 from benchmarks.harness.programs import Programs
 from gspn_framework_package.model.errors import ExecutionError
@@ -33,6 +34,7 @@ def test_programs_end_with_what_they_started_when_a_benchmark_is_ended(tmp_path)
     words = [sys.executable, "-c", PARENT, str(tmp_path)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as parent:
         shell = psutil.Process(int(parent.stdout.readline()))
+        wait_for(shell.children, 60, "the program that the shell starts")
         family = [shell, *shell.children()]
         os.kill(parent.pid, signal.SIGTERM)
         assert parent.stdout.read() == "ends cleanly\n"

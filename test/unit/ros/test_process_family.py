@@ -18,7 +18,6 @@ from gspn_framework_package.ros.transport import process_family
 from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 
 process_family.RESPAWN_DELAY = 0.05
-process_family.PATIENCE = 0.5
 folder = sys.argv[1]
 
 def note(name):
@@ -106,14 +105,25 @@ def test_a_parent_that_only_waits_has_no_libraries(start, tmp_path):
 
 
 def test_a_signal_ends_all_and_nothing_is_left(start, tmp_path):
-    parent = start(
-        'sys.exit(run_family([FamilyMember("a", waits), FamilyMember("b", waits), FamilyMember("c", stubborn)]))'
-    )
-    children = notes(tmp_path, "waits", 2) + notes(tmp_path, "stubborn", 1)
+    parent = start('sys.exit(run_family([FamilyMember("a", waits), FamilyMember("b", waits)]))')
+    children = notes(tmp_path, "waits", 2)
     parent.send_signal(signal.SIGINT)
     assert parent.wait(30) == 128 + signal.SIGINT
-    assert sorted(notes(tmp_path, "told", 2)) == sorted(children[:2])
+    assert sorted(notes(tmp_path, "told", 2)) == sorted(children)
     assert not any(is_alive(child) for child in children)
+
+
+def test_who_does_not_end_in_time_is_killed(start, tmp_path):
+    parent = start(
+        """
+        process_family.ENDING_PATIENCE = 0.2
+        sys.exit(run_family([FamilyMember("a", stubborn)]))
+        """
+    )
+    (child,) = notes(tmp_path, "stubborn", 1)
+    parent.send_signal(signal.SIGINT)
+    assert parent.wait(30) == 128 + signal.SIGINT
+    assert not is_alive(child)
 
 
 def test_a_parent_that_is_killed_takes_its_processes_along(start, tmp_path):
