@@ -112,9 +112,10 @@ def _deploying(
     text: str,
     apply: Callable[[], ContextManager[Any]],
     kinds: Sequence[str] = ("deploy", "deploy-calm"),
+    seeds: Sequence[str] = (),
 ) -> Mutant:
     """A fault in putting another plan into the team."""
-    return Mutant(name, "deployment", text, apply, kinds=kinds)
+    return Mutant(name, "deployment", text, apply, kinds=kinds, seeds=seeds)
 
 
 MUTANTS: List[Mutant] = [
@@ -128,10 +129,21 @@ MUTANTS: List[Mutant] = [
         "a vote of an earlier life counts",
         _counts_votes_of_earlier_lives,
         ("deploy", "deploy-operator"),
+        seeds=("74:3:full:deploy",),
     ),
-    _deploying("overruled", "a vote against a plan counts for it", _overrules_who_cannot),
+    _deploying(
+        "overruled",
+        "a vote against a plan counts for it",
+        _overrules_who_cannot,
+        seeds=("58:3:full:deploy",),
+    ),
     _deploying("any state", "a plan is adopted that does not fit", _adopts_in_any_state),
-    _deploying("lost tasks", "a plan is adopted that has no place for tasks", _loses_tasks),
+    _deploying(
+        "lost tasks",
+        "a plan is adopted that has no place for tasks",
+        _loses_tasks,
+        seeds=("67:3:full:deploy",),
+    ),
     _deploying("votes stay", "votes on one plan count for the next", _keeps_votes_of_other_stages),
     _deploying("votes once", "a robot that restarts does not vote again", _never_votes_again),
     *(

@@ -507,6 +507,7 @@ MUTANTS: List[Mutant] = [
         "an assertion that a robot is off outlives its return",
         _off_for_ever,
         kinds=("operator",),
+        seeds=("127:2:partial:operator",),
     ),
     Mutant(
         "rest decides",
@@ -674,6 +675,7 @@ MUTANTS: List[Mutant] = [
         "a snapshot does not say whose logs count",
         _snapshot_without("logs"),
         kinds=("archive",),
+        seeds=("65:3:partial:archive",),
     ),
     Mutant(
         "low promise",
@@ -691,6 +693,7 @@ MUTANTS: List[Mutant] = [
         _learns_what_it_holds,
         False,
         kinds=("rivals",),
+        seeds=("94:3:full:rivals",),
     ),
     Mutant(
         "moves while paused",

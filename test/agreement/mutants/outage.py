@@ -91,6 +91,7 @@ MUTANTS = [
         "outage",
         "a quorum decides for those who forgot",
         _asks_a_quorum,
+        seeds=("228:2:full:outage",),
         **_KINDS,
     ),
     Mutant(

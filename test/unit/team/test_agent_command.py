@@ -117,6 +117,7 @@ def test_an_operator_with_keys_asks_orders_submits_and_deploys(secured, tmp_path
         told = json.loads(said.out) if said.out else {}
         return code == 0 and len(told) == 2
 
+    secured.wait_for_team()
     wait_for(all_act, 60, "both robots")
     assert gspn("pause")[0] == 0
     assert gspn("resume")[0] == 0
