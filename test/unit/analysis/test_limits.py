@@ -112,7 +112,6 @@ def test_times_have_a_time_limit(part):
         ask[part]()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("net", "parts"),
     [
