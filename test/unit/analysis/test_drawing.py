@@ -79,7 +79,6 @@ def test_a_chain_without_its_vanishing_markings():
     assert text.count("penwidth") == 1
 
 
-@pytest.mark.long
 def test_a_large_chain_is_drawn_without_its_rates_and_says_so(tmp_path, capsys):
     write_net(ring(150), tmp_path / "n.xml")
     words = ["draw", str(tmp_path / "n.xml"), "--what", "chain", "-o"]

@@ -326,7 +326,6 @@ def test_a_ring_turns():
     assert len(lumped(philosophers(7))) < len(explore(philosophers(7))) / 5
 
 
-@pytest.mark.long
 def test_groups_of_unknown_form_are_used_in_part(monkeypatch):
     monkeypatch.setattr(factors, "MOST_LISTED", 3)
     net = philosophers(6)

@@ -31,7 +31,6 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, LimitError
 
 
-@pytest.mark.long
 def test_without_structure_no_invariant_is_looked_for(monkeypatch):
     def fail(*_, **__):
         raise AssertionError("nobody asked for it")
@@ -130,7 +129,6 @@ def test_every_part_can_be_cancelled(net, parts):
             getattr(Analysis(net, cancel=lambda: True), part)
 
 
-@pytest.mark.long
 def test_large_nets_have_fewer_states_unless_one_asks():
     assert states_of(LARGE_NET) == STATE_LIMIT > states_of(10 * LARGE_NET) > 100_000
     assert Analysis(ring(20_000)).limits.states == states_of(40_000)
