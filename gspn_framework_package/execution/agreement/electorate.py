@@ -32,8 +32,7 @@ class Electorate:
 
         self._first_team = {*(r.name for r in config.plan.robots), *config.plan.witness}
 
-    # -- the other robots
-    # --------------------------------------------------------------------------------
+    # -- the other robots --------------------------------------------------------------------------
 
     def is_of_team(self, robot: str) -> bool:
         """Whether the robot is, or was, in the team, as far as we know."""
@@ -244,8 +243,7 @@ class Electorate:
             return {}
         return torn
 
-    # -- our own robot
-    # ---------------------------------------------------------------------------------
+    # -- our own robot -----------------------------------------------------------------------------
 
     def own_robot(self) -> Optional[RobotState]:
         """Our robot, according to the log."""
@@ -327,8 +325,7 @@ class Electorate:
         state = self.state
         return [m for m in self.witnesses_of_start() if state.peers.get(m).welcomes != state.log_id]
 
-    # -- whose messages count
-    # -------------------------------------------------------------------------
+    # -- whose messages count ----------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:
         """Whether a robot's log may hold something that we still have to learn. If we voted for a

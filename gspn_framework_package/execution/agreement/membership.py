@@ -790,8 +790,7 @@ class Membership:
         self.proposer.abandon()
         self.outbox.fault("%s was declared off but still sends messages; not evicting it" % robot)
 
-    # -- processes that do not belong here
-    # ------------------------------------------------------------------
+    # -- processes that do not belong here ---------------------------------------------------------
 
     def hear_own_name(self, message: Envelope) -> None:
         """Handle a message in our name: from another process, or our own one coming back."""

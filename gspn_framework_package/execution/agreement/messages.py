@@ -8,7 +8,7 @@ of its body.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Type, Union
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Type, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.quorum import Ballot
@@ -132,14 +132,23 @@ def _list(value: Any, name: str, most: int) -> List[Any]:
     return value
 
 
+def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
+    value = _field(data, name)
+    if not isinstance(value, dict) or len(value) > MOST_ROBOTS:
+        raise MessageError("'%s' is not an object of at most %d values" % (name, MOST_ROBOTS))
+    for key in value:
+        _name_of(key, name)
+    return value
+
+
 def _names(data: Dict[str, Any], name: str) -> Tuple[str, ...]:
     return tuple(_name_of(v, name) for v in _list(_field(data, name), name, MOST_ROBOTS))
 
 
-def _torn(data: Dict[str, Any]) -> Torn:
-    if "torn" not in data:
+def _torn(data: Dict[str, Any], name: str) -> Torn:
+    if name not in data:
         return {}
-    torn = _object(data, "torn")
+    torn = _object(data, name)
     return {robot: _names(torn, robot) for robot in torn}
 
 
@@ -176,6 +185,31 @@ def _batch(value: Any, *, start: bool = False) -> Batch:
     return Batch(_items(value, "batch", start=start), value)
 
 
+def _counts(data: Dict[str, Any], name: str) -> Dict[str, int]:
+    return {robot: _number_of(count, name) for robot, count in _object(data, name).items()}
+
+
+def _greets(data: Dict[str, Any], name: str) -> Dict[str, Seen]:
+    greets = {}
+    for robot, seen in _object(data, name).items():
+        if len(_list(seen, name, 3)) != 3:
+            raise MessageError("'greets' does not hold [log, incarnation, records]")
+        log, incarnation, records = seen
+        greets[robot] = Seen(
+            _name_of(log, name), _number_of(incarnation, name), _number_of(records, name)
+        )
+    return greets
+
+
+def _accepted(data: Dict[str, Any], name: str) -> Optional[Tuple[Ballot, Batch]]:
+    accepted = _field(data, name)
+    if accepted is None:
+        return None
+    if len(_list(accepted, name, 2)) != 2:
+        raise MessageError("'accepted' is not [ballot, batch]")
+    return _ballot(accepted[0]), _batch(accepted[1])
+
+
 # -- messages --------------------------------------------------------------------------------------
 
 
@@ -209,43 +243,6 @@ class Hello(NamedTuple):
     cast_out: Dict[str, int]
     greets: Dict[str, Seen]
 
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        greets = {robot: list(seen) for robot, seen in self.greets.items()}
-        return {**self._asdict(), "silent": list(self.silent), "greets": greets}
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Hello:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        greets = {}
-        for robot, seen in _object(data, "greets").items():
-            if len(_list(seen, "greets", 3)) != 3:
-                raise MessageError("'greets' does not hold [log, incarnation, records]")
-            greets[robot] = Seen(
-                _name_of(seen[0], "greets"),
-                _number_of(seen[1], "greets"),
-                _number_of(seen[2], "greets"),
-            )
-        return cls(
-            _number(data, "begin"),
-            _flag(data, "active"),
-            _flag(data, "joining"),
-            _text(data, "first"),
-            _names(data, "silent"),
-            {r: _number_of(n, "off") for r, n in _object(data, "off").items()},
-            {r: _number_of(n, "cast_out") for r, n in _object(data, "cast_out").items()},
-            greets,
-        )
-
-
-def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
-    value = _field(data, name)
-    if not isinstance(value, dict) or len(value) > MOST_ROBOTS:
-        raise MessageError("'%s' is not an object of at most %d values" % (name, MOST_ROBOTS))
-    for key in value:
-        _name_of(key, name)
-    return value
-
 
 class Proposals(NamedTuple):
     """Entries that the sender wants in the log. Sent repeatedly to the leader (by a robot without a
@@ -253,15 +250,6 @@ class Proposals(NamedTuple):
 
     items: List[Item]
     vote: bool
-
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        return {"items": [i.to_json() for i in self.items], "vote": self.vote}
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Proposals:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        return cls(_items(_field(data, "items"), "items"), _flag(data, "vote"))
 
 
 class Prepare(NamedTuple):
@@ -275,21 +263,6 @@ class Prepare(NamedTuple):
     frozen: bool
     torn: Torn = {}
 
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        body = {"slot": self.slot, "ballot": list(self.ballot), "frozen": self.frozen}
-        return {**body, "torn": self.torn} if self.torn else body
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Prepare:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        return cls(
-            _number(data, "slot"),
-            _ballot(_field(data, "ballot")),
-            _flag(data, "frozen"),
-            _torn(data),
-        )
-
 
 class Promise(NamedTuple):
     """The answer to :class:`Prepare`: what the sender has ``accepted`` (ballot and batch) in that
@@ -302,32 +275,6 @@ class Promise(NamedTuple):
     accepted: Optional[Tuple[Ballot, Batch]]
     items: List[Item]
 
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        return {
-            "slot": self.slot,
-            "ballot": list(self.ballot),
-            "vote": self.vote,
-            "accepted": self.accepted and [list(self.accepted[0]), self.accepted[1].data],
-            "items": [i.to_json() for i in self.items],
-        }
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Promise:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        accepted = _field(data, "accepted")
-        if accepted is not None:
-            if len(_list(accepted, "accepted", 2)) != 2:
-                raise MessageError("'accepted' is not [ballot, batch]")
-            accepted = (_ballot(accepted[0]), _batch(accepted[1]))
-        return cls(
-            _number(data, "slot"),
-            _ballot(_field(data, "ballot")),
-            _flag(data, "vote"),
-            accepted,
-            _items(_field(data, "items"), "items"),
-        )
-
 
 class Accept(NamedTuple):
     """Second phase, from a proposer to the members: accept ``batch`` in ``slot``. From a leader it
@@ -339,21 +286,6 @@ class Accept(NamedTuple):
     batch: Batch
     torn: Torn = {}
 
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        body = {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch.data}
-        return {**body, "torn": self.torn} if self.torn else body
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Accept:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        return cls(
-            _number(data, "slot"),
-            _ballot(_field(data, "ballot")),
-            _batch(_field(data, "batch")),
-            _torn(data),
-        )
-
 
 class Accepted(NamedTuple):
     """A vote, sent to the proposer and, in a small team, to the robots whose proposals are in the
@@ -363,23 +295,6 @@ class Accepted(NamedTuple):
     ballot: Ballot
     items: List[Item]
 
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        return {
-            "slot": self.slot,
-            "ballot": list(self.ballot),
-            "items": [i.to_json() for i in self.items],
-        }
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Accepted:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        return cls(
-            _number(data, "slot"),
-            _ballot(_field(data, "ballot")),
-            _items(_field(data, "items"), "items"),
-        )
-
 
 class Nack(NamedTuple):
     """A refusal: the sender has promised ``ballot``, which is higher. The proposer gives way."""
@@ -387,27 +302,9 @@ class Nack(NamedTuple):
     slot: int
     ballot: Ballot
 
-    def to_json(self) -> Dict[str, Any]:
-        """The fields as a JSON object."""
-        return {"slot": self.slot, "ballot": list(self.ballot)}
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Nack:
-        """Parse a JSON object. :raises MessageError: it is malformed."""
-        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")))
-
 
 class Pull(NamedTuple):
     """Reports that the sender's log is shorter. Answered by :class:`Learn`."""
-
-    def to_json(self) -> Dict[str, Any]:
-        """Return no fields."""
-        return {}
-
-    @classmethod
-    def from_json(cls, data: Dict[str, Any]) -> Pull:
-        """Parse a JSON object."""
-        return cls()
 
 
 class Chosen(NamedTuple):
@@ -459,6 +356,51 @@ class Learn(NamedTuple):
         return cls(Chosen(_number(data, "slot"), _ballot(_field(data, "ballot"))))
 
 
+_READ: Dict[str, Callable[[Dict[str, Any], str], Any]] = {
+    **dict.fromkeys(("slot", "begin"), _number),
+    **dict.fromkeys(("active", "joining", "frozen", "vote"), _flag),
+    **dict.fromkeys(("off", "cast_out"), _counts),
+    "first": _text,
+    "silent": _names,
+    "greets": _greets,
+    "ballot": lambda data, name: _ballot(_field(data, name)),
+    "batch": lambda data, name: _batch(_field(data, name)),
+    "items": lambda data, name: _items(_field(data, name), name),
+    "accepted": _accepted,
+    "torn": _torn,
+}
+"""Field of a body -> what reads it from a JSON object."""
+
+_WRITE: Dict[str, Callable[[Any], Any]] = {
+    "silent": list,
+    "greets": lambda greets: {robot: list(seen) for robot, seen in greets.items()},
+    "ballot": list,
+    "batch": lambda batch: batch.data,
+    "items": lambda items: [item.to_json() for item in items],
+    "accepted": lambda accepted: accepted and [list(accepted[0]), accepted[1].data],
+}
+"""Field of a body -> what makes a JSON value of it; the others are JSON values."""
+
+
+def _body_to_json(body: Body) -> Dict[str, Any]:
+    if isinstance(body, Learn):
+        return body.to_json()
+    found = {}
+    for name, value in zip(body._fields, body):
+        if name in _WRITE:
+            found[name] = _WRITE[name](value)
+        elif value or name != "torn":
+            found[name] = value
+    return found
+
+
+def _read_body(kind: Type[Any], data: Dict[str, Any]) -> Any:
+    """:raises MessageError: it is malformed."""
+    if kind is Learn:
+        return Learn.from_json(data)
+    return kind(*(_READ[name](data, name) for name in kind._fields))
+
+
 Body = Union[Hello, Proposals, Prepare, Promise, Accept, Accepted, Nack, Pull, Learn]
 
 _KINDS: Dict[str, Type[Any]] = {
@@ -508,7 +450,7 @@ class Envelope(NamedTuple):
             "length": self.length,
             "hash": self.hash,
             **torn,
-            **self.body.to_json(),
+            **_body_to_json(self.body),
         }
 
 
@@ -532,5 +474,5 @@ def parse_envelope(data: Any) -> Envelope:
     sender, team, log, chain = _texts(data, ("from", "team", "log", "hash"))
     incarnation, records, length = _numbers(data, ("incarnation", "records", "length"))
     torn = _names(data, "goes_on_from") if "goes_on_from" in data else ()
-    about = body.from_json(data)
+    about = _read_body(body, data)
     return Envelope(sender, team, log, incarnation, records, length, chain, about, torn)

@@ -26,8 +26,7 @@ class Outbox:
         self._effects: List[interface.Effect] = []
         self._request = ""
 
-    # -- begin and end of a step
-    # --------------------------------------------------------------------
+    # -- begin and end of a step -------------------------------------------------------------------
 
     def begin(self, request_id: str) -> None:
         """Begin a step that takes a message; ``request_id`` as in

@@ -37,8 +37,7 @@ class ProposalQueue:
         self.electorate = electorate
         self._open: Dict[Origin, Item] = {}  # while our log is being read
 
-    # -- adding
-    # ----------------------------------------------------------------------------------------
+    # -- adding ------------------------------------------------------------------------------------
 
     def propose(self, entry: log_entries.Entry, order_id: str = "", suspect: str = "") -> None:
         """Propose an entry for the log."""
@@ -88,8 +87,7 @@ class ProposalQueue:
         """Restart the numbering at 1 for a new incarnation."""
         self.state.number = 0
 
-    # -- removing
-    # ---------------------------------------------------------------------------------------
+    # -- removing ----------------------------------------------------------------------------------
 
     def take_out_decided(self, fresh: Set[Origin], step: Optional[Step]) -> None:
         """Drop proposals that are now in the log, and answer the operators who ordered them.

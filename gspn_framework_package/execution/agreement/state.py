@@ -196,8 +196,7 @@ class ReplicaState:
     durable: int = _owned("outbox", 0)
     """How many of them are safe from a power loss."""
 
-    # -- our identity
-    # --------------------------------------------------------------------------------
+    # -- our identity ------------------------------------------------------------------------------
 
     log_id: str = _owned("membership", "")
     """Id of our log, which stands for one memory of votes: a replica that forgets its votes takes a
