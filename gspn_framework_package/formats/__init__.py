@@ -9,7 +9,7 @@ Modules: ``difference``, ``dot``, ``draft``, ``edited_document``, ``example_plan
 ``format``, ``foxglove``, ``jani``, ``json_file``, ``json_update``, ``markov_chain``,
 ``message_files``, ``net_equality``, ``net_json``, ``net_update``, ``pipe``, ``pipe_update``,
 ``plan_file``, ``plan_json``, ``plan_parts``, ``pnml``, ``pnml_family``, ``pnml_update``,
-``pnpro``, ``pnpro_position``, ``pnpro_update``, ``prism``, ``registry``, ``repetition``,
+``pnpro``, ``pnpro_update``, ``prism``, ``registry``, ``repetition``,
 ``routes``, ``schema_words``, ``source``, ``subnets``, ``symbolic``, ``thesis_input``, ``tina``,
 ``tool_data``, ``vocabulary``, ``xml_tree``, ``xml_update``, ``yaml_file``.
 """

@@ -8,7 +8,18 @@ value equals its default.
 from __future__ import annotations
 
 import json
-from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Sequence,
+    Tuple,
+)
 
 NODE_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "place": {"tokens": 0},
@@ -129,19 +140,45 @@ def _elements(
 ) -> Iterator[DocumentChange]:
     before, after = _named(kind, old), _named(kind, new)
     ignored = {"name", "from", "to"} if positions else {"name", "from", "to", "position"}
+    defaults = NODE_DEFAULTS[kind]
+
+    def values(was: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[_Pair]:
+        for key in _keys(was, now):
+            if key not in ignored:
+                default = defaults.get(key)
+                yield key, was.get(key, default), now.get(key, default)
+
+    yield from _compared(kind, before, after, values)
+    yield from _order(plural, list(before), list(after))
+
+
+_Key = Tuple[Any, ...]
+"""What identifies an element: its name, and what tells it from others of that name."""
+
+_Pair = Tuple[str, Any, Any]
+"""A key of an element, with its old and its new value."""
+
+
+def _compared(
+    kind: str,
+    before: Mapping[_Key, Any],
+    after: Mapping[_Key, Any],
+    values: Callable[[Any, Any], Iterable[_Pair]],
+) -> Iterator[DocumentChange]:
+    """The elements that were removed, changed and added.
+
+    :param values: the values of an element to compare.
+    """
     for name, element in before.items():
         if name not in after:
             yield DocumentChange("removed", kind, name[0], "", element, None)
             continue
-        defaults, other = NODE_DEFAULTS[kind], after[name]
-        for key in _keys(element, other):
-            was, now = (e.get(key, defaults.get(key)) for e in (element, other))
-            if key not in ignored and not _same(was, now):
+        for key, was, now in values(element, after[name]):
+            if not _same(was, now):
                 yield DocumentChange("changed", kind, name[0], key, was, now)
     for name, element in after.items():
         if name not in before:
             yield DocumentChange("added", kind, name[0], "", None, element)
-    yield from _order(plural, list(before), list(after))
 
 
 def _order(plural: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator[DocumentChange]:
@@ -155,9 +192,9 @@ def _order(plural: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator
         )
 
 
-def _named(kind: str, elements: Any) -> Dict[Tuple[Any, ...], Mapping[str, Any]]:
+def _named(kind: str, elements: Any) -> Dict[_Key, Mapping[str, Any]]:
     """The elements of a list of the net by their identity; duplicates are also numbered."""
-    found: Dict[Tuple[Any, ...], Mapping[str, Any]] = {}
+    found: Dict[_Key, Mapping[str, Any]] = {}
     for element in elements if isinstance(elements, list) else ():
         if not isinstance(element, Mapping):
             continue
@@ -169,9 +206,7 @@ def _named(kind: str, elements: Any) -> Dict[Tuple[Any, ...], Mapping[str, Any]]
     return found
 
 
-def _put(
-    found: Dict[Tuple[Any, ...], Mapping[str, Any]], key: Tuple[Any, ...], value: Mapping[str, Any]
-) -> None:
+def _put(found: Dict[_Key, Mapping[str, Any]], key: _Key, value: Mapping[str, Any]) -> None:
     number, whole = 1, key
     while whole in found:
         number += 1
@@ -187,8 +222,13 @@ def _keys(old: Mapping[str, Any], new: Mapping[str, Any]) -> List[str]:
 
 
 def _plan(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[DocumentChange]:
-    yield from _members("action", _object(old.get("actions")), _object(new.get("actions")))
-    yield from _robots(old.get("robots"), new.get("robots"))
+    # an action may be null, which is a value too
+    before, after = (
+        {(place,): action for place, action in _object(plan.get("actions")).items()}
+        for plan in (old, new)
+    )
+    yield from _compared("action", before, after, lambda was, now: [("", was, now)])
+    yield from _compared("robot", _team(old.get("robots")), _team(new.get("robots")), _of_robot)
     for key in _keys(old, new):
         was, now = old.get(key, _MISSING), new.get(key, _MISSING)
         if key in ("actions", "robots"):
@@ -204,39 +244,18 @@ def _plan(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[DocumentCh
             yield from _value("setting", key, "", was, now)
 
 
-def _members(kind: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[DocumentChange]:
-    """The changes between two objects whose members may be null, which is a value too."""
-    for name in _keys(old, new):
-        if name not in new:
-            yield DocumentChange("removed", kind, name, "", old[name], None)
-        elif name not in old:
-            yield DocumentChange("added", kind, name, "", None, new[name])
-        elif not _same(old[name], new[name]):
-            yield DocumentChange("changed", kind, name, "", old[name], new[name])
+def _of_robot(was: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[_Pair]:
+    for key in _keys(was, now):
+        default: Any = {} if key == "actions" else None
+        yield key, was.get(key, default), now.get(key, default)
 
 
-def _robots(old: Any, new: Any) -> Iterator[DocumentChange]:
-    before, after = _team(old), _team(new)
-    for name, robot in before.items():
-        if name not in after:
-            yield DocumentChange("removed", "robot", name, "", robot, None)
-            continue
-        for key in _keys(robot, after[name]):
-            default: Any = {} if key == "actions" else None
-            was, now = (r.get(key, default) for r in (robot, after[name]))
-            if not _same(was, now):
-                yield DocumentChange("changed", "robot", name, key, was, now)
-    for name, robot in after.items():
-        if name not in before:
-            yield DocumentChange("added", "robot", name, "", None, robot)
-
-
-def _team(robots: Any) -> Dict[str, Mapping[str, Any]]:
+def _team(robots: Any) -> Dict[_Key, Mapping[str, Any]]:
     """The robots of a plan by name, in either of the two forms."""
     if isinstance(robots, Mapping):
-        return {str(name): {"place": place} for name, place in robots.items()}
+        return {(str(name),): {"place": place} for name, place in robots.items()}
     return {
-        str(robot.get("name")): {key: value for key, value in robot.items() if key != "name"}
+        (str(robot.get("name")),): {key: value for key, value in robot.items() if key != "name"}
         for robot in (robots if isinstance(robots, list) else ())
         if isinstance(robot, Mapping)
     }
@@ -247,15 +266,9 @@ def _team(robots: Any) -> Dict[str, Mapping[str, Any]]:
 
 def _policy(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[DocumentChange]:
     before, after = _rows(old), _rows(new)
-    for key, row in before.items():
-        if key not in after:
-            yield DocumentChange("removed", "row", key[0], "", row, None)
-        elif not _same(row.get("choose"), after[key].get("choose")):
-            was, now = row.get("choose"), after[key].get("choose")
-            yield DocumentChange("changed", "row", key[0], "choose", was, now)
-    for key, row in after.items():
-        if key not in before:
-            yield DocumentChange("added", "row", key[0], "", None, row)
+    yield from _compared(
+        "row", before, after, lambda was, now: [("choose", was.get("choose"), now.get("choose"))]
+    )
     yield from _order("rows of the policy", list(before), list(after))
     columns = [
         sorted(map(str, p)) if isinstance(p, list) else p
@@ -268,12 +281,12 @@ def _policy(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[Document
             yield from _value("setting", "policy", other, old.get(other), new.get(other))
 
 
-def _rows(policy: Mapping[str, Any]) -> Dict[Tuple[Any, ...], Mapping[str, Any]]:
+def _rows(policy: Mapping[str, Any]) -> Dict[_Key, Mapping[str, Any]]:
     """The rows of a policy by what they match, regardless of the order of its places."""
     places = policy.get("places")
     names = [str(p) for p in places] if isinstance(places, list) else []
     rows = policy.get("rows")
-    found: Dict[Tuple[Any, ...], Mapping[str, Any]] = {}
+    found: Dict[_Key, Mapping[str, Any]] = {}
     for number, row in enumerate(rows if isinstance(rows, list) else (), 1):
         if not isinstance(row, Mapping):
             continue

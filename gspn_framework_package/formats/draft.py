@@ -185,16 +185,13 @@ class NetDraft:
     ) -> None:
         key = identifier or name
         if not key:
-            kind = "place" if isinstance(item, Place) else "transition"
-            self.fail("a %s has neither an id nor a name" % kind, line=line)
+            self.fail("a %s has neither an id nor a name" % _kind(item), line=line)
         if key in self._nodes:
-            kind = "place" if isinstance(item, Place) else "transition"
             other = self._nodes[key]
             where = " in line %d" % other.line if other.line else ""
             self.fail(
-                "the id is already taken by a %s%s"
-                % ("place" if isinstance(other.item, Place) else "transition", where),
-                "%s '%s'" % (kind, key),
+                "the id is already taken by a %s%s" % (_kind(other.item), where),
+                "%s '%s'" % (_kind(item), key),
                 line,
                 "ids of places and transitions must differ",
             )
@@ -323,8 +320,7 @@ class NetDraft:
         """Return the line of each element, by the name that it has in the errors of ``Net``."""
         lines: Dict[str, Optional[int]] = {}
         for identifier, node in self._nodes.items():
-            kind = "place" if isinstance(node.item, Place) else "transition"
-            lines["%s '%s'" % (kind, names[identifier])] = node.line
+            lines["%s '%s'" % (_kind(node.item), names[identifier])] = node.line
         for arc, drafted in zip(arcs, self._arcs):
             kind = "inhibitor arc" if arc.inhibitor else "arc"
             lines.setdefault("%s from '%s' to '%s'" % (kind, arc.source, arc.target), drafted[-1])
@@ -362,6 +358,10 @@ class NetDraft:
                 )
             )
         return names
+
+
+def _kind(item: Union[Place, Transition]) -> str:
+    return "place" if isinstance(item, Place) else "transition"
 
 
 def capacity_losses(net: Net) -> List[str]:

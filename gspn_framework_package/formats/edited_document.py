@@ -7,10 +7,9 @@ reference. A document may be incomplete; only :func:`plan_of_document` requires 
 
 from __future__ import annotations
 
-import os
 from typing import Any, Dict, Optional
 
-from gspn_framework_package.formats.plan_file import PLAN_FILE, plan_from_object
+from gspn_framework_package.formats.plan_file import file_of, plan_from_object
 from gspn_framework_package.formats.plan_parts import read_parts
 from gspn_framework_package.model.errors import GspnError, PlanError
 from gspn_framework_package.model.plan import Plan
@@ -25,11 +24,7 @@ def document_of(path: str) -> EditedDocument:
 
     :raises GspnError: the file, its net or its policy cannot be read.
     """
-    if os.path.isdir(path):
-        folder, path = path, os.path.join(path, PLAN_FILE)
-        if not os.path.isfile(path):
-            raise PlanError("there is no %s in that folder" % PLAN_FILE, file=folder)
-    parts = read_parts(path)
+    parts = read_parts(file_of(path))
     return {"plan": parts.plan, "net": parts.net, "policy": parts.policy}
 
 

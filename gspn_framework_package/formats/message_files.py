@@ -9,7 +9,7 @@ import csv
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Dict, List, Mapping, Optional, Protocol, Type
+from typing import IO, Any, Dict, List, Mapping, Optional, Type
 
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -35,28 +35,6 @@ _COLUMNS = (
     "waits_for",
 )
 """The columns of a CSV file; ``time`` is in seconds since 1970."""
-
-
-class MessageFile(Protocol):
-    """A file of messages being written. It appears under its name when closed; if anything fails
-    earlier, nothing is left behind."""
-
-    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
-        """Append a message.
-
-        :param time: seconds since 1970, not before the last message.
-        :param kind: the name of its type in this package, one of :data:`MESSAGE_KINDS`.
-        :param fields: its fields without the header.
-        """
-
-    def __enter__(self) -> MessageFile: ...
-
-    def __exit__(
-        self,
-        kind: Optional[Type[BaseException]],
-        error: Optional[BaseException],
-        traceback: Optional[TracebackType],
-    ) -> None: ...
 
 
 class Encoder:
@@ -108,13 +86,26 @@ class Encoder:
         return types["std_msgs/msg/Header"](seq=number, stamp=stamp, frame_id="")
 
 
-class _WrittenFile:
-    """The common part: writes to a temporary file, and renames it at the end."""
+class MessageFile:
+    """A file of messages being written. It appears under its name when closed; if anything fails
+    earlier, nothing is left behind."""
 
     def __init__(self, path: str) -> None:
         self._path = path
         folder, name = os.path.split(os.path.abspath(path))
         self._beside = os.path.join(folder, ".%s.%d.part" % (name, os.getpid()))
+
+    def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """Append a message.
+
+        :param time: seconds since 1970, not before the last message.
+        :param kind: the name of its type in this package, one of :data:`MESSAGE_KINDS`.
+        :param fields: its fields without the header.
+        """
+        raise NotImplementedError
+
+    def __enter__(self) -> MessageFile:
+        return self
 
     def _opened(self, mode: str, **how: Any) -> IO[Any]:
         try:
@@ -143,7 +134,7 @@ class _WrittenFile:
                 os.unlink(self._beside)
 
 
-class _EncodedFile(_WrittenFile):
+class _EncodedFile(MessageFile):
     """A file of encoded messages, which knows its topics and counts the messages on each."""
 
     def __init__(self, path: str, encoder: Encoder) -> None:
@@ -188,9 +179,6 @@ class BagFile(_EncodedFile):
         except OSError as error:
             raise _cannot_write(path, error) from None
 
-    def __enter__(self) -> BagFile:
-        return self
-
     def _declare(self, topic: str, kind: str) -> Any:
         return self._writer.add_connection(
             topic, ros_type_name(kind), typestore=self._encoder.store
@@ -220,9 +208,6 @@ class McapFile(_EncodedFile):
         self._writer.start(profile="ros1", library=PACKAGE)
         self._schemas: Dict[str, int] = {}
 
-    def __enter__(self) -> McapFile:
-        return self
-
     def _declare(self, topic: str, kind: str) -> Any:
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(
@@ -244,7 +229,7 @@ class McapFile(_EncodedFile):
             self._writer.finish()
 
 
-class CsvFile(_WrittenFile):
+class CsvFile(MessageFile):
     """A table of what each robot did: a row for each :data:`RobotActivity <MESSAGE_KINDS>`.
     Messages of other types are left out.
 
@@ -256,9 +241,6 @@ class CsvFile(_WrittenFile):
         self._file = self._opened("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file)
         self._rows.writerow(_COLUMNS)
-
-    def __enter__(self) -> CsvFile:
-        return self
 
     def write(self, time: float, topic: str, kind: str, fields: Mapping[str, Any]) -> None:
         """See :class:`MessageFile`."""

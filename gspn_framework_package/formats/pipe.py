@@ -331,12 +331,10 @@ def to_bytes(net: Net) -> bytes:
             _write_value(node, "priority", str(transition.priority))
         used: Set[str] = set()
         for arc in net.arcs:
+            identifier = unused("%s to %s" % (arc.source, arc.target), used)
+            used.add(identifier)
             node = etree.SubElement(
-                element,
-                "arc",
-                id=_arc_id(arc.source, arc.target, used),
-                source=arc.source,
-                target=arc.target,
+                element, "arc", id=identifier, source=arc.source, target=arc.target
             )
             etree.SubElement(node, "graphics")
             _write_value(node, "inscription", "%s,%d" % (_DEFAULT_CLASS, arc.weight))
@@ -364,11 +362,10 @@ def _boolean(value: bool) -> str:
     return "true" if value else "false"
 
 
-def _arc_id(source: str, target: str, used: Set[str]) -> str:
-    wanted = "%s to %s" % (source, target)
+def unused(wanted: str, used: Set[str]) -> str:
+    """Return an identifier that is not in ``used``: the wanted one, or one with a number."""
     identifier, number = wanted, 1
     while identifier in used:
         number += 1
         identifier = "%s (%d)" % (wanted, number)
-    used.add(identifier)
     return identifier

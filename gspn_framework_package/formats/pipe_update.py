@@ -6,7 +6,7 @@ from typing import Any, List, Optional
 
 from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node
-from gspn_framework_package.formats.pipe import to_bytes
+from gspn_framework_package.formats.pipe import to_bytes, unused
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     label,
@@ -104,20 +104,12 @@ class _PipeNet(XmlNet):
             set_arc_kind(element, new.inhibitor)
 
     def fresh(self, element: Any, name: str) -> None:
-        identifier, number = name, 1
-        while identifier in self.used:
-            number += 1
-            identifier = "%s (%d)" % (name, number)
-        element.set("id", identifier)
+        element.set("id", unused(name, self.used))
         self._in_class(element, "initialMarking")
 
     def connect(self, element: Any, arc: Arc) -> None:
         source, target = (identifier_of(self.elements[name]) for name in (arc.source, arc.target))
-        identifier, number = "%s to %s" % (source, target), 1
-        while identifier in self.used:
-            number += 1
-            identifier = "%s to %s (%d)" % (source, target, number)
-        element.set("id", identifier)
+        element.set("id", unused("%s to %s" % (source, target), self.used))
         element.set("source", source)
         element.set("target", target)
         self._in_class(element, "inscription")

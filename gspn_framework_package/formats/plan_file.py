@@ -129,13 +129,23 @@ def _refuse_net(path: str) -> None:
     raise UsageError("this is a net, not a plan", file=path, hint="use gspn analyse for a net")
 
 
+def file_of(path: str) -> str:
+    """Return the plan file in a folder; the path itself if it is no folder.
+
+    :raises PlanError: there is none in the folder.
+    """
+    path = os.fspath(path)
+    if not os.path.isdir(path):
+        return path
+    file = os.path.join(path, PLAN_FILE)
+    if not os.path.isfile(file):
+        raise PlanError("there is no %s in that folder" % PLAN_FILE, file=path)
+    return file
+
+
 def _open(path: str) -> Tuple[str, JsonDocument]:
     """Return the file of a plan, and the JSON object in it. :raises PlanError: there is none."""
-    path = os.fspath(path)
-    if os.path.isdir(path):
-        folder, path = path, os.path.join(path, PLAN_FILE)
-        if not os.path.isfile(path):
-            raise PlanError("there is no %s in that folder" % PLAN_FILE, file=folder)
+    path = file_of(path)
     try:
         document = read_document(path)
     except GspnError as error:

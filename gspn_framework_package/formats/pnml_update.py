@@ -4,23 +4,16 @@ from __future__ import annotations
 
 from typing import Any, Dict, Optional
 
-from lxml import etree
-
 from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node, meaning
 from gspn_framework_package.formats.pnml import to_bytes
 from gspn_framework_package.formats.pnml_family import OWN, STOCHASTIC
-from gspn_framework_package.formats.xml_tree import (
-    all_of,
-    arc_kind,
-    label,
-    number_text,
-    tag,
-)
+from gspn_framework_package.formats.xml_tree import all_of, arc_kind, label, number_text, tag
 from gspn_framework_package.formats.xml_update import (
     Given,
     XmlNet,
     append_element,
+    element_like,
     identifier_of,
     remove_element,
     set_arc_kind,
@@ -183,13 +176,11 @@ def _set_property(element: Any, tool: str, version: str, key: str, value: Option
     if nodes:
         node = nodes[-1]
     else:
-        space = element.nsmap.get(element.prefix)
-        node = etree.Element("{%s}toolspecific" % space if space else "toolspecific")
+        node = element_like(element, "toolspecific")
         node.set("tool", tool)
         node.set("version", version)
         append_element(element, node)
-    space = node.nsmap.get(node.prefix)
-    made = etree.Element("{%s}property" % space if space else "property")
+    made = element_like(node, "property")
     made.set("key", key)
     made.text = value
     append_element(node, made)

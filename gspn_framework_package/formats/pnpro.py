@@ -19,7 +19,6 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
-from gspn_framework_package.formats.pnpro_position import from_editor, write_position
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -37,7 +36,7 @@ from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten, tokenize
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import Net, Point
 
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
 _COLOURED = ("color-class", "color-var")
@@ -55,6 +54,11 @@ _FUNCTIONS = {
     "Sqrt": "sqrt",
 }
 """The functions of the editor that can be read -> their names here."""
+
+_UNIT = 16.0
+"""Drawing units per unit of the editor; a power of two, so that nothing is rounded."""
+
+_CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 
 _DRAWN = "x y width height rotation magnets shown-as alt-name-fn text-size"
 _COMPOSED = "superposition-tags superpos-tags"  # used when nets are composed, which is not read
@@ -219,7 +223,7 @@ class _Reader:
         text = (element.get("marking") or "").strip()
         tokens = self._count(text, "initial marking", what, line) if text else 0
         self.draft.add_place(
-            None, _name(element), tokens, None, from_editor(coordinates(element), "place"), line
+            None, _name(element), tokens, None, _from_editor(coordinates(element), "place"), line
         )
 
     def _transition(self, element: etree._Element) -> None:
@@ -241,7 +245,7 @@ class _Reader:
                 line,
                 "guards belong to coloured nets",
             )
-        where = from_editor(coordinates(element), kind)
+        where = _from_editor(coordinates(element), kind)
         if kind == "EXP":
             rate = self._value(element, "delay", "rate", what, 1.0)
             self.draft.add_exponential(
@@ -348,6 +352,13 @@ def _name(element: etree._Element) -> str:
     return (element.get("name") or "").strip()
 
 
+def _from_editor(where: Optional[Point], kind: str) -> Optional[Point]:
+    """Convert the position of a node (place, EXP or IMM) to the model's."""
+    if where is None:
+        return None
+    return round((where[0] - _CORNER[kind]) * _UNIT, 6), where[1] * _UNIT
+
+
 # -- writing -------------------------------------------------------------------------------------
 
 
@@ -392,3 +403,10 @@ def to_bytes(net: Net) -> bytes:
                 mult=str(arc.weight),
             )
     return serialise(root, depth=4)
+
+
+def write_position(node: etree._Element, where: Optional[Point], kind: str) -> None:
+    """Write the position of a node: place, EXP or IMM."""
+    if where is not None:
+        node.set("x", number_text(round(where[0] / _UNIT + _CORNER[kind], 9)))
+        node.set("y", number_text(where[1] / _UNIT))

@@ -313,8 +313,7 @@ def _sum(some: Mapping[str, int], more: Mapping[str, int]) -> Dict[str, int]:
     return {name: some.get(name, 0) + more.get(name, 0) for name in {**some, **more}}
 
 
-# -- other settings
-# ----------------------------------------------------------------------------------
+# -- other settings --------------------------------------------------------------------------------
 
 
 def with_parts(plan: Plan, parts: Sequence[SubnetPart]) -> Plan:

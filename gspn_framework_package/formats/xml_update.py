@@ -399,12 +399,17 @@ def append_element(parent: Any, element: Any) -> None:
     parent.append(element)
 
 
+def element_like(other: Any, name: str) -> Any:
+    """A new element in the namespace of another one."""
+    space = other.nsmap.get(other.prefix)
+    return etree.Element("{%s}%s" % (space, name) if space else name)
+
+
 def inner_element(element: Any, name: str, first: bool = False) -> Any:
     """The child of a name, which is created if necessary."""
     found = child_of(element, name)
     if found is None:
-        space = element.nsmap.get(element.prefix)
-        found = etree.Element("{%s}%s" % (space, name) if space else name)
+        found = element_like(element, name)
         if first:
             found.tail = element.text if len(element) else None
             element.insert(0, found)

@@ -33,8 +33,8 @@ from gspn_framework_package.model.expression import (
     Name,
     Negation,
     Number,
-    Operation,
     Parser,
+    operands,
     shorten,
 )
 
@@ -287,7 +287,7 @@ class _ConditionParser(Parser):
         """Apply a rule of the arithmetic grammar; its operands must be numbers."""
         at = self.next
         result = rule()
-        for operand in _operands(result):
+        for operand in operands(result):
             self._need_number(operand, at)
         return result
 
@@ -330,14 +330,6 @@ class _ConditionParser(Parser):
         )
 
 
-def _operands(node: Any) -> Tuple[Any, ...]:
-    if isinstance(node, Operation):
-        return node.left, node.right
-    if isinstance(node, Negation):
-        return (node.operand,)
-    return node.arguments if isinstance(node, Call) else ()
-
-
 # -- evaluation: a flat program for a stack machine, so that depth does not matter -----------------
 
 _Step = Tuple[str, Any]
@@ -368,7 +360,7 @@ def _children(node: Any) -> Tuple[Any, ...]:
         return node.left, node.right
     if isinstance(node, Not):
         return (node.operand,)
-    return _operands(node)
+    return operands(node)
 
 
 def _step(node: Any) -> _Step:

@@ -73,8 +73,7 @@ class Duration:
     mean: float
     parameters: Tuple[float, ...] = ()
 
-    # -- creating
-    # ------------------------------------------------------------------------------------
+    # -- creating ----------------------------------------------------------------------------------
 
     @classmethod
     def none(cls) -> Duration:
@@ -454,23 +453,10 @@ def duration_from_json(data: Mapping[str, Any]) -> Duration:
             hint="%s takes: %s" % (kind.value, ", ".join(sorted(set(keys) | {"mean"}))),
         )
     if kind is Kind.HYPER_ERLANG:
-        found = Duration.hyper_erlang(
-            [(b["probability"], b["phases"], b["mean"]) for b in data["branches"]]
-        )
-    elif kind is Kind.EMPIRICAL:
-        found = Duration.empirical(data["quantiles"])
-    elif kind is Kind.UNIFORM:
-        found = Duration.uniform(data["low"], data["high"])
-    elif kind is Kind.ERLANG:
-        found = Duration.erlang(data["phases"], data["mean"])
-    elif kind is Kind.GAMMA:
-        found = Duration.gamma(data["shape"], data["mean"])
-    elif kind is Kind.LOGNORMAL:
-        found = Duration.lognormal(data["sigma"], data["mean"])
-    elif kind is Kind.EXPONENTIAL:
-        found = Duration.exponential(data["mean"])
-    else:
-        found = Duration.deterministic(data["mean"])
+        branches = [(b["probability"], b["phases"], b["mean"]) for b in data["branches"]]
+        found = Duration.hyper_erlang(branches)
+    else:  # the other constructors take the keys in this order
+        found = getattr(Duration, kind.value)(*(data[key] for key in keys))
     mean = data.get("mean", found.mean)
     if abs(mean - found.mean) > 0.01 * found.mean:
         raise PlanError(

@@ -293,12 +293,7 @@ def names_in(tree: Expression) -> Set[str]:
         node = waiting.pop()
         if isinstance(node, Name):
             found.add(node.name)
-        elif isinstance(node, Negation):
-            waiting.append(node.operand)
-        elif isinstance(node, Operation):
-            waiting += (node.left, node.right)
-        elif isinstance(node, Call):
-            waiting += node.arguments
+        waiting += operands(node)
     return found
 
 
@@ -338,16 +333,17 @@ def _postorder(tree: Expression, constants: Mapping[str, float]) -> float:
             values.append(float(_constant(node.name, constants)))
         elif not ready:
             waiting.append((node, True))
-            waiting += [(child, False) for child in reversed(_children(node))]
+            waiting += [(child, False) for child in reversed(operands(node))]
         else:
-            count = len(_children(node))
+            count = len(operands(node))
             arguments = values[-count:]
             del values[-count:]
             values.append(_apply(node, arguments))
     return values[0]
 
 
-def _children(node: Expression) -> Sequence[Expression]:
+def operands(node: Any) -> Tuple[Any, ...]:
+    """Return the parts of a negation, an operation or a call."""
     if isinstance(node, Negation):
         return (node.operand,)
     if isinstance(node, Operation):

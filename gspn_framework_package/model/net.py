@@ -512,32 +512,21 @@ def _check_weight(arc: Arc) -> None:
         raise NetError(
             "weight %r is not a whole number of at least 1" % (weight,), element=_arc_name(arc)
         )
-    if weight > MAX_COUNT:
-        raise _too_large("weight", _arc_name(arc))
+    _check_count(weight, "weight", 1, _arc_name(arc))
 
 
 def _check_place(place: Place) -> None:
-    if not isinstance(place.tokens, int) or place.tokens < 0:
-        raise NetError(
-            "its initial marking %r is not a whole number of at least 0" % (place.tokens,),
-            element=_place_name(place),
-        )
-    if place.tokens > MAX_COUNT:
-        raise _too_large("initial marking", _place_name(place))
-    if place.capacity is None:
+    tokens, capacity = place.tokens, place.capacity
+    if type(tokens) is not int or not 0 <= tokens <= MAX_COUNT:
+        _check_count(tokens, "initial marking", 0, _node_name(place))
+    if capacity is None:
         return
-    if not isinstance(place.capacity, int) or place.capacity < 1:
+    hint = "leave the capacity out for an unlimited place"
+    _check_count(capacity, "capacity", 1, _node_name(place), hint)
+    if tokens > capacity:
         raise NetError(
-            "its capacity %r is not a whole number of at least 1" % (place.capacity,),
-            element=_place_name(place),
-            hint="leave the capacity out for an unlimited place",
-        )
-    if place.capacity > MAX_COUNT:
-        raise _too_large("capacity", _place_name(place))
-    if place.tokens > place.capacity:
-        raise NetError(
-            "its initial marking %d is above its capacity %d" % (place.tokens, place.capacity),
-            element=_place_name(place),
+            "its initial marking %d is above its capacity %d" % (tokens, capacity),
+            element=_node_name(place),
         )
 
 
@@ -545,39 +534,33 @@ def _check_transition(transition: Transition) -> None:
     _, timed, rate, weight, priority, servers, _ = transition
     if timed and not (math.isfinite(rate) and rate > 0):
         raise NetError(
-            "its rate %r is not a number above 0" % (rate,), element=_transition_name(transition)
+            "its rate %r is not a number above 0" % (rate,), element=_node_name(transition)
         )
     if not timed and not (math.isfinite(weight) and weight >= 0):
         raise NetError(
             "its weight %r is not a number of at least 0" % (weight,),
-            element=_transition_name(transition),
+            element=_node_name(transition),
         )
-    if not isinstance(priority, int) or priority < 0:
+    if type(priority) is not int or not 0 <= priority <= MAX_COUNT:
+        _check_count(priority, "priority", 0, _node_name(transition))
+    if servers is not None and (type(servers) is not int or not 1 <= servers <= MAX_COUNT):
+        hint = "None stands for infinitely many"
+        _check_count(servers, "number of servers", 1, _node_name(transition), hint)
+
+
+def _check_count(
+    value: int, what: str, least: int, element: str, hint: Optional[str] = None
+) -> None:
+    """:raises NetError: the number is not whole, or out of bounds."""
+    if not isinstance(value, int) or value < least:
         raise NetError(
-            "its priority %r is not a whole number of at least 0" % (priority,),
-            element=_transition_name(transition),
+            "its %s %r is not a whole number of at least %d" % (what, value, least),
+            element=element,
+            hint=hint,
         )
-    if priority > MAX_COUNT:
-        raise _too_large("priority", _transition_name(transition))
-    if servers is None:
-        return
-    if not isinstance(servers, int) or servers < 1:
-        raise NetError(
-            "its number of servers %r is not a whole number of at least 1" % (servers,),
-            element=_transition_name(transition),
-            hint="None stands for infinitely many",
-        )
-    if servers > MAX_COUNT:
-        raise _too_large("number of servers", _transition_name(transition))
+    if value > MAX_COUNT:
+        raise NetError("its %s is larger than 2**53 (%d)" % (what, MAX_COUNT), element=element)
 
 
-def _too_large(what: str, element: str) -> NetError:
-    return NetError("its %s is larger than 2**53 (%d)" % (what, MAX_COUNT), element=element)
-
-
-def _place_name(place: Place) -> str:
-    return "place '%s'" % place.name
-
-
-def _transition_name(transition: Transition) -> str:
-    return "transition '%s'" % transition.name
+def _node_name(node: Union[Place, Transition]) -> str:
+    return "%s '%s'" % ("place" if isinstance(node, Place) else "transition", node.name)

@@ -33,12 +33,7 @@ class Subnet(NamedTuple):
     def from_json(cls, data: Mapping[str, Any]) -> Subnet:
         """The subnet in a JSON object that fits the schema."""
         return cls(
-            data["plan"],
-            data["entry"],
-            data["exit"],
-            tuple(data["places"]),
-            tuple(data["transitions"]),
-            data.get("parent", ""),
+            **{**data, "places": tuple(data["places"]), "transitions": tuple(data["transitions"])}
         )
 
     def to_json(self) -> Dict[str, Any]:
