@@ -14,7 +14,7 @@ import threading
 from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats.json_file import read_json
-from gspn_framework_package.formats.source import write_bytes
+from gspn_framework_package.formats.source import Stamp, file_stamp, write_bytes
 from gspn_framework_package.model.errors import InputError, PlanError, UsageError
 from gspn_framework_package.model.plan import Plan
 
@@ -164,7 +164,7 @@ class BreakpointFile:
         self._plan = plan
         folder = plan.folder or (os.path.dirname(os.path.abspath(plan.file)) if plan.file else "")
         self.path = os.path.join(folder, FILE_NAME) if folder else ""
-        self._stamp: Any = None
+        self._stamp: Optional[Stamp] = None
         self.breakpoints = Breakpoints()
 
     def follow(self, plan: Plan) -> None:
@@ -215,11 +215,5 @@ class BreakpointFile:
             write_bytes(self.path, (json.dumps(breakpoints.to_json(), indent=2) + "\n").encode())
         self._stamp = self._look()
 
-    def _look(self) -> Any:
-        if not self.path:
-            return None
-        try:
-            found = os.stat(self.path)
-        except OSError:
-            return None
-        return found.st_mtime_ns, found.st_size, found.st_ino
+    def _look(self) -> Optional[Stamp]:
+        return file_stamp(self.path) if self.path else None

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Dict, Mapping, NamedTuple, Optional, Tuple, Union
 
-from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.execution.log_entries import NOTHING, Failed
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.model.outcome import Outcome
 
 
 class Move(NamedTuple):
@@ -65,6 +66,14 @@ class StartAction(NamedTuple):
     delay: float = 0.0
     data: Mapping[str, Any] = NOTHING
     resumed_from: int = 0
+
+    def failed(self, reason: Outcome, detail: str) -> Failed:
+        """The entry of the log if the attempt fails."""
+        return Failed(self.robot, self.incarnation, self.visit, self.attempt, reason.value, detail)
+
+    def timed_out(self, seconds: float) -> Failed:
+        """The entry of the log if the attempt takes longer than ``seconds``."""
+        return self.failed(Outcome.TIMEOUT, "no result within %g s" % seconds)
 
 
 class CancelAction(NamedTuple):

@@ -22,7 +22,7 @@ import threading
 from types import ModuleType
 from typing import Any, Dict, Iterable, Mapping, Optional, Tuple
 
-from gspn_framework_package.formats.source import is_inside
+from gspn_framework_package.formats.source import Stamp, file_stamp, is_inside
 from gspn_framework_package.model.errors import PlanError, UsageError
 
 SHIPPED = (
@@ -218,19 +218,9 @@ def _load_file(folder: str, file: str, element: str) -> ModuleType:
         return _load_file_once(folder, file, element)
 
 
-_Stamp = Tuple[int, int, int]
-
-_stamps: Dict[str, Tuple[str, str, _Stamp]] = {}
+_stamps: Dict[str, Tuple[str, str, Stamp]] = {}
 """Name of a module in a plan's folder -> the folder, its file, and the state of the file when it
 was loaded."""
-
-
-def _stamp(file: str) -> Optional[_Stamp]:
-    try:
-        found = os.stat(file)
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size, found.st_ino
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
@@ -245,7 +235,7 @@ def _forget_changed(folder: str) -> None:
     """If a file of a plan's folder changed since it was loaded, forget all modules loaded from
     there, since they may import each other. Running functions keep the old ones."""
     there = {name: known for name, known in _stamps.items() if known[0] == folder}
-    changed = [file for _, file, stamp in there.values() if _stamp(file) != stamp]
+    changed = [file for _, file, stamp in there.values() if file_stamp(file) != stamp]
     if not changed:
         return
     for name in there:
@@ -271,7 +261,7 @@ def _remember_files(folder: str, loaded: str) -> None:
         top = os.path.dirname(os.path.abspath(root))
         if os.path.basename(root) == "__init__.py":
             top = os.path.dirname(top)
-        stamp = _stamp(file)
+        stamp = file_stamp(file)
         if top == folder and stamp is not None:
             _stamps[name] = folder, file, stamp
 
@@ -291,7 +281,7 @@ def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, file, loader=_FromSource(name, file))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    stamp, whole = _stamp(file), False
+    stamp, whole = file_stamp(file), False
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)

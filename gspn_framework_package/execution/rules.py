@@ -110,11 +110,7 @@ class Rules:
             return ""
         if state.paused or robot.paused:
             return "paused"
-        t = (
-            robot.request
-            if robot.request != POLICY
-            else (robot.drawn.transition if robot.drawn else None)
-        )
+        t = robot.wanted
         if t is None:
             return robot.why or "no transition is enabled"
         missing = self.net.why_disabled(state.marking, t)

@@ -33,6 +33,7 @@ from typing import (
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.actions import (
+    TEXT_LIMIT,
     ActionContext,
     ActionFailed,
     Cancellation,
@@ -208,8 +209,7 @@ class StandaloneExecutor:
         self._crash: Optional[BaseException] = None
         self._over = threading.Event()
 
-    # -- called from other threads
-    # -------------------------------------------------------------------------
+    # -- called from other threads -----------------------------------------------------------------
 
     def start(self) -> None:
         """Start the run. :raises UsageError: it was already started."""
@@ -717,9 +717,7 @@ class StandaloneExecutor:
         try:
             self._pool.submit(lambda: self._execute(command, attempt, plan, actions))
         except RuntimeError as error:  # the system cannot create another thread
-            entry = self._failed(
-                command, Outcome.ABORTED, "the action cannot be started: %s" % error
-            )
+            entry = command.failed(Outcome.ABORTED, "the action cannot be started: %s" % error)
             self._queue.put(lambda: self._finished(command, attempt, entry))
         return []
 
@@ -748,11 +746,10 @@ class StandaloneExecutor:
                 result.data,
             )
         except (ActionFailed, DataError) as error:
-            entry = self._failed(command, Outcome.ABORTED, error_text(error))
+            entry = command.failed(Outcome.ABORTED, error_text(error))
         except BaseException as error:  # anything a user's function raises, even SystemExit
-            entry = self._failed(
-                command, Outcome.ABORTED, "%s: %s" % (type(error).__name__, error_text(error))
-            )
+            text = "%s: %s" % (type(error).__name__, error_text(error))
+            entry = command.failed(Outcome.ABORTED, text[:TEXT_LIMIT])
         attempt.ended.set()
         self._queue.put(lambda: self._finished(command, attempt, entry))
 
@@ -774,17 +771,7 @@ class StandaloneExecutor:
             return []
         attempt.cancellation.cancel()
         del self._running[command.robot]
-        return [self._failed(command, Outcome.TIMEOUT, "no result within %g s" % timeout)]
-
-    def _failed(self, command: StartAction, reason: Outcome, detail: str) -> log_entries.Failed:
-        return log_entries.Failed(
-            command.robot,
-            command.incarnation,
-            command.visit,
-            command.attempt,
-            reason.value,
-            detail[:500],
-        )
+        return [command.timed_out(timeout)]
 
 
 def _broke_off(error: BaseException) -> str:

@@ -82,6 +82,13 @@ class RobotState:
     resumed_from: int = 0
     """The visit that this one continues; 0 for none."""
 
+    @property
+    def wanted(self) -> Optional[int]:
+        """The transition that it requests or that the policy drew for it; None if there is none."""
+        if self.request != POLICY:
+            return self.request
+        return self.drawn.transition if self.drawn else None
+
 
 @dataclass
 class StagedPlan:

@@ -274,8 +274,7 @@ class _Reducer(Turn):
                 break
             del known[oldest]
 
-    # -- plan changes
-    # --------------------------------------------------------------------------------
+    # -- plan changes ------------------------------------------------------------------------------
 
     def _stage(self, entry: log_entries.StagePlan) -> None:
         self.state.stages += 1
@@ -519,11 +518,7 @@ class _Reducer(Turn):
 
     def _needs(self, robot: RobotState, place: int) -> bool:
         """Whether the request of ``robot`` is missing a robot in ``place``."""
-        t = (
-            robot.request
-            if robot.request != POLICY
-            else (robot.drawn.transition if robot.drawn else None)
-        )
+        t = robot.wanted
         return t is not None and any(
             p == place and len(self.rules.free_robots(self.state, p, t)) < weight
             for p, weight in self.net.inputs[t]

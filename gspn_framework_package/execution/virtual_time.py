@@ -374,9 +374,9 @@ class VirtualRun:
             seconds *= self._slowness(command.robot, command.place, self.now)
         timeout = self.plan.timeout(command.place)
         if timeout is not None and seconds > timeout:
-            return timeout, timed_out(command, timeout)
+            return timeout, command.timed_out(timeout)
         if timing.failure > 0 and self._random.random() < timing.failure:
-            return seconds, failed(command, Outcome.ABORTED, "a simulated failure")
+            return seconds, command.failed(Outcome.ABORTED, "a simulated failure")
         result = self._outcome(p, timing.outcomes)
         return seconds, log_entries.Done(command.robot, command.incarnation, command.visit, result)
 
@@ -419,15 +419,3 @@ class VirtualRun:
             self._ledger.length,
             self.result,
         )
-
-
-def failed(command: StartAction, reason: Outcome, detail: str) -> log_entries.Failed:
-    """Make the entry of an attempt that failed."""
-    return log_entries.Failed(
-        command.robot, command.incarnation, command.visit, command.attempt, reason.value, detail
-    )
-
-
-def timed_out(command: StartAction, timeout: float) -> log_entries.Failed:
-    """Make the entry of an attempt that took longer than ``timeout`` seconds."""
-    return failed(command, Outcome.TIMEOUT, "no result within %g s" % timeout)

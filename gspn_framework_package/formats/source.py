@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from typing import BinaryIO, Optional, cast
+from typing import BinaryIO, Optional, Tuple, cast
 
 from gspn_framework_package.model.errors import InputError, RefusedError
 
@@ -30,6 +30,19 @@ def open_file(path: str) -> BinaryIO:
     os.close(descriptor)
     what = "a folder" if stat.S_ISDIR(mode) else "a pipe" if stat.S_ISFIFO(mode) else "a device"
     raise OSError(errno.EINVAL, "it is %s, not a file" % what, path)
+
+
+Stamp = Tuple[int, int, int]
+"""The state of a file, which differs when the file was changed or replaced."""
+
+
+def file_stamp(path: str) -> Optional[Stamp]:
+    """The state of a file; None if there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino
 
 
 def read_bytes(path: str, limit: int = MAX_BYTES) -> bytes:

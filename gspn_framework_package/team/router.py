@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, List, Optional, Sequence
 
+from gspn_framework_package.formats.source import Stamp, file_stamp
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.team.flood_brake import FloodBrake
-from gspn_framework_package.team.keys import KeyFolder, read_keys
+from gspn_framework_package.team.keys import TEAM_FILE, KeyFolder, read_keys
 from gspn_framework_package.team.tcp_patience import SilenceLimit, ports_of
 from gspn_framework_package.team.zenoh_session import TeamAccess, open_session
 
@@ -55,15 +56,9 @@ class Router:
             self._brake = FloodBrake(ports_of(self._listen))
         return session
 
-    def _stamp(self) -> Tuple[int, int]:
+    def _stamp(self) -> Optional[Stamp]:
         """A value that changes when the allow-list is replaced."""
-        if not self._folder:
-            return (0, 0)
-        try:
-            there = os.stat(os.path.join(self._folder, "team.json"))
-        except OSError:
-            return (0, 0)
-        return (there.st_mtime_ns, there.st_ino)
+        return file_stamp(os.path.join(self._folder, TEAM_FILE)) if self._folder else None
 
     def follow_keys(self) -> str:
         """Apply the allow-list if it was replaced: close all connections; members that are still on
@@ -85,7 +80,7 @@ class Router:
         try:
             self._session = self._open()
         except GspnError as error:
-            self._seen = (-1, -1)  # try again next time
+            self._seen = (-1, -1, -1)  # try again next time
             return "the router is down: %s" % error
         return "%s: %s may take part" % (REPLACED, self.members)
 

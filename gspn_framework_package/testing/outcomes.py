@@ -15,7 +15,6 @@ from gspn_framework_package.execution.actions import (
 )
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.log_entries import NOTHING
-from gspn_framework_package.execution.virtual_time import failed, timed_out
 from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.errors import DataError
 from gspn_framework_package.model.outcome import Outcome
@@ -67,9 +66,9 @@ class Outcomes:
         except NeverEnds:
             return self.in_time(command, math.inf, self.done(command, "", NOTHING))
         except (ActionFailed, DataError) as error:
-            entry = failed(command, Outcome.ABORTED, str(error))
+            entry = command.failed(Outcome.ABORTED, str(error))
         except Exception as error:  # as in a run
-            entry = failed(command, Outcome.ABORTED, "%s: %s" % (type(error).__name__, error))
+            entry = command.failed(Outcome.ABORTED, "%s: %s" % (type(error).__name__, error))
         return self.in_time(command, clock.seconds, entry)
 
     def failed(self, command: StartAction, reason: Outcome, detail: str) -> log_entries.Entry:
@@ -78,7 +77,7 @@ class Outcomes:
         action = self._plan.action(command.robot, command.place)
         transition = outcomes_of(action).get(reason)
         if transition is None:
-            return failed(command, reason, detail)
+            return command.failed(reason, detail)
         return self.done(command, transition, NOTHING)
 
     def done(
@@ -94,5 +93,5 @@ class Outcomes:
         """The same, or a time-out before it."""
         timeout = self._plan.timeout(command.place)
         if timeout is not None and seconds > timeout:
-            return timeout, timed_out(command, timeout)
+            return timeout, command.timed_out(timeout)
         return seconds, entry
