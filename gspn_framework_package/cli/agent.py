@@ -64,6 +64,7 @@ EPILOG = (
 def run(args: argparse.Namespace) -> int:
     """Check the plan, and run the robot until the run is over."""
     from gspn_framework_package.team.agent import JsonReporter, PrintedReporter, make_agent
+    from gspn_framework_package.team.commands import handlers_of
     from gspn_framework_package.team.host import HostOptions
     from gspn_framework_package.team.plan_examination import check_plan
     from gspn_framework_package.team.router_wait import await_router
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         args.robot,
         options,
         reporter,
-        lambda host: ZenohCarrier(args.robot, args.run_name, access, host.handlers, partial),
+        lambda host: ZenohCarrier(args.robot, args.run_name, access, handlers_of(host), partial),
         args.allow_commands,
     )
     over = threading.Event()

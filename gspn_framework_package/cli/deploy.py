@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if args.standalone is not None:
         return _into_run(args, plan, mapping)  # because its own verdict decides
     obey(check_all(plan), plan)
-    from gspn_framework_package.team.deploy_team import DeployTeam
+    from gspn_framework_package.team.deploy_team import deploy_to_team
 
     client = team_client(args)
 
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         return [s for s in client.statuses().values() if s and args.run_name in ("", s["run"])]
 
     entry = stage_of(plan, mapping, _folder(args, plan))
-    outcome = DeployTeam(order, statuses, wait=args.wait).deploy(entry, args.stage_only)
+    outcome = deploy_to_team(order, statuses, entry, stage_only=args.stage_only, wait=args.wait)
     return _told(
         args, outcome.done, outcome.message, stage=outcome.stage, votes=dict(outcome.votes)
     )

@@ -303,21 +303,21 @@ def other_type(topic: str, wanted: str, types: Mapping[str, str]) -> Optional[st
     return "%s has messages of type %s, not %s" % (topic, found, wanted)
 
 
-class ActionFindings(NamedTuple):
-    """Findings about the actions of a plan: messages by "ROBOT in PLACE"."""
+class TypeFindings(NamedTuple):
+    """Findings about the types of messages in a plan, by where they are."""
 
     misfits: Dict[str, str]
-    """Goals, requests, messages, conditions and kept fields that do not fit their type, and types
-    that are not those of the ROS graph."""
+    """Topics, fields and conditions that do not fit their type, and types that are not those of the
+    ROS graph."""
     unknown: Dict[str, str]
-    """Actions that were not checked because their type is unknown in this shell."""
+    """What was not checked because its type is unknown in this shell."""
 
 
-def look_at_actions(plan: Plan) -> ActionFindings:
-    """Check whether the actions of a plan fit their types. This needs neither a node nor a master;
-    if there is a master, the types that it knows are compared too. A robot's namespace is taken to
-    be its name."""
-    found = ActionFindings({}, {})
+def look_at_actions(plan: Plan) -> TypeFindings:
+    """Check whether the actions of a plan, named "ROBOT in PLACE", fit their types. This needs
+    neither a node nor a master; if there is a master, the types that it knows are compared too. A
+    robot's namespace is taken to be its name."""
+    found = TypeFindings({}, {})
     types: Optional[Mapping[str, str]] = None
     published: Optional[Mapping[str, str]] = None
     for robot in plan.robots:

@@ -41,9 +41,6 @@ class DirectConnection:
         """This node and the current monotonic time, as if a status had just arrived."""
         return {rospy.get_name(): time.monotonic()}
 
-    def close(self) -> None:
-        """Do nothing: there is no connection to close."""
-
     def ready_server(self) -> Optional[str]:
         """The name of this node, once the server has been started."""
         return rospy.get_name() if self._server.started else None
@@ -76,15 +73,11 @@ class DirectConnection:
         """Stop watching the goal."""
         self._watched = ""
 
-    def cancel(self, goal_id: str) -> None:
-        """Ask the server to cancel a goal."""
-        self._server.cancel_goal(goal_id)
-
     def abandon(self, goal_id: str) -> None:
         """See :meth:`ActionConnection.abandon`."""
         self._abandoned.add(goal_id)
         self.forget()
-        self.cancel(goal_id)
+        self._server.cancel_goal(goal_id)
 
     def still_has(self, goal_id: str) -> bool:
         """See :meth:`ActionConnection.still_has`."""

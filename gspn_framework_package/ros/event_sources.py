@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import threading
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 import genpy
 import rosgraph.names
@@ -27,7 +27,7 @@ from gspn_framework_package.model.message_condition import (
 )
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros import message_fields
-from gspn_framework_package.ros.action_kinds import live_types, other_type
+from gspn_framework_package.ros.action_kinds import TypeFindings, live_types, other_type
 from gspn_framework_package.team.function_sources import Complaints, FunctionSources
 from gspn_framework_package.team.sides import EventListener
 
@@ -267,15 +267,6 @@ def _why_no_header(source: EventSource, message: type) -> str:
     return ""
 
 
-class EventFindings(NamedTuple):
-    """Findings about the events of a plan: messages by transition."""
-
-    misfits: Dict[str, str]
-    """Topics, fields and conditions that do not fit the type of the messages."""
-    unknown: Dict[str, str]
-    """Events that were not checked because their type is unknown in this shell."""
-
-
 def event_clashes(plan: Plan, namespace: str) -> Dict[str, str]:
     """Events whose topic has another type according to the master, if there is one: transition ->
     what is wrong.
@@ -291,11 +282,11 @@ def event_clashes(plan: Plan, namespace: str) -> Dict[str, str]:
     return {t: why for t, why in clashes.items() if why}
 
 
-def look_at_events(plan: Plan) -> EventFindings:
+def look_at_events(plan: Plan) -> TypeFindings:
     """Check whether the fields and conditions of a plan's events fit the types of their messages.
     This needs neither a node nor a master; if there is a master, the types that it knows are
     compared too. A robot's namespace is taken to be its name."""
-    found = EventFindings({}, {})
+    found = TypeFindings({}, {})
     types: Dict[str, str] = {}
     for transition, source in watched_topics(plan).items():
         try:

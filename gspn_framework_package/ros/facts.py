@@ -10,7 +10,7 @@ from std_msgs.msg import String
 
 from gspn_framework_package.execution.team_messages import activity_fields
 from gspn_framework_package.msg import FiredTransition, Marking, RobotActivity, TeamState
-from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, stamped_message
+from gspn_framework_package.ros.messages import FIRED_TOPIC, stamped_message
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 
@@ -43,7 +43,7 @@ class RosFacts:
     def publish_firings(self, firings: List[Dict[str, Any]]) -> None:
         """See :class:`Carrier`."""
         for fields in firings:
-            self._fired.publish(fired_message(fields))
+            self._fired.publish(stamped_message(FiredTransition, **fields))
 
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""

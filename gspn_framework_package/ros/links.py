@@ -34,6 +34,7 @@ from gspn_framework_package.srv import (
     SetPlaceRequest,
 )
 from gspn_framework_package.team.carrier import NotTaken
+from gspn_framework_package.team.host import ReplicaHost
 
 SERVICE_OF_MESSAGE = {
     "prepare": "get_state",
@@ -58,9 +59,6 @@ anew for each read on each connection, 65,536 unless told otherwise."""
 
 MOST_ADDRESSES = 1000
 """Maximum number of unknown senders whose addresses are noted between two hellos."""
-
-Serve = Callable[[Message, Callable[[Message], None]], None]
-"""Takes the request of a service call, and a function for its reply."""
 
 
 class _Peer(NamedTuple):
@@ -101,42 +99,28 @@ class Link(RosFacts):
     It publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots
     hosted in the same process exchange messages without it.
 
-    :param run: name of the run; messages of other runs are ignored.
+    A robot without a message on its topics for three heartbeats has its services called as well.
+    Senders that the host does not know get neither a thread nor a connection, since anybody can
+    send under any name.
+
+    :param host: the host of the robot; messages of other runs are ignored.
     :param namespace: absolute namespace of the robot.
-    :param received: receives each message for this robot; called on rospy's threads, or on those
-        of robots in the same process.
-    :param serve: carries out the service calls of robots in the same process; called on their
-        threads.
-    :param quiet: seconds without a message from a robot on its topics after which its services are
-        called as well.
+    :param service_uri: the address of this robot's services, for peers.
     :param inbound: checks what other nodes send.
-    :param knows: whether this robot listens to another one; called on any thread. Unknown senders
-        get neither a thread nor a connection, since anybody can send under any name.
 
     :ivar sent: how many messages this robot has sent; a message to several robots counts once.
     """
 
     def __init__(
-        self,
-        robot: str,
-        run: str,
-        namespace: str,
-        received: Callable[[Message], None],
-        serve: Serve,
-        quiet: float,
-        inbound: InboundMessages,
-        knows: Callable[[str], bool],
+        self, host: ReplicaHost, namespace: str, service_uri: str, inbound: InboundMessages
     ) -> None:
         super().__init__(namespace)
-        self._knows = knows
+        self.robot, self.run = host.robot, host.run
+        self._received, self._serve, self._knows = host.receive, host.serve, host.knows
+        self._quiet = 3 * host.heartbeat
+        self._namespace, self._service_uri = namespace, service_uri
         self._inbound = inbound
-        self.robot, self.run = robot, run
-        self._namespace = namespace
-        self._received = received
-        self._serve = serve
-        self._quiet = quiet
         self._node = rospy.get_name()
-        self._service_uri = ""
         self.sent = 0
         self._peers: Dict[str, _Peer] = {}
         self._heard: Dict[str, float] = {}
@@ -144,10 +128,6 @@ class Link(RosFacts):
         self._publisher = eager_publisher(AGREEMENT_TOPIC, Agreement)
         self._subscriber = self._subscribe(AGREEMENT_TOPIC)
         _NEIGHBOURS.add(self)
-
-    def serve_at(self, service_uri: str) -> None:
-        """Announce the address of this robot's services to peers."""
-        self._service_uri = service_uri
 
     def send(self, sends: List[Send]) -> None:
         """Send messages to the robots that they name."""
@@ -284,17 +264,9 @@ class TopicLink(Link):
     """
 
     def __init__(
-        self,
-        robot: str,
-        run: str,
-        namespace: str,
-        received: Callable[[Message], None],
-        serve: Serve,
-        quiet: float,
-        inbound: InboundMessages,
-        knows: Callable[[str], bool],
+        self, host: ReplicaHost, namespace: str, service_uri: str, inbound: InboundMessages
     ) -> None:
-        super().__init__(robot, run, namespace, received, serve, quiet, inbound, knows)
+        super().__init__(host, namespace, service_uri, inbound)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
         self._inbox = self._subscribe(_inbox_of(namespace))

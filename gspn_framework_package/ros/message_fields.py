@@ -251,8 +251,7 @@ def message_to_json(value: Any) -> Any:
     return value
 
 
-# -- for forms in the editor
-# -------------------------------------------------------------------------------------
+# -- for forms in the editor -----------------------------------------------------------------------
 
 
 def action_fields(kind: str, name: str) -> Dict[str, Optional[List[Dict[str, Any]]]]:

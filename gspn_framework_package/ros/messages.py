@@ -1,24 +1,14 @@
-"""Converts between values of the core and ROS messages."""
+"""Makes ROS messages of values of the core."""
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict
+from typing import Any, Callable
 
 import rospy
-
-from gspn_framework_package.msg import FiredTransition
 
 FIRED_TOPIC = "/fired_transitions"
 """All teams on a master publish their firings on this topic; each message names its run and
 plan."""
-
-
-def fired_message(fields: Dict[str, Any]) -> FiredTransition:
-    """The message that reports a firing on ``fired_transitions``.
-
-    :param fields: see :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
-    """
-    return stamped_message(FiredTransition, **fields)
 
 
 def stamped_message(kind: Callable[[], Any], **fields: Any) -> Any:

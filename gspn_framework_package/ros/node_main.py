@@ -7,6 +7,7 @@ import contextlib
 import signal
 import sys
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Callable, Dict, List, Sequence, Tuple
 
 import rosgraph
@@ -231,9 +232,11 @@ def _fork(options: NodeOptions) -> int:
     rosgraph.network.get_local_addresses()  # rosgraph keeps them
     members = []
     for robot, namespace in namespaces.items():
-        members.append(_member(plan, robot, namespace, "executor", options, _run_robot))
+        run = partial(_run_robots, plan, {robot: namespace}, options, checked=True)
+        members.append(_member("executor", namespace, run, partial(refuse_taken, [namespace])))
         if options.place_server_nodes:
-            members.append(_member(plan, robot, namespace, "place_servers", options, _serve_robot))
+            serve = partial(_serve_places, plan, robot, namespace)
+            members.append(_member("place_servers", namespace, serve))
     return run_family(members, options.respawn)
 
 
@@ -241,31 +244,20 @@ MASTER_PERIOD = 2.0
 """Seconds between two checks whether the master is still the same process. In a team of more than
 eight robots the period grows in proportion, since the team would otherwise call it constantly."""
 
-_Body = Callable[[Plan, str, str, NodeOptions, Ending], int]
-
 
 def _member(
-    plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body
+    name: str,
+    namespace: str,
+    body: Callable[[Ending], int],
+    before: Callable[[], None] = lambda: None,
 ) -> FamilyMember:
+    """A process that becomes a node; see :func:`run_node`."""
+
     def be_robot() -> int:
         be_node(name, namespace)
-        return run_node(
-            name,
-            lambda ending: body(plan, robot, namespace, options, ending),
-            lambda: refuse_taken([namespace]) if body is _run_robot else None,
-        )
+        return run_node(name, body, before)
 
     return FamilyMember(rospy.names.ns_join(namespace, name), be_robot)
-
-
-def _run_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending) -> int:
-    return _run_robots(plan, {robot: namespace}, options, ending, checked=True)
-
-
-def _serve_robot(
-    plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending
-) -> int:
-    return _serve_places(plan, robot, namespace, ending)
 
 
 def _own_namespace() -> str:
@@ -318,14 +310,15 @@ def _run_robots(
                 options.log_file(robot),
             )
         if options.check:
-            targets = [target for node in nodes for target in node.foreign_servers]
+            targets = [target for node in nodes for target in node.actions.foreign_servers]
             await_servers(targets, options.server_timeout, ending)
-            await_jobs([j for n in nodes for j in n.jobs.values()], options.server_timeout, ending)
+            jobs = [job for node in nodes for job in node.actions.jobs.values()]
+            await_jobs(jobs, options.server_timeout, ending)
         watch = MasterWatch(MASTER_PERIOD * max(1.0, len(plan.robots) / 8))
         watch.start()
         with registered_together():
             for node in nodes:
-                node.serve()
+                node.actions.serve()
         running = [node.robot for node in nodes]
 
         def ended(robot: str) -> None:

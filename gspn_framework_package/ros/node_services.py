@@ -30,7 +30,7 @@ from gspn_framework_package.srv import (
 )
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest, sender_of
 from gspn_framework_package.team.commands import ANSWER_TIME, Commands, ask_worker
-from gspn_framework_package.team.worker import Worker
+from gspn_framework_package.team.host import ReplicaHost
 
 
 class NodeServices:
@@ -48,7 +48,7 @@ class NodeServices:
     :param inbound: checks the messages of peers.
     """
 
-    def __init__(self, worker: Worker, namespace: str, inbound: InboundMessages) -> None:
+    def __init__(self, worker: ReplicaHost, namespace: str, inbound: InboundMessages) -> None:
         self._worker = worker
         self._inbound = inbound
         self._commands = Commands(worker)

@@ -3,7 +3,7 @@ servers of this process."""
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple
+from typing import Any, Dict, Mapping, Optional, Set, Tuple
 
 import rospy
 
@@ -25,7 +25,8 @@ from gspn_framework_package.ros.transport.registration import (
     published_topics,
     registered_together,
 )
-from gspn_framework_package.team.job_runner import AttemptEnd, JobRunner
+from gspn_framework_package.team.host import ReplicaHost
+from gspn_framework_package.team.job_runner import JobRunner
 from gspn_framework_package.team.jobs import Job
 from gspn_framework_package.team.patience import earliest
 
@@ -38,29 +39,15 @@ class RobotActions:
     :param plan: the plan with which the robot starts.
     :param namespace: absolute namespace of the robot.
     :param options: see :class:`NodeOptions`.
-    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
-    :param ended: called once when an attempt ends.
-    :param progress: receives the feedback of the running action: its ``time_passed``.
-    :param warn: prints a warning.
     :raises GspnError: the actions cannot be used.
 
     :ivar jobs: the robot's actions other than action servers, by place.
     :ivar foreign_servers: the robot's goals for action servers that this process does not serve.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        robot: str,
-        namespace: str,
-        options: NodeOptions,
-        enqueue: Callable[..., None],
-        ended: Callable[[AttemptEnd], None],
-        progress: Callable[[List[int]], None],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._robot, self._namespace, self._options = robot, namespace, options
-        self._told_end, self._progress = ended, progress
+    def __init__(self, host: ReplicaHost, plan: Plan, namespace: str, options: NodeOptions) -> None:
+        self._host, self._namespace, self._options = host, namespace, options
+        self._robot = robot = host.robot
         # a witness votes, but has no token and runs no actions
         self._witness = robot in plan.witness
         targets = {} if self._witness else action_targets(plan, robot, namespace)
@@ -73,24 +60,24 @@ class RobotActions:
             robot,
             targets,
             plan.timeout,
-            enqueue,
+            host.enqueue,
             self._ended,
             self._feedback,
             options.patience,
             options.max_connections,
             self._own_servers(),
             plan.cancel_grace,
-            warn,
+            host.warn,
         )
         open_jobs(self.jobs)
         self._runner = JobRunner(
             self.jobs,
             plan.timeout,
-            enqueue,
-            ended,
+            host.enqueue,
+            host.attempt_ended,
             options.patience,
             plan.cancel_grace,
-            warn,
+            host.warn,
             ROS_CLOCK,
         )
 
@@ -164,18 +151,18 @@ class RobotActions:
         jobs = jobs_of(plan, self._robot, self._namespace, self._options)
         open_jobs(jobs)
         self.jobs = jobs
-        self._runner.follow(jobs, plan.timeout)
+        self._runner.take_jobs(jobs, plan.timeout)
         self._caller.follow(targets, plan.timeout, self._own_servers())
 
     def _ended(self, ended: ActionEnded) -> None:
         attempt = ended.identity.age
         if ended.outcome is not Outcome.SUCCEEDED:
-            self._told_end(AttemptFailed(*attempt, ended.outcome, ended.detail))
+            self._host.attempt_ended(AttemptFailed(*attempt, ended.outcome, ended.detail))
         else:
-            self._told_end(ActionDone(*attempt, ended.result, ended.data))
+            self._host.attempt_ended(ActionDone(*attempt, ended.result, ended.data))
 
     def _feedback(self, identity: GoalIdentity, feedback: Any) -> None:
-        self._progress(list(getattr(feedback, "time_passed", ())))
+        self._host.attempt_progress(list(getattr(feedback, "time_passed", ())))
 
 
 def jobs_of(plan: Plan, robot: str, namespace: str, options: NodeOptions) -> Dict[str, Job]:

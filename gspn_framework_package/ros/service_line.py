@@ -10,7 +10,11 @@ import rosgraph
 import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.transport.registration import (
+    MASTER_ERRORS,
+    address_of,
+    master_proxy,
+)
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.team.addressing import SILENCE_PATIENCE, read_status
@@ -78,12 +82,11 @@ class ServiceLine:
             answered(OperatorAnswer(response.success, response.message))
 
         try:
-            master: Any = master_proxy()
-            code, _, uri = master.lookupService(rospy.get_name(), name)
+            uri = address_of(name)
         except MASTER_ERRORS as error:
             raise UnreachableError("the ROS master does not answer (%s)" % error) from None
         written = self._orders.write(robot, request)
-        return code == 1 and self._calls.call(
+        return uri is not None and self._calls.call(
             address, uri, name, Command, written, reply, failed=lambda: answered(None)
         )
 

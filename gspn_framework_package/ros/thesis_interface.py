@@ -25,7 +25,7 @@ from gspn_framework_package.msg import FiredTransition, GSPNFiringData
 from gspn_framework_package.ros.messages import FIRED_TOPIC
 from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.node_process import run_node
-from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, address_of
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
     CurrentPlace,
@@ -108,11 +108,10 @@ class ThesisInterface:
         """The answer of a robot's node. :raises rospy.ServiceException: it does not answer."""
         service = self._service(number, name)
         try:
-            master: Any = master_proxy()
-            code, _, uri = master.lookupService(rospy.get_name(), service)
+            uri = address_of(service)
         except MASTER_ERRORS as error:
             raise rospy.ServiceException("no ROS master answers (%s)" % error) from None
-        if code != 1:
+        if uri is None:
             raise rospy.ServiceException("there is no service %s" % service)
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._calls.call(service, uri, service, service_class, request, answers.put)

@@ -10,6 +10,7 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.team.carrier import Carrier, NotTaken
+from gspn_framework_package.team.commands import handlers_of
 from gspn_framework_package.team.host import ReplicaHost
 from gspn_framework_package.team.keys import keys_of_robot
 from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
@@ -71,5 +72,5 @@ def zenoh_transport(
     keys = keys_of_robot(options.keys, host.robot) if options.keys else None
     access = TeamAccess(tuple(options.router.split()), (), keys)
     partial = plan.synchronisation is Synchronisation.PARTIAL
-    carrier = ZenohCarrier(host.robot, host.run, access, host.handlers, partial)
+    carrier = ZenohCarrier(host.robot, host.run, access, handlers_of(host), partial)
     return PublishedOnRos(carrier, namespace)

@@ -5,6 +5,6 @@ Modules: ``addressing``, ``agent``, ``carrier``, ``clock``, ``commands``, ``depl
 ``job_runner``, ``jobs``, ``keys``, ``lanes``, ``log_file``, ``message_filter``,
 ``operator_client``, ``orders``, ``own_process``, ``own_sockets``, ``patience``,
 ``plan_examination``, ``router``, ``router_wait``, ``seal``, ``self_report``, ``sides``,
-``status_reporter``, ``tcp_patience``, ``verdict``, ``worker``, ``zenoh_body``, ``zenoh_carrier``,
+``status_reporter``, ``tcp_patience``, ``verdict``, ``zenoh_body``, ``zenoh_carrier``,
 ``zenoh_operator``, ``zenoh_session``, ``zenoh_watch``.
 """

@@ -42,15 +42,7 @@ def make_agent(
     )
     with contextlib.ExitStack() as undo:
         undo.callback(host.discard)
-        actions = FunctionActions(
-            plan,
-            robot,
-            allow_commands,
-            host.enqueue,
-            host.attempt_ended,
-            host.attempt_progress,
-            host.warn,
-        )
+        actions = FunctionActions(host, plan, allow_commands)
         undo.callback(actions.close)
         host.connect(carrier(host), actions)
         undo.pop_all()
@@ -77,9 +69,7 @@ class PrintedReporter:
 
     def error(self, text: str, traceback: bool = False) -> None:
         """See :class:`Reporter`."""
-        error = sys.exc_info()[1] if traceback else None
-        cause = "" if error is None else " (%s: %s)" % (type(error).__name__, error)
-        self._print("error: %s%s" % (text, cause))
+        self._print("error: " + text + _cause(traceback))
 
     def is_asked(self) -> bool:
         """See :class:`Reporter`: nothing reads diagnoses here."""
@@ -112,9 +102,7 @@ class JsonReporter:
 
     def error(self, text: str, traceback: bool = False) -> None:
         """See :class:`Reporter`."""
-        error = sys.exc_info()[1] if traceback else None
-        cause = "" if error is None else " (%s: %s)" % (type(error).__name__, error)
-        self.write("error", text=text + cause)
+        self.write("error", text=text + _cause(traceback))
 
     def is_asked(self) -> bool:
         """See :class:`Reporter`."""
@@ -134,3 +122,9 @@ class JsonReporter:
         """
         with self._lock:
             print(json.dumps({"event": event, "robot": self._robot, **more}), flush=True)
+
+
+def _cause(traceback: bool) -> str:
+    """The exception that is being handled, for the end of a line, if it is wanted."""
+    error = sys.exc_info()[1] if traceback else None
+    return "" if error is None else " (%s: %s)" % (type(error).__name__, error)

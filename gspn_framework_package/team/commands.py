@@ -7,11 +7,13 @@ import queue
 from typing import Any, Callable, Dict, Tuple
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.actions import TEXT_LIMIT
+from gspn_framework_package.execution.agreement.interface import OrderGiven
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.host import AnswerT, ReplicaHost
 from gspn_framework_package.team.orders import ORDERS, OrderKind
-from gspn_framework_package.team.worker import AnswerT, Worker
 
 ANSWER_TIME = 2.0
 """Seconds within which the host's worker must answer a plain question."""
@@ -27,7 +29,7 @@ class Commands:
     :param worker: the host of the robot.
     """
 
-    def __init__(self, worker: Worker) -> None:
+    def __init__(self, worker: ReplicaHost) -> None:
         self._worker = worker
 
     def answer(self, request: OperatorRequest, operator: Operator = _NOBODY) -> OperatorAnswer:
@@ -51,7 +53,9 @@ class Commands:
             what = "not a %s: " % kind.noun if kind.noun else ""
             return OperatorAnswer(False, "%s%s" % (what, error))
         if not kind.is_question(request.argument):
-            self._worker.enqueue(self._worker.note_order, request, operator)
+            argument = shorten(request.argument, TEXT_LIMIT)
+            noted = OrderGiven(request.command, request.robot, argument, *giver_of(operator))
+            self._worker.enqueue(self._worker.note_order, noted)
         if entry is None:
             return self._answer(kind, values)
         return self._order(entry._replace(by=giver_of(operator)), kind.seconds)
@@ -95,7 +99,12 @@ class Commands:
         return OperatorAnswer(done, found if isinstance(found, str) else json.dumps(found))
 
 
-def ask_worker(worker: Worker, question: Callable[[], AnswerT]) -> AnswerT:
+def handlers_of(host: ReplicaHost) -> Handlers:
+    """The callbacks of a host for its carrier."""
+    return Handlers(host.receive, Commands(host).answer)
+
+
+def ask_worker(worker: ReplicaHost, question: Callable[[], AnswerT]) -> AnswerT:
     """Get the worker thread's answer to a plain question.
 
     :raises ExecutionError: it did not answer within :data:`ANSWER_TIME`.

@@ -29,71 +29,69 @@ class DeployOutcome(NamedTuple):
     votes: Votes = {}
 
 
-class DeployTeam:
-    """Deploys plans to one team.
+def deploy_to_team(
+    order: Callable[[str, str], Tuple[bool, str]],
+    statuses: Callable[[], List[Dict[str, Any]]],
+    entry: StagePlan,
+    *,
+    stage_only: bool = False,
+    tell: Callable[[Votes], None] = lambda votes: None,
+    wait: float = VOTING_TIME,
+) -> DeployOutcome:
+    """Deploy a plan to a team; unstage it if it cannot be adopted.
 
     :param order: gives the team an order (command, argument); returns whether it was carried out,
         and the robot's answer.
     :param statuses: queries the statuses of the run's robots.
+    :param entry: the log entry that stages the plan.
+    :param stage_only: leave the plan staged, without adopting it.
     :param tell: receives the votes whenever they change.
     :param wait: seconds that the members have to check the plan.
     """
+    staged = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
+    done, message = order("stage", ORDERS["stage"].argument(staged))
+    if not done:
+        return DeployOutcome(False, message)
+    stage, votes, message = _wait_for_votes(statuses, entry.digest, tell, wait)
+    if not message and stage_only:
+        text = "every robot can follow the plan; the plan is staged as number %d" % stage
+        return DeployOutcome(True, text, stage, votes)
+    if not message:
+        done, message = order("adopt", str(stage))
+        if done:
+            return DeployOutcome(True, message, stage, votes)
+    if stage:
+        order("unstage", str(stage))
+    return DeployOutcome(False, message, stage, votes)
 
-    def __init__(
-        self,
-        order: Callable[[str, str], Tuple[bool, str]],
-        statuses: Callable[[], List[Dict[str, Any]]],
-        tell: Callable[[Votes], None] = lambda votes: None,
-        wait: float = VOTING_TIME,
-    ) -> None:
-        self._order, self._statuses, self._tell, self._wait = order, statuses, tell, wait
 
-    def deploy(self, entry: StagePlan, stage_only: bool = False) -> DeployOutcome:
-        """Deploy a plan to the team; unstage it if it cannot be adopted.
-
-        :param entry: the log entry that stages the plan.
-        :param stage_only: leave the plan staged, without adopting it.
-        """
-        staged = {"plan": entry.plan, "map": dict(entry.mapping), "folder": entry.folder}
-        done, message = self._order("stage", ORDERS["stage"].argument(staged))
-        if not done:
-            return DeployOutcome(False, message)
-        stage, votes, message = self._wait_for_votes(entry.digest)
-        if not message and stage_only:
-            text = "every robot can follow the plan; the plan is staged as number %d" % stage
-            return DeployOutcome(True, text, stage, votes)
-        if not message:
-            done, message = self._order("adopt", str(stage))
-            if done:
-                return DeployOutcome(True, message, stage, votes)
-        if stage:
-            self._order("unstage", str(stage))
-        return DeployOutcome(False, message, stage, votes)
-
-    def _wait_for_votes(self, digest: str) -> Tuple[int, Votes, str]:
-        """Wait until every member has voted on the plan. Returns the number of the stage, the
-        votes, and why the plan cannot be adopted ("" if it can)."""
-        deadline = time.monotonic() + self._wait
-        stage, votes = 0, {}  # type: int, Votes
-        while time.monotonic() < deadline:
-            # the robot with the longest log knows the most votes
-            newest = max(self._statuses(), key=lambda s: int(s["log_length"]), default=None)
-            staged = newest.get("staged") if newest else None
-            if staged is not None and staged["digest"] == digest:
-                if staged["votes"] != votes:
-                    self._tell(staged["votes"])
-                stage, votes = staged["stage"], staged["votes"]
-                refused = [
-                    "%s cannot follow the plan: %s" % (who, why)
-                    for who, why in votes.items()
-                    if why
-                ]
-                if refused:
-                    return stage, votes, "; ".join(refused)
-                if None not in votes.values():
-                    return stage, votes, ""
-            elif stage:
-                return stage, votes, "another plan was staged, or this one was unstaged"
-            time.sleep(POLL)
-        missing = [who for who, why in votes.items() if why is None] or ["anybody"]
-        return stage, votes, "no vote within %g s from: %s" % (self._wait, ", ".join(missing))
+def _wait_for_votes(
+    statuses: Callable[[], List[Dict[str, Any]]],
+    digest: str,
+    tell: Callable[[Votes], None],
+    wait: float,
+) -> Tuple[int, Votes, str]:
+    """Wait until every member has voted on the plan. Returns the number of the stage, the votes,
+    and why the plan cannot be adopted ("" if it can)."""
+    deadline = time.monotonic() + wait
+    stage, votes = 0, {}  # type: int, Votes
+    while time.monotonic() < deadline:
+        # the robot with the longest log knows the most votes
+        newest = max(statuses(), key=lambda s: int(s["log_length"]), default=None)
+        staged = newest.get("staged") if newest else None
+        if staged is not None and staged["digest"] == digest:
+            if staged["votes"] != votes:
+                tell(staged["votes"])
+            stage, votes = staged["stage"], staged["votes"]
+            refused = [
+                "%s cannot follow the plan: %s" % (who, why) for who, why in votes.items() if why
+            ]
+            if refused:
+                return stage, votes, "; ".join(refused)
+            if None not in votes.values():
+                return stage, votes, ""
+        elif stage:
+            return stage, votes, "another plan was staged, or this one was unstaged"
+        time.sleep(POLL)
+    missing = [who for who, why in votes.items() if why is None] or ["anybody"]
+    return stage, votes, "no vote within %g s from: %s" % (wait, ", ".join(missing))

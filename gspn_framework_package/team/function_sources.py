@@ -70,8 +70,7 @@ class FunctionSources:
         """See :class:`EventSide`."""
         self._functions.close()
 
-    # -- calls from the functions, on their threads
-    # ---------------------------------------------------
+    # -- calls from the functions, on their threads ------------------------------------------------
 
     def _observed(
         self, robot: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]

@@ -9,7 +9,7 @@ import itertools
 import queue
 import threading
 import time
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, TypeVar
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.actions import TEXT_LIMIT
@@ -26,13 +26,7 @@ from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.team.carrier import (
-    Carrier,
-    Handlers,
-    Operator,
-    OperatorRequest,
-)
-from gspn_framework_package.team.commands import Commands, giver_of
+from gspn_framework_package.team.carrier import Carrier
 from gspn_framework_package.team.job_runner import AttemptEnd
 from gspn_framework_package.team.log_file import OpenLog, open_log
 from gspn_framework_package.team.plan_examination import (
@@ -40,7 +34,7 @@ from gspn_framework_package.team.plan_examination import (
     why_refused_in_own_process,
     with_folder,
 )
-from gspn_framework_package.team.self_report import SelfReport
+from gspn_framework_package.team.self_report import SelfReport, View
 from gspn_framework_package.team.sides import (
     LOOK_AGAIN,
     ActionSide,
@@ -49,7 +43,8 @@ from gspn_framework_package.team.sides import (
     Reporter,
 )
 from gspn_framework_package.team.status_reporter import StatusReporter
-from gspn_framework_package.team.worker import AnswerT, View, Worker
+
+AnswerT = TypeVar("AnswerT")
 
 FAREWELL = 2.0
 """Seconds that a host keeps running after the end of the run, so that the others learn of it."""
@@ -74,7 +69,7 @@ class HostOptions(NamedTuple):
     """Whether the host keeps running and answering after the end of the run."""
 
 
-class ReplicaHost(Worker):
+class ReplicaHost:
     """Executes a plan for one robot, until the run is over.
 
     One thread, the *worker*, owns all state. Callbacks of the carrier and of the robot's parts only
@@ -124,7 +119,7 @@ class ReplicaHost(Worker):
         self._gone: Dict[str, Phase] = {}
         self._told_length = -1
         self._began_with = plan
-        self._status_reporter = StatusReporter(reporter)
+        self._reporter, self._status_reporter = reporter, StatusReporter(reporter)
         self._make_sources: Callable[[Plan], EventSide] = lambda plan: sources(
             plan, self._listener()
         )
@@ -174,11 +169,6 @@ class ReplicaHost(Worker):
         """Seconds between two hellos of a robot in a small team."""
         return self._replica.pace.heartbeat
 
-    @property
-    def handlers(self) -> Handlers:
-        """The callbacks for a carrier."""
-        return Handlers(self.receive, Commands(self).answer)
-
     def _listener(self) -> EventListener:
         """The interface of this host for the sources of events."""
         return EventListener(
@@ -197,8 +187,7 @@ class ReplicaHost(Worker):
         known = team.robots.get(robot)
         return team.data_of(known) if known is not None else {}
 
-    # -- called from any thread
-    # ---------------------------------------------------------------------------
+    # -- called from any thread --------------------------------------------------------------------
 
     def start(self, ended: Callable[[str], None]) -> None:
         """Start the worker.
@@ -220,11 +209,15 @@ class ReplicaHost(Worker):
             self._thread.join(timeout)
 
     def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """See :class:`Worker`."""
+        """Have the worker call ``function(*arguments)`` soon."""
         self._tasks.put((function, arguments))
 
     def ask(self, question: Callable[[], AnswerT], timeout: float) -> AnswerT:
-        """See :class:`Worker`."""
+        """Call ``question()`` on the worker and return its result.
+
+        :param timeout: seconds to wait for it.
+        :raises queue.Empty: the call did not return in time.
+        """
         answers: queue.SimpleQueue[AnswerT] = queue.SimpleQueue()
 
         def look() -> None:
@@ -250,7 +243,7 @@ class ReplicaHost(Worker):
 
     def warn(self, text: str) -> None:
         """Print a warning."""
-        self.enqueue(self._status_reporter.warn, text)
+        self.enqueue(self._reporter.warn, text)
 
     # -- the worker --------------------------------------------------------------------------------
 
@@ -265,9 +258,9 @@ class ReplicaHost(Worker):
         except Exception as error:
             self.exit_code, self.reason = 1, "%s: %s" % (type(error).__name__, error)
             if isinstance(error, GspnError):
-                self._status_reporter.error(str(error))
+                self._reporter.error(str(error))
             else:
-                self._status_reporter.error("the node failed", traceback=True)
+                self._reporter.error("the node failed", traceback=True)
         finally:
             try:
                 self._close()
@@ -316,9 +309,9 @@ class ReplicaHost(Worker):
         try:
             if self._breakpoints.changed():
                 self._replica.break_at(self._breakpoints.breakpoints)
-                self._status_reporter.warn("stops at: %s" % self._breakpoints.breakpoints.in_words)
+                self._reporter.warn("stops at: %s" % self._breakpoints.breakpoints.in_words)
         except GspnError as error:
-            self._status_reporter.warn("the breakpoints are unchanged: %s" % error)
+            self._reporter.warn("the breakpoints are unchanged: %s" % error)
 
     def _end(self) -> None:
         self._running = False
@@ -370,14 +363,14 @@ class ReplicaHost(Worker):
 
     def _report_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
         if phase is None:
-            self._status_reporter.report("%s is back in the team" % name)
+            self._reporter.say("%s is back in the team" % name)
         elif phase is Phase.LEFT:
-            self._status_reporter.report("%s has left the team" % name)
+            self._reporter.say("%s has left the team" % name)
         else:
             ledger = self._replica.ledger
             place = ledger.game.net.places[ledger.state.robots[name].place].name
             text = "%s is lost; the team continues without it. Its token was in %s" % (name, place)
-            (self._status_reporter.report if long_ago else self._status_reporter.warn)(text)
+            (self._reporter.say if long_ago else self._reporter.warn)(text)
 
     # -- effects of the replica --------------------------------------------------------------------
 
@@ -444,14 +437,14 @@ class ReplicaHost(Worker):
 
     def _fault(self, fault: Fault) -> None:
         if fault.robot in ("", self.robot):
-            self._status_reporter.warn(fault.message)
+            self._reporter.warn(fault.message)
 
     # -- plan changes ------------------------------------------------------------------------------
 
     def _examine(self, effect: interface.Examine) -> None:
         """Find out, on another thread, whether the robot can follow a staged plan. This may take a
         while, during which the host must keep sending heartbeats."""
-        self._status_reporter.report("examines the staged plan '%s'" % effect.plan.name)
+        self._reporter.say("examines the staged plan '%s'" % effect.plan.name)
 
         def staged() -> Plan:
             return with_folder(effect.plan, effect.folder, self._began_with)
@@ -469,7 +462,7 @@ class ReplicaHost(Worker):
         """
         before = self.plan
         plan = self.plan = with_folder(effect.plan, effect.folder, self._began_with)
-        self._status_reporter.report("follows the plan '%s'" % plan.name)
+        self._reporter.say("follows the plan '%s'" % plan.name)
         self._breakpoints.follow(plan)
         if not self._witness:
             self._actions.follow(plan)
@@ -497,13 +490,13 @@ class ReplicaHost(Worker):
     def _end_with(self, text: str, reason: str, finished: bool) -> None:
         self.exit_code, self.reason = (0 if finished else 1), reason
         self._actions.cancel()
-        (self._status_reporter.report if finished else self._status_reporter.warn)(text)
+        (self._reporter.say if finished else self._reporter.warn)(text)
         if not self._stay:
             self._leave_at = time.monotonic() + FAREWELL
 
     def _halted(self, effect: interface.Halted) -> None:
         self.exit_code, self.reason = 1, effect.reason
-        self._status_reporter.error("halted: %s" % effect.reason)
+        self._reporter.error("halted: %s" % effect.reason)
         self._actions.cancel()
         self._end()
 
@@ -540,14 +533,18 @@ class ReplicaHost(Worker):
         """Record the feedback of the running action."""
         self._progress = progress
 
-    # -- queries (see Worker) --------------------------------------------------------------------
+    # -- queries and orders, on the worker thread --------------------------------------------------
 
     def view(self) -> View:
-        """See :class:`Worker`."""
+        """The robot and the team as this host knows them."""
         return self._report.view()
 
     def status(self, data: str = "") -> Dict[str, Any]:
-        """See :class:`Worker`."""
+        """The host's status, for people and programs, as a JSON object.
+
+        :param data: ``data``: with the data, tasks and held events of the team; ``brief``: with
+            these as short texts; "": without.
+        """
         return dict(
             self._report.status(data),
             log_file=self._log.writer.path,
@@ -559,7 +556,7 @@ class ReplicaHost(Worker):
         )
 
     def adopted(self) -> Optional[StagedPlan]:
-        """See :class:`Worker`."""
+        """The plan that the team adopted; None if it still follows its first plan."""
         return self._replica.ledger.state.adopted
 
     def _activity(self) -> Dict[str, Any]:
@@ -568,7 +565,11 @@ class ReplicaHost(Worker):
         return self._report.activity(self.plan.hash(), attempt, progress)
 
     def breakpoints(self, names: Optional[List[str]]) -> str:
-        """See :class:`Worker`."""
+        """The breakpoints of the robot, for people.
+
+        :param names: the places and transitions to set, None to leave them as they are.
+        :raises GspnError: they are not of the plan, or cannot be kept in the file.
+        """
         if names is not None:
             found = Breakpoints.of_names(names, self.plan)
             self._replica.break_at(found)
@@ -578,24 +579,18 @@ class ReplicaHost(Worker):
     def request(
         self, message: interface.Message, answer: Callable[[interface.Message], None]
     ) -> None:
-        """See :class:`Worker`."""
+        """Pass a peer's protocol message to the replica; ``answer`` receives the reply, once."""
         number = "request %d" % next(self._numbers)
         self._answers[number] = answer
         self._step(interface.Received(message, number))
 
-    def note_order(self, request: OperatorRequest, operator: Operator) -> None:
-        """See :class:`Worker`."""
-        given = interface.OrderGiven(
-            request.command,
-            request.robot,
-            shorten(request.argument, TEXT_LIMIT),
-            *giver_of(operator),
-        )
+    def note_order(self, given: interface.OrderGiven) -> None:
+        """Record in the log who gave an order; call this before the order."""
         self._report.note_order(given)
         self._step(given)
 
     def order(self, entry: log_entries.Ordered, answer: Callable[[Any], None]) -> None:
-        """See :class:`Worker`."""
+        """Give an operator's order to the replica; ``answer`` receives the ``OrderResult``."""
         number = "order %d" % next(self._numbers)
         self._answers[number] = answer
         if isinstance(entry, log_entries.Evict) and entry.forced:

@@ -39,7 +39,7 @@ class _Cancelled(NamedTuple):
 
 
 class JobRunner:
-    """All methods belong to the worker thread of the robot's host.
+    """All methods belong to the worker thread of the robot's host; see :class:`ActionSide`.
 
     :param jobs: the jobs of the robot by place; they are open.
     :param timeout: place -> seconds that its job may take, or None.
@@ -70,7 +70,7 @@ class JobRunner:
         self._current: Optional[_Running] = None
         self._cancelled: Deque[_Cancelled] = deque()
 
-    def follow(self, jobs: Mapping[str, Job], timeout: Callable[[str], Optional[float]]) -> None:
+    def take_jobs(self, jobs: Mapping[str, Job], timeout: Callable[[str], Optional[float]]) -> None:
         """Run the jobs of another plan from now on; a running job continues."""
         self._jobs, self._timeout = jobs, timeout
 

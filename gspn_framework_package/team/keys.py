@@ -23,7 +23,7 @@ import os
 import shutil
 import stat
 import tempfile
-from typing import TYPE_CHECKING, Any, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import TYPE_CHECKING, Any, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import KeysError
@@ -94,8 +94,7 @@ class KeyFolder(NamedTuple):
         return os.path.join(self.folder, "key.pem")
 
 
-# -- creating keys
-# ----------------------------------------------------------------------------------------
+# -- creating keys ---------------------------------------------------------------------------------
 
 
 def make_team(folder: str, members: Sequence[NewMember], days: int) -> List[KeyHolder]:
@@ -113,20 +112,16 @@ def make_team(folder: str, members: Sequence[NewMember], days: int) -> List[KeyH
             hint="choose a new folder, or add members with 'gspn keys add'",
         )
     parent = os.path.dirname(os.path.abspath(folder))
-    try:
+    with _reported("written", folder):
         os.makedirs(parent, exist_ok=True)
         half_made = tempfile.mkdtemp(prefix=".keys-", dir=parent)
-    except OSError as error:
-        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
-    try:
-        _Authority.make(half_made, days)
-        rows = _issue(half_made, members, days, [])
-        os.rename(half_made, folder)
-        return rows
-    except OSError as error:
-        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
-    finally:
-        shutil.rmtree(half_made, ignore_errors=True)
+        try:
+            _Authority.make(half_made, days)
+            rows = _issue(half_made, members, days, [])
+            os.rename(half_made, folder)
+        finally:
+            shutil.rmtree(half_made, ignore_errors=True)
+    return rows
 
 
 def add_members(folder: str, members: Sequence[NewMember], days: int) -> List[KeyHolder]:
@@ -137,10 +132,8 @@ def add_members(folder: str, members: Sequence[NewMember], days: int) -> List[Ke
     """
     there = read_team(folder)
     _check_new(members, days, there)
-    try:
+    with _reported("written", folder):
         return _issue(folder, members, days, there)
-    except OSError as error:
-        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
 
 
 def revoke(folder: str, name: str) -> List[KeyHolder]:
@@ -157,12 +150,21 @@ def revoke(folder: str, name: str) -> List[KeyHolder]:
     rows = [
         row._replace(revoked=now) if row.name == name and not row.revoked else row for row in rows
     ]
-    try:
+    with _reported("written", folder):
         _write_team(folder, rows)
         shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
-    except OSError as error:
-        raise KeysError("cannot be written (%s)" % error.strerror, file=folder) from None
     return rows
+
+
+@contextlib.contextmanager
+def _reported(done: str, path: str, hint: str = "") -> Iterator[None]:
+    """Report what the system refuses. :raises KeysError: the file cannot be ``done``."""
+    try:
+        yield
+    except OSError as error:
+        raise KeysError(
+            "cannot be %s (%s)" % (done, error.strerror), file=path, hint=hint or None
+        ) from None
 
 
 def _check_new(members: Sequence[NewMember], days: int, there: Sequence[KeyHolder]) -> None:
@@ -259,10 +261,8 @@ class _Authority(NamedTuple):
 
         path = os.path.join(folder, AUTHORITY, "key.pem")
         try:
-            with open_file(path) as file:
+            with _reported("read", path), open_file(path) as file:
                 key = load_pem_private_key(file.read(_KEY_FILE_BYTES), None, default_backend())
-        except OSError as error:
-            raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
         except (ValueError, TypeError):
             raise KeysError("is not a private key", file=path) from None
         if not isinstance(key, EllipticCurvePrivateKey):
@@ -386,8 +386,7 @@ def _write_team(folder: str, rows: Sequence[KeyHolder]) -> None:
         os.replace(new, os.path.join(place, TEAM_FILE))
 
 
-# -- reading keys
-# ---------------------------------------------------------------------------------------
+# -- reading keys ----------------------------------------------------------------------------------
 
 
 def read_team(folder: str) -> List[KeyHolder]:
@@ -396,15 +395,10 @@ def read_team(folder: str) -> List[KeyHolder]:
     :raises KeysError: the folder has no allow-list, or it is damaged.
     """
     path = os.path.join(folder, TEAM_FILE)
+    hint = "create a folder with keys by 'gspn keys team'"
     try:
-        with open_file(path) as file:
+        with _reported("read", path, hint), open_file(path) as file:
             data: Any = json.loads(file.read(_KEY_FILE_BYTES).decode("utf-8"))
-    except OSError as error:
-        raise KeysError(
-            "cannot be read (%s)" % error.strerror,
-            file=path,
-            hint="create a folder with keys by 'gspn keys team'",
-        ) from None
     except (ValueError, RecursionError) as error:
         raise KeysError("is not JSON (%s)" % error, file=path) from None
     rows = data.get("members") if isinstance(data, dict) else None
@@ -486,10 +480,8 @@ def check_private(path: str, hint: str = "") -> None:
     :param hint: what to do if the file does not exist.
     :raises KeysError: the file does not exist, or other users can read it.
     """
-    try:
+    with _reported("read", path, hint):
         mode = os.stat(path).st_mode
-    except OSError as error:
-        raise KeysError("cannot be read (%s)" % error.strerror, file=path, hint=hint) from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise KeysError(
             "other users can read this private key", file=path, hint="chmod 600 %s" % path
@@ -503,10 +495,8 @@ def read_certificate(path: str) -> x509.Certificate:
     from cryptography.hazmat.backends import default_backend
 
     try:
-        with open_file(path) as file:
+        with _reported("read", path), open_file(path) as file:
             return x509.load_pem_x509_certificate(file.read(_KEY_FILE_BYTES), default_backend())
-    except OSError as error:
-        raise KeysError("cannot be read (%s)" % error.strerror, file=path) from None
     except ValueError:
         raise KeysError("is not a certificate", file=path) from None
 

@@ -21,7 +21,7 @@ from gspn_framework_package.model.errors import DataError, RefusedError
 if TYPE_CHECKING:
     from gspn_framework_package.model.plan import Plan
     from gspn_framework_package.team.carrier import OperatorRequest
-    from gspn_framework_package.team.worker import Worker
+    from gspn_framework_package.team.host import ReplicaHost
 
 ORDER_TIME = 5.0
 """Seconds within which an operator's order must get into the log."""
@@ -245,7 +245,7 @@ def _stage(plan: Dict[str, Any], map: Dict[str, str], folder: str) -> log_entrie
     return entry
 
 
-def _adopted(worker: Worker) -> Dict[str, Any]:
+def _adopted(worker: ReplicaHost) -> Dict[str, Any]:
     found = worker.adopted()
     if found is None:
         raise RefusedError("the team still follows its first plan")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.execution.agreement.interface import OrderGiven
 from gspn_framework_package.execution.agreement.replica import Replica
@@ -16,11 +16,10 @@ from gspn_framework_package.execution.team_messages import (
     team_fields,
 )
 from gspn_framework_package.execution.team_state import reported_phase
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.team.carrier import NotTaken
 from gspn_framework_package.team.sides import ActionSide
 from gspn_framework_package.team.status_reporter import Diagnosis, level_of
-from gspn_framework_package.team.worker import View
 
 MOST_REFUSALS = 20
 """How many kinds of refused messages are reported by name, the most frequent first."""
@@ -28,6 +27,20 @@ MOST_REFUSALS = 20
 
 MOST_ORDERS = 5
 """How many orders are reported, the latest."""
+
+
+class View(NamedTuple):
+    """What a host knows about its robot and the team, including its own local transitions."""
+
+    place: str
+    """Name of the robot's place; "" if it has none."""
+    robot_state: str
+    incarnation: int
+    visit: int
+    marking: Marking
+    net: Net
+    slot: int
+    hash: str
 
 
 class SelfReport:
@@ -57,7 +70,7 @@ class SelfReport:
         return self._replica.ledger.game.net
 
     def view(self) -> View:
-        """See :class:`Worker`."""
+        """The robot and the team as this host knows them."""
         ledger, own = self._replica.ledger, self._replica.state
         robot = ledger.state.robots.get(self._robot)
         place, visit, phase = "", 0, reported_phase(ledger.state, robot)
@@ -82,7 +95,7 @@ class SelfReport:
         )
 
     def status(self, data: str = "") -> Dict[str, Any]:
-        """The result of :meth:`Worker.status`, except for what only the host knows."""
+        """The result of :meth:`ReplicaHost.status`, except for what only the host knows."""
         status = self._replica.status()
         state = self._replica.ledger.state
         status.update(

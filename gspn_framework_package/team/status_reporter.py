@@ -57,23 +57,11 @@ class StatusReporter:
         second = int(time.monotonic())
         if second != self._second:
             if self._lines > LINES_PER_SECOND:
-                self.report("and %d more lines" % (self._lines - LINES_PER_SECOND))
+                self._reporter.say("and %d more lines" % (self._lines - LINES_PER_SECOND))
             self._second, self._lines = second, 0
         self._lines += 1
         if self._lines <= LINES_PER_SECOND:
-            self.report(text)
-
-    def report(self, text: str) -> None:
-        """Print a line regardless of the limit."""
-        self._reporter.say(text)
-
-    def warn(self, text: str) -> None:
-        """Print a warning."""
-        self._reporter.warn(text)
-
-    def error(self, text: str, traceback: bool = False) -> None:
-        """Print an error; see :meth:`Reporter.error`."""
-        self._reporter.error(text, traceback)
+            self._reporter.say(text)
 
     def note_change(self) -> None:
         """Note that the activity may have changed."""

@@ -139,8 +139,7 @@ class ZenohCarrier:
             session.declare_queryable(key_of(run, robot, "activity"), self._on_asked),
         ]
 
-    # -- sending, on the host's worker thread
-    # ----------------------------------------------------------
+    # -- sending, on the host's worker thread ------------------------------------------------------
 
     def send(self, sends: List[Send]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
@@ -226,8 +225,7 @@ class ZenohCarrier:
             )
         return publisher
 
-    # -- receiving, on Zenoh's threads
-    # --------------------------------------------------------------------
+    # -- receiving, on Zenoh's threads -------------------------------------------------------------
 
     def _on_message(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)

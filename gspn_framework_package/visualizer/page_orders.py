@@ -10,7 +10,7 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 from gspn_framework_package.team.carrier import OperatorRequest
-from gspn_framework_package.team.deploy_team import DeployOutcome, DeployTeam, Votes
+from gspn_framework_package.team.deploy_team import DeployOutcome, Votes, deploy_to_team
 from gspn_framework_package.team.operator_client import RobotLine, ask_robots
 from gspn_framework_package.team.orders import ORDERS, PAGE, OrderKind
 from gspn_framework_package.team.verdict import obey
@@ -98,7 +98,7 @@ class PageOrders:
             return [status for _, status in found if status["run"] == self._team.run]
 
         try:
-            return DeployTeam(order, statuses, tell).deploy(stage_of(plan, mapping))
+            return deploy_to_team(order, statuses, stage_of(plan, mapping), tell=tell)
         finally:
             line.close()
 

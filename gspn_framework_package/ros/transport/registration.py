@@ -11,7 +11,7 @@ import http.client
 import logging
 import time
 import xmlrpc.client
-from typing import Any, Dict, Iterator, List, NamedTuple, Sequence
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence
 
 import rosgraph
 import rospy
@@ -74,11 +74,11 @@ def require_master(timeout: float = 2.0) -> None:
         ) from None
 
 
-def published_topics(timeout: float = 2.0) -> Dict[str, str]:
-    """Topic -> type, for published topics; rospy's own function has no time limit.
+# -- questions to the master, which raise one of MASTER_ERRORS if it does not answer in time
 
-    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
-    """
+
+def published_topics(timeout: float = 2.0) -> Dict[str, str]:
+    """Topic -> type, for published topics; rospy's own function has no time limit."""
     master: Any = master_proxy(timeout)
     _, _, topics = master.getPublishedTopics(rospy.get_name(), "")
     return dict(topics)
@@ -86,10 +86,7 @@ def published_topics(timeout: float = 2.0) -> Dict[str, str]:
 
 def topic_types(timeout: float = 2.0) -> Dict[str, str]:
     """Topic -> type, for topics with a publisher or subscriber. (The master also remembers the
-    types of others.)
-
-    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
-    """
+    types of others.)"""
     master: Any = master_proxy(timeout)
     _, _, types = master.getTopicTypes(rospy.get_name())
     _, _, (published, subscribed, _) = master.getSystemState(rospy.get_name())
@@ -98,23 +95,24 @@ def topic_types(timeout: float = 2.0) -> Dict[str, str]:
 
 
 def service_names(timeout: float = 2.0) -> List[str]:
-    """The names of all services.
-
-    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
-    """
+    """The names of all services."""
     master: Any = master_proxy(timeout)
     _, _, (_, _, services) = master.getSystemState(rospy.get_name())
     return sorted(name for name, _ in services)
 
 
-def subscribers(topic: str, timeout: float = 2.0) -> List[str]:
-    """The nodes that subscribe to a topic.
-
-    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
-    """
-    master: Any = master_proxy(timeout)
+def subscribers(topic: str) -> List[str]:
+    """The nodes that subscribe to a topic."""
+    master: Any = master_proxy()
     _, _, (_, subscribed, _) = master.getSystemState(rospy.get_name())
     return [node for name, nodes in subscribed if name == topic for node in nodes]
+
+
+def address_of(service: str, timeout: float = 2.0) -> Optional[str]:
+    """The address of a service, ``rosrpc://host:port``; None if the master does not know it."""
+    master: Any = master_proxy(timeout)
+    code, _, uri = master.lookupService(rospy.get_name(), service)
+    return uri if code == 1 else None
 
 
 def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
@@ -131,7 +129,6 @@ def nearest_parameter(name: str, node: str, default: Any, timeout: float = 2.0) 
     none.
 
     :param node: absolute name of the node.
-    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
     master: Any = master_proxy(timeout)
     code, _, key = master.searchParam(node, name)

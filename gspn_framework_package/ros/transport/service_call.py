@@ -15,7 +15,7 @@ import rosgraph.network
 import rospy
 
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, address_of
 
 RESPONSE_LIMIT = 1_000_000_000
 """Maximum size of a response, in bytes."""
@@ -114,11 +114,9 @@ class ServiceCall:
 def service_uri(name: str, timeout: float = 2.0) -> Optional[str]:
     """The address of a service; None if the master does not know it, or does not answer."""
     try:
-        master: Any = master_proxy(timeout)
-        code, _, uri = master.lookupService(rospy.get_name(), name)
+        return address_of(name, timeout)
     except MASTER_ERRORS:
         return None
-    return uri if code == 1 else None
 
 
 class ServiceType(NamedTuple):

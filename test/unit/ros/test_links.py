@@ -48,16 +48,16 @@ def make(monkeypatch):
     def make(robot, run="run", key=None):
         monkeypatch.setattr(links.rospy, "get_name", lambda: "/%s/executor" % robot)
         got = []
-        link = links.TopicLink(
-            robot,
-            run,
-            "/" + robot,
-            got.append,
-            None,
-            5.0,
-            InboundMessages(seal=Seal(key, run, robot) if key else None),
-            lambda name: not name.startswith("stranger"),
+        host = SimpleNamespace(
+            robot=robot,
+            run=run,
+            receive=got.append,
+            serve=None,
+            knows=lambda name: not name.startswith("stranger"),
+            heartbeat=5.0 / 3,
         )
+        inbound = InboundMessages(seal=Seal(key, run, robot) if key else None)
+        link = links.TopicLink(host, "/" + robot, "", inbound)
         link.got = got
         link._neighbours = dict  # each as in a process of its own
         made.append(link)

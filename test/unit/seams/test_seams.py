@@ -155,7 +155,7 @@ class Host:
     def enqueue(self, function, *arguments):
         function(*arguments)
 
-    def note_order(self, request, operator):
+    def note_order(self, given):
         pass
 
     def order(self, entry, answer):

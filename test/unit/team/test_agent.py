@@ -17,6 +17,7 @@ from gspn_framework_package.model.errors import PlanError, RefusedError
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.carrier import Operator, OperatorRequest
+from gspn_framework_package.team.commands import handlers_of
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.visualizer.recording import Recording
 
@@ -88,7 +89,7 @@ class Wire:
 
 class InMemory:
     def __init__(self, wire, host):
-        self.wire, self.robot, self.handlers, self.sent = wire, host.robot, host.handlers, 0
+        self.wire, self.robot, self.handlers, self.sent = wire, host.robot, handlers_of(host), 0
 
     def send(self, sends):
         for to, message in sends:
@@ -137,7 +138,7 @@ class Team:
 
     def ask(self, robot, command, about="", argument="", run=""):
         request = OperatorRequest(command, about, argument, run)
-        return self.hosts[robot].handlers.command(request, Operator("ann"))
+        return handlers_of(self.hosts[robot]).command(request, Operator("ann"))
 
     def status(self, robot):
         return json.loads(self.ask(robot, "status").message)

@@ -8,7 +8,7 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.team import deploy_team
-from gspn_framework_package.team.deploy_team import DeployTeam
+from gspn_framework_package.team.deploy_team import deploy_to_team
 
 PLAN = "plans/measure/plan.json"
 ENTRY = stage_of(read_plan(PLAN), {"P4": "Alarm"}, "/plans")
@@ -33,8 +33,8 @@ class Told:
         return [behind, {"run": "monday", "log_length": 7, "staged": staged}]
 
     def deploy(self, **options):
-        outcome = DeployTeam(self.order, self.statuses, self.heard.append, wait=0.3).deploy(
-            ENTRY, **options
+        outcome = deploy_to_team(
+            self.order, self.statuses, ENTRY, tell=self.heard.append, wait=0.3, **options
         )
         return outcome, [command for command, _ in self.ordered]
 

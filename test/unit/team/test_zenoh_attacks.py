@@ -16,6 +16,7 @@ from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.team.agent import PrintedReporter, make_agent
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
+from gspn_framework_package.team.commands import handlers_of
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.lanes import LANES
@@ -37,7 +38,7 @@ class RunningTeam:
 
             def carry(host, robot=robot):
                 access = hub.access(robot)
-                self.carriers[robot] = ZenohCarrier(robot, "run", access, host.handlers)
+                self.carriers[robot] = ZenohCarrier(robot, "run", access, handlers_of(host))
                 return self.carriers[robot]
 
             options = HostOptions("run", self.logs[-1])
@@ -167,6 +168,6 @@ def test_somebody_with_other_keys_joins_neither_the_run_nor_its_votes(hub, team)
     for message in [greeting, *votes]:
         stranger.send([Send(EVERYBODY, {**message, "from": THIEF})])
     team.goes_on()
-    answer = team.hosts["robot_1"].handlers.command(OperatorRequest("status"), Operator())
+    answer = handlers_of(team.hosts["robot_1"]).command(OperatorRequest("status"), Operator())
     status = json.loads(answer.message)
     assert THIEF not in [robot["robot"] for robot in status["robots"]]

@@ -16,6 +16,7 @@ from meeting import WORK, meeting_of
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.team import keys, zenoh_session
 from gspn_framework_package.team.agent import PrintedReporter, make_agent
+from gspn_framework_package.team.commands import handlers_of
 from gspn_framework_package.team.host import HostOptions
 from gspn_framework_package.team.keys import NewMember
 from gspn_framework_package.team.router import Router
@@ -107,7 +108,7 @@ class Agents:
     def start(self, robot, run="monday"):
         def carrier(host):
             partial = self.plan.synchronisation.value == "partial"
-            return ZenohCarrier(robot, run, self.hub.access(robot), host.handlers, partial)
+            return ZenohCarrier(robot, run, self.hub.access(robot), handlers_of(host), partial)
 
         log = str(self.folder / "logs" / run / (robot + ".jsonl"))
         host = make_agent(
