@@ -16,26 +16,13 @@ out.
 
 from __future__ import annotations
 
-from typing import (
-    Dict,
-    List,
-    NamedTuple,
-    Optional,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import Dict, List, NamedTuple, Optional, Set, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import LogClock, Record
 from gspn_framework_package.execution.firing import CancelAction, StartAction
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.replayer import (
-    RECORD_FAULTS,
-    Replayed,
-    Replayer,
-    unusable,
-)
+from gspn_framework_package.execution.replayer import RECORD_FAULTS, Replayed, Replayer, unusable
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.turn import ASKS_POLICY

@@ -62,23 +62,9 @@ import json
 import math
 import os
 import re
-from typing import (
-    Any,
-    BinaryIO,
-    Dict,
-    Iterator,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import Any, BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution.stored_policy import (
-    hash_of,
-    read_stored,
-    with_policies,
-)
+from gspn_framework_package.execution.stored_policy import hash_of, read_stored, with_policies
 from gspn_framework_package.formats.json_file import DEEPEST_JSON, is_too_deep
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.formats.source import open_file

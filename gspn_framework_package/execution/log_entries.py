@@ -223,18 +223,7 @@ class Unstage(NamedTuple):
 
 
 Ordered = Union[
-    Retry,
-    Fire,
-    Submit,
-    Leave,
-    Evict,
-    SetPlace,
-    Pause,
-    Resume,
-    Stop,
-    StagePlan,
-    Adopt,
-    Unstage,
+    Retry, Fire, Submit, Leave, Evict, SetPlace, Pause, Resume, Stop, StagePlan, Adopt, Unstage
 ]
 """The entries that an operator can order."""
 

@@ -18,12 +18,7 @@ from gspn_framework_package.execution.firing import (
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import (
-    Draw,
-    RobotState,
-    Task,
-    TeamState,
-)
+from gspn_framework_package.execution.team_state import Draw, RobotState, Task, TeamState
 from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind

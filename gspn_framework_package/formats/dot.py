@@ -103,9 +103,7 @@ def _attributes(values: Mapping[str, Attribute]) -> str:
 
 
 def net_graph(
-    net: Net,
-    marking: Optional[Sequence[int]] = None,
-    subnets: Mapping[str, Subnet] = {},
+    net: Net, marking: Optional[Sequence[int]] = None, subnets: Mapping[str, Subnet] = {}
 ) -> Graph:
     """Draw a net as a graph. Places are circles with their tokens, immediate transitions are black
     and thin, exponential ones are white and thick, and inhibitor arcs end in a circle. Rates,

@@ -20,10 +20,7 @@ def plans_folder() -> str:
     :raises UsageError: the folder does not exist.
     """
     package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    candidates = [
-        os.path.join(package, "plans"),
-        os.path.join(os.path.dirname(package), "plans"),
-    ]
+    candidates = [os.path.join(package, "plans"), os.path.join(os.path.dirname(package), "plans")]
     # PREFIX/lib/python3/dist-packages/PACKAGE
     prefix = os.path.normpath(os.path.join(package, *[os.pardir] * 4))
     candidates.append(os.path.join(prefix, "share", os.path.basename(package), "plans"))

@@ -77,9 +77,4 @@ def _path(value: str, label: str) -> Dict[str, Any]:
 
 
 def _split(direction: str, first: Tree, second: Tree, percentage: int) -> Dict[str, Any]:
-    return {
-        "direction": direction,
-        "first": first,
-        "second": second,
-        "splitPercentage": percentage,
-    }
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}

@@ -70,12 +70,7 @@ class _Writer:
         place, bound = self.net.places[p], self.bounds[p]
         kind: Any = "int"
         if bound is not None:
-            kind = {
-                "kind": "bounded",
-                "base": "int",
-                "lower-bound": 0,
-                "upper-bound": bound,
-            }
+            kind = {"kind": "bounded", "base": "int", "lower-bound": 0, "upper-bound": bound}
         found = {"name": self.names[p], "type": kind, "initial-value": place.tokens}
         if self.names[p] != place.name:
             found["comment"] = "place %s" % place.name

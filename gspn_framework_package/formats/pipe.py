@@ -53,11 +53,7 @@ _VALUE = known("", {"value": known(text=True)}, free="graphics toolspecific")
 _FREE = "name graphics toolspecific comment tagged "
 _PLACE = known("id", {"initialMarking": _VALUE, "capacity": _VALUE}, free=_FREE)
 _TIMING = ("rate", "timed", "infiniteServer", "priority")
-_TRANSITION = known(
-    "id",
-    dict.fromkeys(_TIMING, _VALUE),
-    free=_FREE + "orientation",
-)
+_TRANSITION = known("id", dict.fromkeys(_TIMING, _VALUE), free=_FREE + "orientation")
 _ARC_TYPE = known(
     "value", {"value": known(text=True), "text": known(text=True)}, free="graphics toolspecific"
 )

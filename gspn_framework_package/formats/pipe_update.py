@@ -7,11 +7,7 @@ from typing import Any, List, Optional
 from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node
 from gspn_framework_package.formats.pipe import to_bytes, unused
-from gspn_framework_package.formats.xml_tree import (
-    all_of,
-    label,
-    number_text,
-)
+from gspn_framework_package.formats.xml_tree import all_of, label, number_text
 from gspn_framework_package.formats.xml_update import (
     Given,
     XmlNet,

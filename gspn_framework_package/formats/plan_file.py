@@ -20,11 +20,7 @@ from gspn_framework_package.formats.plan_json import (
     policy_from_json,
     policy_to_json,
 )
-from gspn_framework_package.formats.registry import (
-    AS_THE_FILE_SAYS,
-    read_net,
-    read_net_with_notes,
-)
+from gspn_framework_package.formats.registry import AS_THE_FILE_SAYS, read_net, read_net_with_notes
 from gspn_framework_package.formats.source import named_file, open_file, read_bytes
 from gspn_framework_package.formats.subnets import expand, fill_parameters
 from gspn_framework_package.model.data import kind_of
@@ -315,10 +311,7 @@ def _own_form(
 
 
 def _subnet(
-    path: str,
-    values: Mapping[str, Any],
-    around: Tuple[str, ...],
-    reading: _Reading,
+    path: str, values: Mapping[str, Any], around: Tuple[str, ...], reading: _Reading
 ) -> Plan:
     """The plan of a subnet. :raises GspnError: it cannot be read, or contains itself."""
     path, document = _open(path)

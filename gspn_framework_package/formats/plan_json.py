@@ -342,10 +342,7 @@ def policy_to_json(policy: Policy) -> Dict[str, Any]:
     data = {
         "places": list(policy.places),
         "rows": [
-            {
-                "marking": ["-" if c is None else c for c in row.counts],
-                "choose": dict(row.choices),
-            }
+            {"marking": ["-" if c is None else c for c in row.counts], "choose": dict(row.choices)}
             for row in policy.rows
         ],
     }

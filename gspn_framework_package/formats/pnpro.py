@@ -79,9 +79,7 @@ _EDGES = known(
     "",
     {
         "arc": known(
-            "head tail kind type mult multiplicity broken text-size",
-            free="point",
-            positions=True,
+            "head tail kind type mult multiplicity broken text-size", free="point", positions=True
         )
     },
     repeated="arc",

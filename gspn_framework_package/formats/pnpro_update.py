@@ -7,12 +7,7 @@ from typing import Any, Optional
 from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node
 from gspn_framework_package.formats.pnpro import to_bytes, write_position
-from gspn_framework_package.formats.xml_tree import (
-    all_of,
-    choose_net,
-    number_text,
-    tag,
-)
+from gspn_framework_package.formats.xml_tree import all_of, choose_net, number_text, tag
 from gspn_framework_package.formats.xml_update import XmlNet, inner_element, xml_updater
 from gspn_framework_package.model.net import Arc, Place, Transition
 

@@ -164,8 +164,7 @@ def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:
         word = re.escape(name).encode(errors="surrogateescape")
         if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % word, data):
             raise UsageError(
-                "the constant '%s' does not occur in the file" % name,
-                hint="check its spelling",
+                "the constant '%s' does not occur in the file" % name, hint="check its spelling"
             )
 
 

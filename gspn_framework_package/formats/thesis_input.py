@@ -42,13 +42,7 @@ ROS_KEYS = (
     "policy_dictionary",
     "full_synchronization",
 )
-STANDALONE_KEYS = (
-    "project_path",
-    "gspn",
-    _FUNCTIONS,
-    "places_tuple",
-    "policy_dictionary",
-)
+STANDALONE_KEYS = ("project_path", "gspn", _FUNCTIONS, "places_tuple", "policy_dictionary")
 
 
 class ThesisNet(NamedTuple):

@@ -107,12 +107,7 @@ def check_element(element: etree._Element, vocabulary: Element, what: str, fail:
         elif name in vocabulary.repeated:
             children[name].append(node)
         else:
-            fail(
-                "it has a second <%s>" % name,
-                what,
-                line_of(node),
-                "keep only one of the two",
-            )
+            fail("it has a second <%s>" % name, what, line_of(node), "keep only one of the two")
         inside = vocabulary.children[name]
         if inside is not ANY_CONTENT:
             check_element(node, inside, what, fail)

@@ -148,13 +148,7 @@ def target(place: str, action: Union[FunctionAction, ServerAction], namespace: s
         )
     goal = {"place": place} if action.type == EXEC_GSPN else action.goal or {}
     target = ActionTarget(
-        place,
-        name,
-        _action_type(place, action.type),
-        goal,
-        action.outcomes,
-        True,
-        action.keep,
+        place, name, _action_type(place, action.type), goal, action.outcomes, True, action.keep
     )
     target.check()
     return target

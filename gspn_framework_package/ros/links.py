@@ -12,11 +12,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 import genpy
 import rospy
 
-from gspn_framework_package.execution.agreement.interface import (
-    EVERYBODY,
-    Message,
-    Send,
-)
+from gspn_framework_package.execution.agreement.interface import EVERYBODY, Message, Send
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.msg import Agreement
@@ -193,10 +189,7 @@ class Link(RosFacts):
             self._inbound.pass_by(news.body, news._connection_header)
             return
         message = self._inbound.read(
-            news.body,
-            news._connection_header,
-            said(news.namespace, news.service_uri),
-            news.sender,
+            news.body, news._connection_header, said(news.namespace, news.service_uri), news.sender
         )
         if message is None:
             return

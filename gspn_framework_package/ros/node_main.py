@@ -179,8 +179,7 @@ def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
             told = True
         if time.monotonic() > deadline:
             raise ExecutionError(
-                "; ".join(missing),
-                hint="waited %g s; set ~server_timeout to change that" % seconds,
+                "; ".join(missing), hint="waited %g s; set ~server_timeout to change that" % seconds
             )
         ending.wait(0.2)
     if told:

@@ -21,10 +21,7 @@ from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServer, PlaceServers
 from gspn_framework_package.ros.ros_clock import ROS_CLOCK
-from gspn_framework_package.ros.transport.registration import (
-    published_topics,
-    registered_together,
-)
+from gspn_framework_package.ros.transport.registration import published_topics, registered_together
 from gspn_framework_package.team.host import ReplicaHost
 from gspn_framework_package.team.job_runner import JobRunner
 from gspn_framework_package.team.jobs import Job

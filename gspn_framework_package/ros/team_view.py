@@ -33,12 +33,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import Marking, RobotActivity
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.ros.service_line import ask_node, status_in
-from gspn_framework_package.ros.team_markers import (
-    Spot,
-    TeamMarkers,
-    spots_of_goals,
-    spots_of_room,
-)
+from gspn_framework_package.ros.team_markers import Spot, TeamMarkers, spots_of_goals, spots_of_room
 from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.node_process import run_node
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, published_topics

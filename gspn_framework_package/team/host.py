@@ -15,10 +15,7 @@ from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Replica
-from gspn_framework_package.execution.breakpoints import (
-    BreakpointFile,
-    Breakpoints,
-)
+from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_messages import firing_fields
@@ -144,10 +141,7 @@ class ReplicaHost:
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def connect(
-        self,
-        carrier: Carrier,
-        actions: ActionSide,
-        others: Sequence[Callable[[], None]] = (),
+        self, carrier: Carrier, actions: ActionSide, others: Sequence[Callable[[], None]] = ()
     ) -> None:
         """Give the host its parts; call this once, before :meth:`start`.
 

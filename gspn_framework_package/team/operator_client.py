@@ -12,11 +12,7 @@ import time
 from typing import Any, Callable, Dict, List, Mapping, Optional, Protocol, Tuple
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.team.addressing import (
-    SILENCE_PATIENCE,
-    robots_of_run,
-    whom_to_order,
-)
+from gspn_framework_package.team.addressing import SILENCE_PATIENCE, robots_of_run, whom_to_order
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.orders import ADOPT_TIME, ORDERS
 

@@ -186,6 +186,5 @@ class _Check:
         missing = sorted(needed - here)
         if missing:
             raise BrokenRuleError(
-                9,
-                "the log of %s is missing; if it is lost, use --incomplete" % ", ".join(missing),
+                9, "the log of %s is missing; if it is lost, use --incomplete" % ", ".join(missing)
             )

@@ -117,13 +117,7 @@ class Merged:
                         raise BrokenRuleError(
                             1,
                             "%s and %s differ in slot %d: %s and %s"
-                            % (
-                                self._source[slot],
-                                log.robot,
-                                slot,
-                                _short(known),
-                                _short(record),
-                            ),
+                            % (self._source[slot], log.robot, slot, _short(known), _short(record)),
                         )
                 inside = is_in_team_after(log.robot, record, inside)
                 if given_up:

@@ -92,10 +92,7 @@ class LoggedStages:
         return entry
 
     def apply(
-        self,
-        entry: log_entries.Entry,
-        robot: Optional[Speaker],
-        witnesses: Sequence[str],
+        self, entry: log_entries.Entry, robot: Optional[Speaker], witnesses: Sequence[str]
     ) -> None:
         """Process an entry about staged plans.
 
