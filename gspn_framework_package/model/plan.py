@@ -481,10 +481,9 @@ class Plan:
             if rule.kind is FailureKind.FIRE:
                 self._known_transition(rule.transition, "on_failure of '%s'" % place)
                 if place != "*" and rule.transition not in self._leaving(place):
-                    raise PlanError(
+                    raise self._error(
+                        "on_failure of '%s'" % place,
                         "'%s' does not leave that place" % rule.transition,
-                        file=self.file,
-                        element="on_failure of '%s'" % place,
                     )
         if self.on_lost.kind is LostKind.FIRE:
             self._known_transition(self.on_lost.transition, "on_lost")
@@ -492,11 +491,7 @@ class Plan:
             for resource in returned:
                 self._known_place(resource, "on_evict")
                 if resource not in self.resource_places:
-                    raise PlanError(
-                        "'%s' is not a resource place" % resource,
-                        file=self.file,
-                        element="on_evict",
-                    )
+                    raise self._error("on_evict", "'%s' is not a resource place" % resource)
         self._validate_actions()
         self._validate_routing()
         self._validate_robots()
@@ -510,12 +505,11 @@ class Plan:
             self._known_place(place, "actions")
             problem = why_not_valid(action)
             if problem:
-                raise self._error("actions", place, problem)
+                raise self._error("actions.%s" % place, problem)
             for outcome, transition in outcomes_of(action).items():
                 if transition and transition not in self._leaving(place):
                     raise self._error(
-                        "actions",
-                        place,
+                        "actions.%s" % place,
                         "its outcome '%s' leads to '%s', which does not leave that place"
                         % (outcome, transition),
                         "choose from: %s" % ", ".join(self._leaving(place)),
@@ -529,11 +523,9 @@ class Plan:
             for transition in subnet.transitions:
                 self._known_transition(transition, element)
             if not {subnet.entry, subnet.exit} <= set(subnet.places):
-                raise PlanError("its entry or exit is outside", file=self.file, element=element)
+                raise self._error(element, "its entry or exit is outside")
             if subnet.parent and subnet.parent not in self.subnets:
-                raise PlanError(
-                    "there is no subnet '%s'" % subnet.parent, file=self.file, element=element
-                )
+                raise self._error(element, "there is no subnet '%s'" % subnet.parent)
 
     def _validate_events(self) -> None:
         net = self.net
@@ -542,15 +534,13 @@ class Plan:
             t = net.transition_number(name)
             if not net.transitions[t].timed:
                 raise self._error(
-                    "events",
-                    name,
+                    "events.%s" % name,
                     "an immediate transition cannot wait for an event",
                     "make it exponential; its rate is how often the event comes",
                 )
             if sum(weight for p, weight in net.inputs[t] if self._holds_robots(p)) > 1:
                 raise self._error(
-                    "events",
-                    name,
+                    "events.%s" % name,
                     "it moves several robots, but an event interrupts one",
                     "let the event move one robot, and synchronise afterwards",
                 )
@@ -559,20 +549,20 @@ class Plan:
                 source.when or source.edge or source.resume or source.after is not None
             ):
                 raise self._error(
-                    "events",
-                    name,
+                    "events.%s" % name,
                     "it touches no robot, so each message is a task",
                     "'when', 'edge', 'resume' and 'after' are for events of robots",
                 )
             if not outside and (source.id or source.json):
-                raise self._error("events", name, "'id' and 'json' are for tasks; it moves a robot")
+                raise self._error(
+                    "events.%s" % name, "'id' and 'json' are for tasks; it moves a robot"
+                )
         for place in self.tasks.queues:
             self._known_place(place, "tasks.queues")
             if place not in self.resource_places:
-                raise PlanError(
+                raise self._error(
+                    "tasks.queues",
                     "'%s' is not a resource place; its tokens are robots, not tasks" % place,
-                    file=self.file,
-                    element="tasks.queues",
                 )
         for name in self.tasks.done:
             self._known_transition(name, "tasks.done")
@@ -586,45 +576,42 @@ class Plan:
             for place in getattr(self, key):
                 if place in self.resource_places:
                     raise self._error(
-                        key, place, "a resource place has no action", "remove the entry"
+                        "%s.%s" % (key, place), "a resource place has no action", "remove the entry"
                     )
         for place, chances in self.outcomes.items():
             leaving = self._leaving(place)
             for transition, chance in chances.items():
                 if transition and transition not in leaving:
                     raise self._error(
-                        "outcomes",
-                        place,
+                        "outcomes.%s" % place,
                         "'%s' does not leave that place" % transition,
                         "choose from: %s" % ", ".join(leaving),
                     )
                 if not 0 <= chance <= 1:
-                    raise self._error("outcomes", place, "%g is not a probability" % chance)
+                    raise self._error("outcomes.%s" % place, "%g is not a probability" % chance)
             total = math.fsum(chances.values())
             if abs(total - 1.0) > SUM_TOLERANCE:
                 raise self._error(
-                    "outcomes", place, "the probabilities sum to %g, not to 1" % total
+                    "outcomes.%s" % place, "the probabilities sum to %g, not to 1" % total
                 )
         for place, chance in self.failures.items():
             if not 0 <= chance < 1:
                 raise self._error(
-                    "failures", place, "%g is not a possible probability" % chance, "0 <= p < 1"
+                    "failures.%s" % place, "%g is not a possible probability" % chance, "0 <= p < 1"
                 )
         for place in self.chance:
             self._known_place(place, "chance")
             if all(self.net.transition(t).timed for t in self._leaving(place)):
-                raise PlanError(
-                    "no immediate transition leaves '%s', so there is no choice" % place,
-                    file=self.file,
-                    element="chance",
+                raise self._error(
+                    "chance", "no immediate transition leaves '%s', so there is no choice" % place
                 )
         for name in self.rates:
             self._known_transition(name, "rates")
             if not self.net.transition(name).timed:
-                raise self._error("rates", name, "an immediate transition has no rate")
+                raise self._error("rates.%s" % name, "an immediate transition has no rate")
 
-    def _error(self, key: str, name: str, message: str, hint: Optional[str] = None) -> PlanError:
-        return PlanError(message, file=self.file, element="%s.%s" % (key, name), hint=hint)
+    def _error(self, element: str, message: str, hint: Optional[str] = None) -> PlanError:
+        return PlanError(message, file=self.file, element=element, hint=hint)
 
     def _validate_routing(self) -> None:
         for transition, routes in self.routing.items():
@@ -634,10 +621,9 @@ class Plan:
             targets = {self.net.places[p].name for p, _ in self.net.outputs[t]}
             for source, target in routes.items():
                 if source not in sources or target not in targets:
-                    raise PlanError(
+                    raise self._error(
+                        "routing",
                         "'%s' does not lead from '%s' to '%s'" % (transition, source, target),
-                        file=self.file,
-                        element="routing",
                     )
 
     def _validate_robots(self) -> None:
@@ -646,28 +632,24 @@ class Plan:
         names = set()
         for robot in self.robots:
             if robot.name in names or not robot.name:
-                raise PlanError(
+                raise self._error(
+                    "robots",
                     "two robots are named '%s'" % robot.name
                     if robot.name
                     else "a robot has no name",
-                    file=self.file,
-                    element="robots",
                 )
             names.add(robot.name)
             for place in (robot.place,) + tuple(robot.actions):
                 self._known_place(place, "robot '%s'" % robot.name)
                 if place in self.resource_places:
-                    raise PlanError(
+                    raise self._error(
+                        "robot '%s'" % robot.name,
                         "'%s' is a resource place; a robot cannot be there" % place,
-                        file=self.file,
-                        element="robot '%s'" % robot.name,
                     )
         for place in self.spawn:
             if place in self.resource_places:
-                raise PlanError(
-                    "'%s' is a resource place; a robot cannot start there" % place,
-                    file=self.file,
-                    element="spawn",
+                raise self._error(
+                    "spawn", "'%s' is a resource place; a robot cannot start there" % place
                 )
 
     def _leaving(self, place: str) -> List[str]:
@@ -676,10 +658,8 @@ class Plan:
 
     def _known_place(self, place: str, element: str) -> None:
         if place not in self.net.place_index:
-            raise PlanError("the net has no place '%s'" % place, file=self.file, element=element)
+            raise self._error(element, "the net has no place '%s'" % place)
 
     def _known_transition(self, transition: str, element: str) -> None:
         if transition not in self.net.transition_index:
-            raise PlanError(
-                "the net has no transition '%s'" % transition, file=self.file, element=element
-            )
+            raise self._error(element, "the net has no transition '%s'" % transition)
