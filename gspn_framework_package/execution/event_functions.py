@@ -3,11 +3,13 @@
 The source of an event may be a function of the plan's folder: ``{"function": "watch.low"}``. The
 names of its parameters, all of them optional, declare what it needs:
 
-``robot`` name of the robot (standalone: of the agent) that the event would interrupt; "" for tasks.
-    ``data`` the data that an action of that robot may read, by full name; for tasks, that of the
-    team. ``emit`` call it when the event occurs (see below). ``is_cancelled`` call it without
-    arguments to learn whether the function should end; ``is_cancelled.wait(s)`` sleeps for ``s``
-    seconds, or until the function should end.
+- ``robot``: name of the robot (standalone: of the agent) that the event would interrupt; "" for
+  tasks.
+- ``data``: the data that an action of that robot may read, by full name; for tasks, that of the
+  team.
+- ``emit``: call it when the event occurs (see below).
+- ``is_cancelled``: call it without arguments to learn whether the function should end;
+  ``is_cancelled.wait(s)`` sleeps for ``s`` seconds, or until the function should end.
 
 Any other parameter is a setting, as for actions (:mod:`gspn_framework_package.execution.actions`);
 a class is instantiated once for each robot.

@@ -164,7 +164,8 @@ def load_module(folder: Optional[str], within: str, name: str, element: str) -> 
     try:
         file = module_file(folder, within, name)
         if file is not None:
-            return _load_file(os.path.join(str(folder), within), file, element)
+            with _LOADING:
+                return _load_file(os.path.join(str(folder), within), file, element)
         if is_installed(name):
             refuse_other_module(name)
     except PlanError as error:
@@ -208,11 +209,6 @@ def is_installed(name: str) -> bool:
 
 _LOADING = threading.RLock()
 """Held while a file is loaded, so that no other thread gets an incomplete module."""
-
-
-def _load_file(folder: str, file: str, element: str) -> ModuleType:
-    with _LOADING:
-        return _load_file_once(folder, file, element)
 
 
 _stamps: Dict[str, Tuple[str, str, Stamp]] = {}
@@ -263,7 +259,7 @@ def _remember_files(folder: str, loaded: str) -> None:
             _stamps[name] = folder, file, stamp
 
 
-def _load_file_once(folder: str, file: str, element: str) -> ModuleType:
+def _load_file(folder: str, file: str, element: str) -> ModuleType:
     # The name is unique: two plans may both have an actions.py, even in one process.
     digest = hashlib.sha256(os.path.realpath(file).encode()).hexdigest()[:12]
     name = "gspn_plan_%s_%s" % (digest, os.path.splitext(os.path.basename(file))[0])
