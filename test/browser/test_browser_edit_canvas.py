@@ -217,7 +217,7 @@ def test_a_net_is_drawn_by_keys_alone(edit, axe):
     assert after == [before[0] - 50, before[1] - 10]
     assert page.evaluate("() => [...window.gspn.edit.selection]") == ["place:Home"]
     # a witness is played on the drawing; an edit ends it
-    page.evaluate("() => window.gspn.edit.play(['t1', 'T1'])")
+    page.evaluate("() => window.gspn.edit.play(['t1', 'T1'], [{ Bed: 1 }, {}, { Bed: 2 }])")
     page.wait_for_selector("#ed-witness:has-text('2 of 2 fired')")
     assert page.evaluate("() => window.gspn.edit.canvas.counts.get('Bed')") == 2
     # the check has marked the places without an action

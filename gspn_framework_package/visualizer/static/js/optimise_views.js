@@ -212,10 +212,7 @@ export class ChoiceList {
       if (item) this.select(Number(item.dataset.at));
     };
     const listed = this.choices.length;
-    const all = answer.choices_in_all ?? listed;
-    const differing =
-      answer.choices_that_differ ??
-      this.choices.filter(({ present, best }) => !alike(present, best)).length;
+    const { choices_in_all: all, choices_that_differ: differing } = answer;
     const differ = `${differing.toLocaleString("en")} of ${all.toLocaleString("en")} ${
       differing === 1 ? "differs" : "differ"
     }${all > listed ? `; ${listed.toLocaleString("en")} are listed` : ""}`;

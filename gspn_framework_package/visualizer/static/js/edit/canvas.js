@@ -9,30 +9,16 @@ import { at, buildPlace, buildTransition, drawPlace } from "../net_nodes.js";
 import { BEND, SIZES } from "../net_arcs.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 
-const NEAREST = 44; // a file whose nodes are closer than this (px) is spread out
-const SPREAD = 68; // px between its closest nodes after that
 const GAP = 96; // px between the nodes of a net without positions
 const FEW = 60; // an edit that changes up to this many nodes has them drawn in the upper sheet
 const MOST_LIFTED = 300; // with more nodes in the upper sheet, all go back
 const QUIET = 600; // ms without a change after which they go back
 const LEVELS = ["error", "warning", "note"]; // of marks
 
-/** The factor by which the positions of a file are spread so that no symbols overlap. */
-function spreadOf(positions) {
-  let nearest = Infinity;
-  const sorted = [...positions].sort((a, b) => a[0] - b[0]);
-  for (let i = 0; i < sorted.length; i++)
-    for (let j = i + 1; j < sorted.length && sorted[j][0] - sorted[i][0] < nearest; j++) {
-      const apart = Math.hypot(sorted[j][0] - sorted[i][0], sorted[j][1] - sorted[i][1]);
-      if (apart > 0 && apart < nearest) nearest = apart;
-    }
-  return nearest < NEAREST ? SPREAD / nearest : 1;
-}
-
 /** Fires "frame" after drawing. Elements have the same keys as in the selection: "place:NAME", "arc:FROM>TO". */
 export class Canvas extends EventTarget {
-  /** `scale`: the factor by which the document's positions are spread; if absent, the smallest sufficient one. */
-  constructor(container, document, scale = null) {
+  /** `scale`: the factor by which the document's positions are spread so that no symbols overlap. */
+  constructor(container, document, scale) {
     super();
     this.container = container;
     this.document = document;
@@ -66,7 +52,8 @@ export class Canvas extends EventTarget {
       sheet("over", this.layer.over),
     );
     this.moving = Object.values(this.layer);
-    this.measure(scale);
+    this.scale = scale;
+    this.putOnGrid();
     this.show();
     this.labels = new Labels(this);
     this.camera = new Camera(this);
@@ -79,12 +66,10 @@ export class Canvas extends EventTarget {
 
   // -- positions -----------------------------------------------------------------------------------
 
-  /** Find the scale of the document's positions, and a grid for nodes without any. */
-  measure(scale) {
+  /** Put the nodes without positions on a grid below the others. */
+  putOnGrid() {
     const { places, transitions } = this.document.net;
     const nodes = [...places, ...transitions];
-    this.scale =
-      scale || spreadOf(nodes.filter((node) => node.position).map((node) => node.position));
     const bare = nodes.filter((node) => !node.position);
     const across = Math.ceil(Math.sqrt(bare.length * 1.6)) || 1;
     const below = Math.max(

@@ -154,8 +154,8 @@ export class Files {
   /** Write a state to the files if they still match `etag`. */
   async put(state, etag) {
     const { mode } = this;
-    const { etag: now, files } = await this.request("save", { etag, document: state });
-    Object.assign(mode.opened, { etag: now, files: files || mode.opened.files, draft: null });
+    const saved = await this.request("save", { etag, document: state });
+    Object.assign(mode.opened, { etag: saved.etag, draft: null });
     this.draft = null;
     this.hideBanner();
     mode.document.markSaved(state);

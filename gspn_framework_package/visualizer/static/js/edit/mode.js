@@ -213,10 +213,10 @@ export class EditMode extends EventTarget {
     this.canvas.mark(marks);
   }
 
-  /** Play a firing sequence (names of transitions) on the drawing, from the initial marking. */
-  play(transitions, markings = null) {
+  /** Play a firing sequence on the drawing; the arguments are those of Witness. */
+  play(steps, markings) {
     this.witness?.end();
-    this.witness = new Witness(this, transitions, markings);
+    this.witness = new Witness(this, steps, markings);
   }
 
   // -- the tool bar --------------------------------------------------------------------------------

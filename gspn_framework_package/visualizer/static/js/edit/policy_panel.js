@@ -119,7 +119,7 @@ export class PolicyPanel extends PlanForm {
   /** Findings of the check about the policy as a whole, such as markings that no row covers. */
   gaps() {
     const found = this.mode.findings.filter(
-      ({ text, elements = [] }) =>
+      ({ text, elements }) =>
         /\b(policy|row|rows)\b/.test(text) && !elements.some(({ kind }) => kind === "row"),
     );
     return (
@@ -247,7 +247,7 @@ export class PolicyPanel extends PlanForm {
     }
     for (const [i, text] of this.overlaps) add(i, text);
     for (const { text, elements } of this.mode.findings)
-      for (const { kind, name } of elements ?? []) if (kind === "row") add(Number(name) - 1, text);
+      for (const { kind, name } of elements) if (kind === "row") add(Number(name) - 1, text);
     return found;
   }
 

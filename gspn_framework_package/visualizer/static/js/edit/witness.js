@@ -6,12 +6,12 @@ import { FiringSequence, sequenceControls } from "../sequence.js";
 const FLASH = 450; // ms
 
 export class Witness {
-  /** `steps`: names of transitions; `known`: the markings before, between and after them ({place: tokens}), if known; a
-   * step may then also be inside a subnet, or be the loss of a robot. */
-  constructor(mode, steps, known = null) {
+  /** `steps`: names of transitions, also inside subnets, or losses of robots; `markings`: those before, between and
+   * after them ({place: tokens}). */
+  constructor(mode, steps, markings) {
     this.mode = mode;
-    this.known = known;
-    this.markings = []; // place -> tokens, before each step fired; the present one is last
+    this.markings = markings;
+    this.at = 0; // number of steps fired
     const sequence = new FiringSequence(steps, this);
     this.sequence = sequence;
     this.box = h(
@@ -26,64 +26,31 @@ export class Witness {
   }
 
   begin() {
-    const { places } = this.mode.document.net;
-    this.markings = [
-      this.known ? this.knownAt(0) : new Map(places.map(({ name, tokens }) => [name, tokens ?? 0])),
-    ];
-    this.show();
-    return true;
-  }
-
-  /** The marking after a number of steps, or null. */
-  knownAt(count) {
-    const named = this.known[count];
-    const { places } = this.mode.document.net;
-    return named ? new Map(places.map(({ name }) => [name, named[name] ?? 0])) : null;
+    return this.show(0);
   }
 
   fire(name) {
-    if (this.known) return this.fireKnown(name);
-    const { net } = this.mode.document;
-    const marking = this.markings[this.markings.length - 1];
-    const after = new Map(marking);
-    for (const { from, to, weight = 1, inhibitor } of net.arcs) {
-      if (inhibitor) continue;
-      if (to === name) after.set(from, after.get(from) - weight);
-      if (from === name) after.set(to, after.get(to) + weight);
-    }
-    if (!net.transitions.some((t) => t.name === name) || [...after.values()].some((n) => n < 0)) {
-      this.mode.say(`${name} cannot fire here: the net has changed since this was found.`);
-      return false;
-    }
-    this.fired(name, after);
-    return true;
-  }
-
-  fireKnown(name) {
-    const after = this.knownAt(this.markings.length);
-    if (after) this.fired(name, after);
-    return Boolean(after);
-  }
-
-  fired(name, after) {
-    this.markings.push(after);
-    this.show();
+    if (!this.show(this.at + 1)) return false;
     const { byKey } = this.mode.canvas;
     const node = byKey.get(`transition:${name}`) || byKey.get(`place:${name.split(".")[0]}`);
     node?.element.classList.add("flash");
     setTimeout(() => node?.element.classList.remove("flash"), FLASH);
     this.mode.say(name.startsWith("(") ? name.slice(1, -1) : `${name} fires`);
-  }
-
-  back() {
-    if (this.markings.length < 2) return false;
-    this.markings.pop();
-    this.show();
     return true;
   }
 
-  show() {
-    this.mode.canvas.showTokens(this.markings[this.markings.length - 1]);
+  back() {
+    return this.show(this.at - 1);
+  }
+
+  /** Show the marking after a number of steps; returns whether it is known. */
+  show(at) {
+    const marking = this.markings[at];
+    if (!marking) return false;
+    this.at = at;
+    const { places } = this.mode.document.net;
+    this.mode.canvas.showTokens(new Map(places.map(({ name }) => [name, marking[name] ?? 0])));
+    return true;
   }
 
   end() {
