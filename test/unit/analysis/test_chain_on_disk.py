@@ -63,6 +63,7 @@ def test_with_little_memory_the_steady_state_is_that_in_memory(net, direct):
     assert_as_in_memory(net, direct)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("family", "size", "memory"),
     [("kanban", 2, 1e6), ("fms", 2, 3e5), ("polling", 5, 3e5), ("courier", 1, 1e7)],
