@@ -10,15 +10,22 @@ transition itself, unless the plan's ``outcomes`` say so).
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices
-from gspn_framework_package.analysis.graph import ShortestWays, adjacency
+from gspn_framework_package.analysis.graph import (
+    ShortestWays,
+    adjacency,
+    components,
+    reachable_from,
+)
 from gspn_framework_package.analysis.plan.structure import (
+    fires_alone,
     idle_places,
     only_written,
+    requested,
     terminal_places,
 )
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
@@ -62,6 +69,7 @@ class PlanMarkings:
         cancel: Optional[Cancel] = None,
     ) -> None:
         self.plan = plan
+        self.losses = losses
         self.left_out = only_written(plan)
         net = plan.net.without_places(self.left_out)
         self._own = len(net.transitions)
@@ -217,6 +225,91 @@ class PlanMarkings:
                 over |= self.space.column(p) > 0
         return self._findings(np.flatnonzero(~over & self._ways.reached))
 
+    # -- robots that wait for good -----------------------------------------------------------------
+
+    def waiting_for_good(self, timeless: List[int]) -> Iterator[Tuple[str, Finding]]:
+        """Transitions that a robot can request in vain for ever while others go on for ever, each
+        with a marking of the whole team in which a robot in the finding's place does.
+
+        The markings do not say what robots have requested. This is certain all the same: the
+        marking is reached by firings that the plan's actions and policy ask for, and whatever
+        happens then, losses included, no marking enables the transition, an event that interrupts
+        the wait, or the end of the run as long as this robot stays. Plans in which immediate
+        transitions have different priorities are left out, since the markings ignore these.
+
+        :param timeless: the transitions that may follow another one without time between them.
+        """
+        space, sources, targets = self.space, self._sources, self.space.targets
+        requests = {
+            p: requested(self.plan, self.original(p))
+            for p, place in enumerate(self.net.places)
+            if place.name not in self.plan.resource_places
+        }
+        doubtful = [
+            (p, t)
+            for p, asked in requests.items()
+            for t in sorted(asked)
+            if not fires_alone(self.plan.net, t, self.original(p))
+        ]
+        if not doubtful or len({t.priority for t in self.net.transitions if not t.timed}) > 1:
+            return
+        certain = self._certain(requests, timeless)
+        ways = ShortestWays(len(space), sources, targets, certain)
+        for p, t in doubtful:
+            taken = np.array([dict(inputs).get(p, 0) for inputs in self.net.inputs])
+            here = space.column(p)
+            stays = here[sources] > taken[space.transitions]
+            ends = self._over.copy()
+            ends[sources[np.isin(space.transitions, self._end_of_wait(p, t))]] = True
+            others = stays & ~self._over[sources]
+            may_end = reachable_from(len(space), targets[others], sources[others], ends)
+            waits = ways.reached & (here > 0) & ~may_end
+            onward = np.flatnonzero(certain & stays & waits[sources])
+            if not len(onward):
+                continue
+            before, after = sources[onward], targets[onward]
+            part = components(len(space), before, after).of
+            on_a_cycle = np.bincount(part)[part] > 1
+            on_a_cycle[before[before == after]] = True
+            go_on = waits & reachable_from(len(space), after, before, on_a_cycle)
+            for state in np.flatnonzero(go_on)[:1].tolist():
+                yield self.net.transitions[t].name, self._finding(state, p, ways)
+
+    def _certain(self, requests: Dict[int, Set[int]], timeless: List[int]) -> Booleans:
+        """The firings that a run can surely make: those that robots request, or that the policy
+        chooses for them, and, where something fires without time, only that.
+
+        :param requests: the transitions that robots request by themselves, for each place.
+        """
+        plan = self.plan
+        policy_asked = {
+            p: plan.outcomes.get(self.net.places[p].name, {"": 1.0}).get("", 0.0) > 0
+            for p in requests
+        }
+        never = [
+            t
+            for t, transition in enumerate(self.net.transitions[: self._own])
+            if transition.name not in plan.events
+            and any(
+                t not in requests[p] and (transition.timed or not policy_asked[p])
+                for p, _ in self.net.inputs[t]
+                if p in requests
+            )
+        ]
+        certain = self.allowed & ~self._is_loss & ~np.isin(self.space.transitions, never)
+        at_once = certain & np.isin(self.space.transitions, timeless)
+        self._settle_precedence(at_once)
+        passing = np.zeros(len(self.space), dtype=bool)
+        passing[self._sources[at_once]] = True
+        return certain & (~passing[self._sources] | at_once)
+
+    def _end_of_wait(self, p: int, t: int) -> List[int]:
+        """The transitions that take away a robot in place number ``p`` that has requested ``t``."""
+        names = list(self.plan.interrupts(self.net.places[p].name))
+        if self.plan.on_lost.kind is LostKind.FIRE:
+            names.append(self.plan.on_lost.transition)
+        return [t, *map(self.plan.net.transition_number, names)]
+
     # -- other questions ---------------------------------------------------------------------------
 
     def firing(self, transition: int) -> Optional[Finding]:
@@ -349,8 +442,10 @@ class PlanMarkings:
         for state in states.tolist():
             yield self._finding(state, place)
 
-    def _finding(self, state: int, place: Optional[int] = None) -> Finding:
-        ways = self._ways if self._ways.reached[state] else self._ways_with_losses
+    def _finding(
+        self, state: int, place: Optional[int] = None, ways: Optional[ShortestWays] = None
+    ) -> Finding:
+        ways = ways or (self._ways if self._ways.reached[state] else self._ways_with_losses)
         names = [
             self.net.transitions[self.space.transitions[arc]].name for arc in ways.way_to(state)
         ]

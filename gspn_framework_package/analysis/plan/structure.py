@@ -109,6 +109,24 @@ def asked_at_once(plan: Plan, place: int) -> Optional[int]:
     return t if t in net.consumers[place] else None
 
 
+def requested(plan: Plan, place: int) -> Set[int]:
+    """Numbers of the transitions that robots in place number ``place`` request by themselves, not
+    by the policy: what the action may name, according to the plan, or the only exponential one."""
+    net = plan.net
+    name = net.places[place].name
+    leaving = plan.of_action(place)
+    decides = any(not net.transitions[t].timed for t in net.consumers[place])
+    only = set(leaving) if len(leaving) == 1 and not decides else set()
+    found = only if place in idle_places(plan) else set()
+    if place in idle_places(plan, everybody=True):
+        return found
+    outcomes = plan.outcomes.get(name)
+    if outcomes is None:
+        return found if decides else set(leaving)
+    named = {t for t in leaving if outcomes.get(net.transitions[t].name, 0.0) > 0}
+    return found | named | (only if outcomes.get("", 0.0) > 0 else set())
+
+
 def timeless_transitions(plan: Plan) -> List[int]:
     """Numbers of the transitions that can follow another one with no action in between: those that
     take robots only from places where some robot has no action, or, if they are immediate, no

@@ -87,6 +87,8 @@ class MarkingChecks:
         }
         for question in self._structure.open:
             answers[question](markings)
+        if markings.complete and markings.losses == losses:
+            self._look_at_waiting(markings)
         if markings.complete:
             never = markings.never_fire()
             if never:
@@ -301,6 +303,26 @@ class MarkingChecks:
             )
         elif not gaps and not waiting:
             self._undecided(markings, "policy", "whether the policy covers every marking")
+
+    def _look_at_waiting(self, markings: PlanMarkings) -> None:
+        for name, finding in markings.waiting_for_good(self._structure.timeless):
+            self._list.add(
+                "waiting",
+                Severity.WARNING,
+                "a robot in %s that requests %s can wait forever while others go on: in %s, "
+                "reached by %s, %s can never fire; let nothing take away for good what it needs, "
+                'or let an event such as {"after": SECONDS} move the robot on'
+                % (
+                    finding.place,
+                    name,
+                    marking_text(finding.marking),
+                    sequence(finding.sequence),
+                    name,
+                ),
+                transition=name,
+                waits=True,
+                **finding.to_json(),
+            )
 
     def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
         """The findings; of those that differ only in counters read only by ``until``, the first."""

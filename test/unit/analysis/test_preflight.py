@@ -606,7 +606,8 @@ def test_what_gets_stuck_or_never_comes_about_is_in_the_verdict():
     builder.exponential("leave", inputs={"nowhere": 3}, outputs={"a": 3})
     report = check(make_plan(builder, resources=["key"]))
     assert not report.refused and report.verdict == (
-        "may run, but can get stuck (1 dead marking), and has 1 transition that never fires"
+        "may run, but can get stuck (1 dead marking), and can let robots wait forever, and has 1 "
+        "transition that never fires"
     )
     assert report.to_json()["verdict"] == report.verdict and report.verdict in str(report)
     assert check(make_plan(loop())).verdict == "may run"
