@@ -116,18 +116,19 @@ def spontaneous_first(source: random.Random) -> Plan:
     b = NetBuilder("stages").place("raw", source.randint(0, 1)).place("tool").place("other")
     b.place("waits", 1).place("names", 1).place("asks", 1).place("home").place("spare", 1)
     b.exponential("deliver", rate=_rate(source), inputs="spare", outputs="raw")
+    weights = source.choice([(0.7, 0.4), (0.7, 0.0), (0.0, 0.0)])
     b.immediate(
         "make",
         inputs="raw",
         outputs="tool",
-        weight=source.choice([0.0, 0.7]),
+        weight=weights[0],
         priority=source.choice([1, 1, 2]),
     )
     b.immediate(
         "spoil",
         inputs="raw",
         outputs="other",
-        weight=source.choice([0.0, 0.4]),
+        weight=weights[1],
         priority=source.choice([1, 1, 2]),
     )
     if source.random() < 0.7:
@@ -145,13 +146,13 @@ def spontaneous_first(source: random.Random) -> Plan:
             inhibitors={target: 1},
         )
     net = b.build()
-    durations = {p: _mean(source) for p in ("waits", "names") if source.random() < 0.7}
+    durations = {p: _mean(source) for p in ("waits", "names") if source.random() < 0.5}
     return _plan(
         net,
         resources=["raw", "tool", "other", "spare"],
         durations=durations,
         outcomes={"names": {"name": 1.0}},
-        null=["waits"] if "waits" not in durations and source.random() < 0.5 else [],
+        null=["waits"] if "waits" not in durations and source.random() < 0.7 else [],
     )
 
 
@@ -193,7 +194,9 @@ def timeless_actions(source: random.Random) -> Plan:
     b.place("tool", source.choice([0, 1])).place("used", 1)
     b.immediate("leave", inputs={"home": 3}, outputs={"a": 2, "b": 1})
     b.immediate("go_a", inputs=["a", "tool"], outputs=["home", "used"])
-    b.immediate("go_b", inputs=["b", "tool"], outputs=["home", "used"])
+    # were all actions to end at once, the more urgent one would go first
+    urgent = source.choice([1, 2])
+    b.immediate("go_b", inputs=["b", "tool"], outputs=["home", "used"], priority=urgent)
     b.exponential("skip", rate=_rate(source), inputs="used", outputs="tool", inhibitors="tool")
     if source.random() < 0.5:
         b.immediate("aside", inputs="a", outputs="home", weight=0.3)
@@ -270,6 +273,7 @@ def candidates(source: random.Random) -> Plan:
 def policy_rows(source: random.Random) -> Plan:
     """Rows of several numbers of wildcards, in an order that matters, over transitions of several
     priorities; rows that let robots wait; strict policies; weights of zero."""
+    kind = source.choice(["weights", "precedence", "any"])
     others = source.choice([0, 1])
     b = NetBuilder("rows").place("d", 2 - others).place("x", 1).place("y")
     b.place("tool", source.randint(0, 2))
@@ -279,7 +283,7 @@ def policy_rows(source: random.Random) -> Plan:
         b.immediate(
             name,
             weight=source.choice([0.0, 0.3, 1.0, 2.0]),
-            priority=source.choice([1, 1, 2, 3]),
+            priority=1 if kind == "precedence" else source.choice([1, 1, 2, 3]),
             inputs=["d", *needs],
             outputs=[source.choice(["x", "y"])] + (["tool"] if i == 0 else []),
             inhibitors={source.choice(["x", "y"]): 2} if source.random() < 0.3 else {},
@@ -293,11 +297,20 @@ def policy_rows(source: random.Random) -> Plan:
     b.exponential("swap", rate=_rate(source), inputs="x", outputs="e")
     b.immediate("u0", inputs="e", outputs="y", weight=0.8)
     b.immediate("u1", inputs="e", outputs="x", weight=0.3)
-    rows = []
-    for _ in range(source.randint(0, 5)):
+    rows: List[PolicyRow] = []
+    for _ in range({"weights": source.randint(0, 1), "any": source.randint(1, 4)}.get(kind, 0)):
         counts = tuple(source.choice([None, None, 0, 1, 2]) for _ in range(3))
-        chosen = source.sample([*names, "u0", "u1"], source.choice([0, 1, 2, 2, 3]))
+        pool = source.choice([names, ["u0", "u1"], [*names, "u0", "u1"]])
+        chosen = source.sample(pool, source.choice([0, 1, 2, 2]))
         rows.append(PolicyRow(counts, tuple(_split(source, chosen).items()) if chosen else ()))
+    if kind == "precedence":
+        # for every marking, and then rows of one cell, two for each count of two places
+        cells = [(c, n) for c in (1, 2) for n in (0, 1) for _ in range(2)]
+        source.shuffle(cells)
+        for column, count in [(-1, 0), *cells]:
+            counts = tuple(count if i == column else None for i in range(3))
+            chosen = source.sample(names, source.choice([0, 2, 2, 2]) if column >= 0 else 2)
+            rows.append(PolicyRow(counts, tuple(_split(source, chosen).items()) if chosen else ()))
     durations = {"d": _mean(source)} if source.random() < 0.6 else {}
     null = ["d"] if not durations and source.random() < 0.5 else []
     outcomes = {}
