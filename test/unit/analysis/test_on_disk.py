@@ -170,6 +170,7 @@ def test_limits_and_cancel_stop_the_search():
     assert scratch.used == 0
 
 
+@pytest.mark.long
 def test_a_chain_that_is_cancelled_leaves_nothing():
     net, scratch = FAMILIES["kanban"](2), Scratch()
 
@@ -251,6 +252,7 @@ def kanban_file(tmp_path):
     return str(tmp_path / "kanban.pnml")
 
 
+@pytest.mark.long
 def test_the_command_answers_on_disk_what_it_can(kanban, tmp_path, capsys):
     code, out, _ = analysed(
         capsys, kanban, "--json", "--memory", "100KB", "--scratch", str(tmp_path)
@@ -274,6 +276,7 @@ def test_the_command_answers_on_disk_what_it_can(kanban, tmp_path, capsys):
     assert "steady state (" in out
 
 
+@pytest.mark.long
 def test_questions_are_answered_on_disk_as_in_memory(kanban, capsys):
     asked = ["--no-structure", "--json", "--reward", "machine1=2", "--reward", "enter=3"]
     for condition in ("machine1 == 2 and out4 == 1", "machine1 == 3", "deadlock", "out1 == 2"):
