@@ -28,17 +28,17 @@ from benchmarks.machine import (
 )
 from benchmarks.plans import grid_plan, ring_plan
 from gspn_framework_package.analysis.arrays import Floats, Indices
-from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.simulation import machine
-from gspn_framework_package.analysis.simulation.marking_table import MarkingTable, TableRuns
 from gspn_framework_package.analysis.simulation.plan_run import PlanRun
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
+from gspn_framework_package.analysis.simulation.state_cache import StateCache, TableRuns
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.run_net.compiling import compile_plan
 
 TABLE_RUNS = 100
 """Replications that the table of markings advances in step."""
@@ -73,7 +73,7 @@ def table_rate(plan: Plan, seconds: float) -> float:
     """Firings per second of processor time of the plan read as a net, by the table of markings.
     Its runs are as long as fits the time."""
     source = np.random.Generator(np.random.PCG64(1))
-    markings = MarkingTable(PlanRules(plan))
+    markings = StateCache(compile_plan(plan, None))
     length = 1.0
     while True:
         runs = TableRuns(markings, TABLE_RUNS, length, 0.0, source)

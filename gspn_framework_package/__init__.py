@@ -6,6 +6,8 @@ The layers, inner to outer (an inner one never imports an outer one):
     net, marking, policy, plan, errors: immutable, no input or output.
 ``formats``
     readers and writers of files.
+``run_net``
+    what a plan means while it runs, compiled once.
 ``analysis``
     structure, state space, Markov chain.
 ``execution``
@@ -15,7 +17,7 @@ The layers, inner to outer (an inner one never imports an outer one):
 ``visualizer``, ``world``, ``cli``
     the page, the simulated world, the command line.
 
-The inner four need no ROS.
+The inner five need no ROS.
 
 Also here: ``fleet``, ``making``, ``team``, ``testing``.
 """

@@ -151,6 +151,14 @@ class Duration:
         mean = math.fsum(flat[i] * flat[i + 2] for i in range(0, len(flat), 3))
         return cls(Kind.HYPER_ERLANG, mean, tuple(flat))
 
+    @classmethod
+    def with_moments(cls, mean: float, variance: float) -> Duration:
+        """A gamma distribution of this mean (s) and variance (s^2); deterministic without
+        variance."""
+        if variance <= 1e-12 * mean**2:
+            return cls.deterministic(mean)
+        return cls.gamma(mean**2 / variance, mean)
+
     # -- moments -----------------------------------------------------------------------------------
 
     @property
@@ -194,6 +202,28 @@ class Duration:
     def _mixture(self) -> List[Tuple[float, float, float]]:
         p = self.parameters
         return [(p[i], p[i + 1], p[i + 2]) for i in range(0, len(p), 3)]
+
+    def cut_off(self, limit: float) -> Duration:
+        """A distribution with the mean and the variance of the time, or ``limit`` (s, > 0) where
+        that is less."""
+        import numpy as np
+
+        # E min(T, l)^n is the integral of n x^(n-1) S(x) from 0 to l
+        ends = np.linspace(0.0, limit, 65)
+        if self.kind in (Kind.EMPIRICAL, Kind.UNIFORM, Kind.DETERMINISTIC):
+            steps = (*self.parameters, self.mean)  # where the survival is not smooth
+            ends = np.union1d(ends, [x for x in steps if 0 < x < limit])
+        nodes, weights = np.polynomial.legendre.leggauss(16)  # type: ignore[no-untyped-call]
+        half = np.diff(ends)[:, None] / 2
+        x = ends[:-1, None] + half * (nodes + 1)
+        survival = self.survival(x.ravel()).reshape(x.shape) * half * weights
+        mean = float(survival.sum())
+        return Duration.with_moments(mean, float((2 * x * survival).sum()) - mean**2)
+
+    def delayed(self, delay: float) -> Duration:
+        """A distribution with the mean and the variance of the time and ``delay`` (s, > 0) after
+        each other."""
+        return Duration.with_moments(self.mean + delay, self.variance)
 
     def scaled(self, factor: float) -> Duration:
         """The distribution of the time multiplied by ``factor`` (> 0)."""

@@ -306,6 +306,15 @@ class Net:
         does not change are left out."""
         return self._effects[t]
 
+    def fires_alone(self, t: int, place: int) -> bool:
+        """Return whether one token in place number ``place`` is all that transition number ``t``
+        ever needs."""
+        return (
+            self.inputs[t] == ((place, 1),)
+            and not self.inhibitors[t]
+            and all(change <= 0 or self.places[p].capacity is None for p, change in self.effect(t))
+        )
+
     def inhibited_by(self) -> Dict[int, List[int]]:
         """Return for each place with inhibitor arcs (by index) the numbers of the transitions that
         they lead to."""

@@ -28,6 +28,7 @@ from typing import (
 
 from gspn_framework_package.model.action import Action, outcomes_of, why_not_valid
 from gspn_framework_package.model.compact_json import compact_sorted
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
@@ -271,6 +272,26 @@ class Plan:
                 return full
             within = self.subnets[within].parent
         return name
+
+    @cached_property
+    def counters(self) -> Tuple[str, ...]:
+        """Resource places that nothing reads: no transition, inhibitor arc, capacity, policy cell
+        or ``until`` condition. They only count, and cannot affect the behaviour."""
+        net = self.net
+        inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
+        cells = zip(self.policy.places, zip(*(row.counts for row in self.policy.rows)))
+        read = {place for place, counts in cells if any(count is not None for count in counts)}
+        if self.until:
+            read.update(parse_condition(self.until, [p.name for p in net.places]).places)
+        return tuple(
+            place.name
+            for p, place in enumerate(net.places)
+            if place.name in self.resource_places
+            and not net.consumers[p]
+            and p not in inhibiting
+            and place.capacity is None
+            and place.name not in read
+        )
 
     def of_action(self, place: int) -> Tuple[int, ...]:
         """Return the numbers of the transitions that leave place number ``place`` without an event:

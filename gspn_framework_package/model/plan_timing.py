@@ -19,6 +19,8 @@ times are memoryless. :attr:`PlanTiming.splits` names the places where the two d
 
 from __future__ import annotations
 
+import copy
+import math
 from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.model.duration import Duration, Kind
@@ -35,7 +37,8 @@ class PlaceTiming(NamedTuple):
     :ivar duration: how long an attempt at the action takes, if the timeout does not cut it off.
     :ivar outcomes: pairs (transition number or :data:`POLICY`, probability); empty if no
         transition leaves the place.
-    :ivar failure: the probability that an attempt fails.
+    :ivar failure: the probability that an attempt fails that the timeout does not cut off.
+    :ivar timeout: when an attempt is cut off, and fails (s); infinite: never.
     :ivar blocked: why a transition that the robot asks for may have to wait, for people; empty if
         nothing but the robot's own token can disable any of them.
     """
@@ -43,6 +46,7 @@ class PlaceTiming(NamedTuple):
     duration: Duration
     outcomes: Tuple[Tuple[int, float], ...]
     failure: float
+    timeout: float
     blocked: str
 
 
@@ -73,7 +77,10 @@ class PlanTiming:
         }
         self._idle = {
             p: timing._replace(
-                duration=Duration.none(), outcomes=self._asked_at_once(p), failure=0.0
+                duration=Duration.none(),
+                outcomes=self._asked_at_once(p),
+                failure=0.0,
+                timeout=math.inf,
             )
             for p, timing in self.places.items()
         }
@@ -83,6 +90,22 @@ class PlanTiming:
         """The timing of ``robot`` in action place number ``place``, with the robot's own action if
         it has one."""
         return self._idle[place] if self._is_idle(place, robot) else self.places[place]
+
+    def simplified(self) -> PlanTiming:
+        """The same times, but every action succeeds, and every duration is exponential with its
+        mean."""
+        found = copy.copy(self)
+        found.places = {
+            p: timing._replace(
+                duration=Duration.exponential(timing.duration.mean)
+                if timing.duration.mean > 0
+                else timing.duration,
+                failure=0.0,
+                timeout=math.inf,
+            )
+            for p, timing in self.places.items()
+        }
+        return found
 
     @property
     def splits(self) -> Dict[str, str]:
@@ -124,7 +147,9 @@ class PlanTiming:
         plan, net = self._plan, self._net
         p = net.place_index[name]
         if self._is_idle(p) and not any(name in r.actions for r in plan.robots):
-            return PlaceTiming(Duration.none(), self._asked_at_once(p), 0.0, self._blocked(p))
+            return PlaceTiming(
+                Duration.none(), self._asked_at_once(p), 0.0, math.inf, self._blocked(p)
+            )
         given = plan.durations.get(name)
         leaving = self._of_action[p]
         rates = [(t, net.transitions[t].rate) for t in leaving if net.transitions[t].timed]
@@ -147,7 +172,14 @@ class PlanTiming:
             pairs = ((POLICY, 1.0),)
         else:
             pairs = tuple((t, rate / total) for t, rate in rates)
-        return PlaceTiming(duration, pairs, plan.failures.get(name, 0.0), self._blocked(p))
+        limit = plan.timeout(name)
+        return PlaceTiming(
+            duration,
+            pairs,
+            plan.failures.get(name, 0.0),
+            math.inf if limit is None else limit,
+            self._blocked(p),
+        )
 
     def _asked_at_once(self, p: int) -> Tuple[Tuple[int, float], ...]:
         """What a robot requests in a place without an action (``docs/semantics.md``): the policy's

@@ -14,13 +14,14 @@ import threading
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.decisions.report import MarkingChoice
-from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.formats.json_file import json_text
 from gspn_framework_package.formats.plan_file import looks_like_plan
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.run_net import RunNet
 
 ROWS_PER_PART = 500
 """Largest number of rows of a policy that the page gets at once."""
@@ -73,7 +74,7 @@ class Optimised:
         others = (row for row in range(len(self._rows)) if not self._states.get(row))
         self._order = [*changed, *others]
         self._lock = threading.Lock()
-        self._rules: Optional[Tuple[PlanRules, PlanRules]] = None
+        self._rules: Optional[Tuple[RunNet, RunNet]] = None
 
     def rows(self, start: int, count: int) -> Dict[str, Any]:
         """Some rows of the new policy, those that differ from the present one first.
@@ -104,7 +105,7 @@ class Optimised:
         with self._lock:
             if self._rules is None:
                 new = plan_from_json(json.loads(self.text))
-                self._rules = PlanRules(self._present), PlanRules(new)
+                self._rules = compile_plan(self._present, None), compile_plan(new, None)
             present, best = self._rules
             counts = tuple(marking[place.name] for place in present.net.places)
             enabled = {
@@ -123,10 +124,10 @@ class Optimised:
             ]
 
 
-def _drawn(rules: PlanRules, marking: Tuple[int, ...], p: int, enabled: Any) -> Dict[str, float]:
+def _drawn(rules: RunNet, marking: Tuple[int, ...], p: int, enabled: Any) -> Dict[str, float]:
     return {
         rules.net.transitions[t].name: probability
-        for t, probability in rules.draw(marking, p, enabled)
+        for t, probability in rules.draws.of(marking, p, enabled)
         if t in enabled
     }
 

@@ -21,7 +21,6 @@ from gspn_framework_package.analysis.decisions.aims import Objective, Request
 from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import NET, RUN
-from gspn_framework_package.analysis.plan.structure import only_written
 from gspn_framework_package.analysis.simulation import machine, plan_tables, simulate
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.duration import Duration
@@ -107,12 +106,12 @@ class Case:
 
     @cached_property
     def run(self) -> Numbers:
-        """The run, in which ties are drawn and no action fails."""
-        return self.numbers(RunSteps(self.plan, ties=True))
+        """The run, in which ties are drawn."""
+        return self.numbers(RunSteps(self.plan, ties=True, failing=True))
 
     @cached_property
     def exponential_run(self) -> Numbers:
-        """The same with exponential durations."""
+        """The same with exponential durations, where no action fails."""
         return self.numbers(RunSteps(exponential(self.plan), ties=True))
 
     @cached_property
@@ -250,10 +249,10 @@ def simulation_and_run(case: Case) -> List[str]:
 
 
 def table_and_run(case: Case) -> List[str]:
-    """The simulation of the classical reading, by ``marking_table``."""
+    """The simulation of the classical reading, by ``state_cache``."""
 
     net = case.plan.net
-    left_out = only_written(case.plan)
+    left_out = case.plan.counters
     columns = [i for i, place in enumerate(net.places) if place.name not in left_out]
 
     def measure(runs: int, seed: int) -> Any:
@@ -288,7 +287,7 @@ def _measured(case: Case, measure: Measure, expected: Any) -> List[str]:
     """The measures that are too far from what is expected of them."""
     net = case.plan.net
     names = [*(t.name for t in net.transitions), *(p.name for p in net.places)]
-    left_out = only_written(case.plan)
+    left_out = case.plan.counters
     counted = np.array([name not in left_out for name in names])
     if not (_distance(measure(RUNS, 1), expected) * counted > SUSPECT).any():
         return []

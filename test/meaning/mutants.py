@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from typing import Any, List, Sequence
 
-from gspn_framework_package.analysis.decisions import building, playing, run_net
-from gspn_framework_package.analysis.plan import markings, rules, run_rules, space
-from gspn_framework_package.analysis.simulation import kernel, marking_table, plan_run, plan_tables
+from gspn_framework_package.analysis.decisions import building, decision_net, playing
+from gspn_framework_package.analysis.plan import markings
+from gspn_framework_package.analysis.simulation import kernel, plan_run, plan_tables, state_cache
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
 from gspn_framework_package.model import net, policy
+from gspn_framework_package.run_net import compiling, requests, run_net, steps
 from meaning.mutant import Mutant
 
 T, R, G = turn.Turn, run_queries.Rules, token_game._Reducer
-C, P, M = run_rules.RunRules, rules.PlanRules, markings.PlanMarkings
-K, B, D = kernel, plan_tables, run_net.DecisionNet
+C, S, N, M = compiling._Compiler, steps.Steps, run_net.RunNet, markings.PlanMarkings
+P = requests.PolicyDraws
+K, B, D = kernel, plan_tables, decision_net.DecisionNet
 
 _TABLE: Sequence[Any] = (
     # -- who goes first
@@ -34,29 +36,22 @@ _TABLE: Sequence[Any] = (
         "shared",
         "each class of robots is equally likely",
         ["unequal_classes"],
-        (rules.first_to_fire, "rows.append((robots,", "rows.append((1,"),
-        (rules.first_to_fire, "share = robots *", "share ="),
-    ),
-    (
-        "ties",
-        "net",
-        "each place is equally likely",
-        ["unequal_classes"],
-        (P.outcomes, "Requests(marking[p], draw)", "Requests(1, draw)"),
+        (requests.first_to_fire, "rows.append((robots,", "rows.append((1,"),
+        (requests.first_to_fire, "share = robots *", "share ="),
     ),
     (
         "ties",
         "chain",
         "each class of robots that ask is equally likely",
         ["unequal_classes"],
-        (C._at_once, "Requests(state[column], able", "Requests(1, able"),
+        (S._ask_policy, "Requests(state[column], able", "Requests(1, able"),
     ),
     (
         "ties",
         "chain",
         "each class of robots that named is equally likely",
         ["unequal_classes"],
-        (C._at_once, "Requests(state[column], {t: 1.0})", "Requests(1, {t: 1.0})"),
+        (S._requests, "Requests(state[column], {t: 1.0})", "Requests(1, {t: 1.0})"),
     ),
     (
         "ties",
@@ -92,14 +87,14 @@ _TABLE: Sequence[Any] = (
         "chain",
         "it is like any other",
         ["newest_last"],
-        (C._at_once, "column == columns.newest)", "False)"),
+        (S._ask_policy, "column == columns.newest)", "False)"),
     ),
     (
         "newest last",
         "shared",
         "it goes first",
         ["newest_last"],
-        (rules._goes_first, "factor = [idle + enabled]", "factor = [idle]"),
+        (requests._goes_first, "factor = [idle + enabled]", "factor = [idle]"),
     ),
     (
         "urgency",
@@ -121,10 +116,10 @@ _TABLE: Sequence[Any] = (
         "shared",
         "priorities do not count",
         ["unequal_classes"],
-        (rules.first_to_fire, "urgency[t] > level", "False"),
-        (rules.first_to_fire, "urgency[t] == level", "level == max(urgency)"),
+        (requests.first_to_fire, "urgency[t] > level", "False"),
+        (requests.first_to_fire, "urgency[t] == level", "level == max(urgency)"),
         (
-            rules.first_to_fire,
+            requests.first_to_fire,
             "in sorted({urgency[t] for group in groups for t in group.draw}, reverse=True)",
             "in [max(urgency)]",
         ),
@@ -134,7 +129,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "exponential ones are as urgent",
         ["spontaneous_first"],
-        (P.__init__, "[-1 if t.timed else t.priority for", "[t.priority for"),
+        (C.run_net, "[-1 if t.timed else t.priority for", "[t.priority for"),
     ),
     (
         "urgency",
@@ -173,20 +168,9 @@ _TABLE: Sequence[Any] = (
         "resources wait while any robot is done",
         ["spontaneous_first"],
         (
-            C._at_once,
+            S._at_once,
             "if spontaneous:",
             "if spontaneous and not any(state[c] for c, _ in self._waiting):",
-        ),
-    ),
-    (
-        "stages",
-        "net",
-        "resources are never first",
-        ["spontaneous_first"],
-        (
-            P.outcomes,
-            "if spontaneous:",
-            "if spontaneous and not any(marking[p] for p in self._deciding):",
         ),
     ),
     (
@@ -240,21 +224,21 @@ _TABLE: Sequence[Any] = (
         "shared",
         "of resources: all alike",
         ["spontaneous_first"],
-        (P.by_weight, "(t, transitions[t].weight)", "(t, 1.0)"),
+        (requests.by_weight, "(t, transitions[t].weight)", "(t, 1.0)"),
     ),
     (
         "weights",
         "shared",
         "without any: the last of the file",
         ["spontaneous_first"],
-        (P.by_weight, "weights[0][0]", "weights[-1][0]"),
+        (requests.by_weight, "weights[0][0]", "weights[-1][0]"),
     ),
     (
         "weights",
         "shared",
         "of robots: all alike",
         ["policy_rows", "inhibitors"],
-        (P.draw, "(t, self.net.transitions[t].weight)", "(t, 1.0)"),
+        (P.of, "(t, transitions[t].weight)", "(t, 1.0)"),
     ),
     (
         "weights",
@@ -325,7 +309,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "the lowest",
         ["spontaneous_first"],
-        (P.by_weight, "top = max(", "top = min("),
+        (requests.by_weight, "top = max(", "top = min("),
     ),
     (
         "priority of resources",
@@ -423,7 +407,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "weights decide as well",
         ["policy_rows"],
-        (P.draw, "self._table.matches(full, place) or", ""),
+        (P.of, "self._table.matches(full, place) or", ""),
     ),
     (
         "rows of others",
@@ -462,7 +446,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "weights decide",
         ["policy_rows"],
-        (P.draw, " or self.plan.strict:", ":"),
+        (P.of, " or self._plan.strict:", ":"),
     ),
     (
         "strict",
@@ -498,7 +482,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "does not count",
         ["policy_rows"],
-        (P.draw, "max(priorities, default=0)", "0"),
+        (P.of, "max([transitions[t].priority for t, _ in choices if t in ready], default=0)", "0"),
     ),
     (
         "priority of candidates",
@@ -535,7 +519,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "they never end",
         ["held_draws"],
-        (C._after, "if self._changes[t]:", "if False:"),
+        (S._fires, "if run_net.resets[t]:", "if False:"),
     ),
     (
         "draws end with the marking",
@@ -543,28 +527,6 @@ _TABLE: Sequence[Any] = (
         "they never end",
         ["held_draws"],
         (K.weigh, "group_version[place] != version or", ""),
-    ),
-    (
-        "draws end with the marking",
-        "net",
-        "robots wait for ever",
-        ["held_draws"],
-        (
-            space._NetSteps.expand,
-            "_Step((net.fire(marking, t), False), t, rate)",
-            "_Step((net.fire(marking, t), waiting), t, rate)",
-        ),
-    ),
-    (
-        "draws end with the marking",
-        "table",
-        "robots wait for ever",
-        ["held_draws"],
-        (
-            marking_table.MarkingTable.target,
-            "self.rules.net.fire(marking, t), False",
-            "self.rules.net.fire(marking, t), self._keys[state][1]",
-        ),
     ),
     (
         "draws end with candidates",
@@ -582,7 +544,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "they do not",
         ["candidates"],
-        (C._ask_again, "if old != new:", "if False:"),
+        (S._ask_again, "if old != new:", "if False:"),
     ),
     (
         "draws end with candidates",
@@ -603,7 +565,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "a firing that changes nothing ends them",
         ["held_draws"],
-        (C._after, "if self._changes[t]:", "if True:"),
+        (S._fires, "if run_net.resets[t]:", "if True:"),
     ),
     (
         "draws are kept",
@@ -628,7 +590,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "what may outlast is not drawn first",
         ["held_draws"],
-        (C._may_outlast, "not self._changes[t] and", "False and"),
+        (S._may_outlast, "not self.run_net.resets[t] and", "False and"),
     ),
     (
         "draws are kept",
@@ -655,7 +617,7 @@ _TABLE: Sequence[Any] = (
         ["counters"],
         (
             C.__init__,
-            "bool(plan.net.effect(t)) for t in self._full",
+            "bool(plan.net.effect(t)) for t in full",
             "bool(net.effect(t)) for t in range(len(net.transitions))",
         ),
     ),
@@ -703,9 +665,9 @@ _TABLE: Sequence[Any] = (
         "robots that ask do not come along",
         ["mixed_partners"],
         (
-            C._prepare,
-            "() if net.transitions[t].timed else self._columns[p].at_policy",
-            "() if net.transitions[t].timed or self._columns[p].named.get(t, -1) >= 0 else self._columns[p].at_policy",
+            C._takes,
+            "() if timed else self._columns[p].at_policy",
+            "() if timed or self._columns[p].named.get(t, -1) >= 0 else self._columns[p].at_policy",
         ),
     ),
     (
@@ -714,9 +676,9 @@ _TABLE: Sequence[Any] = (
         "robots that named do not come along",
         ["mixed_partners"],
         (
-            C._prepare,
+            C._takes,
             "self._columns[p].named.get(t, -1),",
-            "-1 if self._columns[p].at_policy and not net.transitions[t].timed else self._columns[p].named.get(t, -1),",
+            "-1 if self._columns[p].at_policy and not timed else self._columns[p].named.get(t, -1),",
         ),
     ),
     (
@@ -725,7 +687,7 @@ _TABLE: Sequence[Any] = (
         "not who asked for it",
         ["mixed_partners"],
         (
-            C._takings,
+            S._takings,
             "[int(requester in members) for members in classes]",
             "[0 for members in classes]",
         ),
@@ -735,9 +697,9 @@ _TABLE: Sequence[Any] = (
         "chain",
         "each mixture is equally likely",
         ["who_stays"],
-        (run_rules._choices, "[math.comb(n, k) for n, k in zip(numbers, way)]", "[1]"),
+        (steps._choices, "[math.comb(n, k) for n, k in zip(numbers, way)]", "[1]"),
         (
-            run_rules._choices,
+            steps._choices,
             "ways = math.comb(sum(numbers), wanted)",
             "ways = sum(1 for way in itertools.product(*(range(min(n, wanted) + 1) for n in numbers)) "
             "if sum(way) == wanted)",
@@ -799,7 +761,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "robots that are done take no room",
         ["capacities"],
-        (C.marking, "sum(state[a:b]) if b - a > 1 else state[a]", "state[a]"),
+        (N.marking, "sum(state[first:end])", "state[first]"),
     ),
     (
         "capacities",
@@ -831,7 +793,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "robots that are done do not count",
         ["inhibitors"],
-        (C.marking, "sum(state[a:b]) if b - a > 1 else state[a]", "state[a]"),
+        (N.marking, "sum(state[first:end])", "state[first]"),
     ),
     (
         "inhibitors",
@@ -881,7 +843,7 @@ _TABLE: Sequence[Any] = (
         "net",
         "robots share one server",
         ["degrees"],
-        (rules.plan_net, "t._replace(servers=None) if", "t._replace(servers=1) if"),
+        (compiling._net_of, "t._replace(servers=None) if", "t._replace(servers=1) if"),
     ),
     (
         "degrees",
@@ -919,8 +881,8 @@ _TABLE: Sequence[Any] = (
         ["phased", "inhibitors"],
         (
             C._races,
-            "self.net.transitions[t].timed and fires_alone(self.net, t, p)",
-            "self.net.transitions[t].timed",
+            "self._net.transitions[t].timed and self._net.fires_alone(t, p)",
+            "self._net.transitions[t].timed",
         ),
     ),
     (
@@ -931,18 +893,11 @@ _TABLE: Sequence[Any] = (
         (C._lay_out, "(t, rate * v)", "(t, rate)"),
     ),
     (
-        "races",
-        "optimiser",
-        "every transition at the full rate",
-        ["degrees", "ends"],
-        (D._lay_out, "{t: rate * v for", "{t: rate for"),
-    ),
-    (
         "phases",
         "chain",
         "always from the first",
         ["phased"],
-        (C._split, "tuple((first + phase, v) for phase, v in phases.start)", "((first, 1.0),)"),
+        (C._split, "tuple((doing[phase], v) for phase, v in phases.start)", "((doing[0], 1.0),)"),
     ),
     (
         "phases",
@@ -951,8 +906,8 @@ _TABLE: Sequence[Any] = (
         ["phased"],
         (
             C._split,
-            "following=tuple(f if f < 0 else first + f for f in phases.following) if phases",
-            "following=tuple(-1 for f in phases.following) if phases",
+            "tuple(f if f < 0 else doing[f] for f in phases.following)",
+            "tuple(-1 for f in phases.following)",
         ),
     ),
     (
@@ -978,14 +933,14 @@ _TABLE: Sequence[Any] = (
         "chain",
         "done on arrival",
         ["timeless_actions", "held_draws"],
-        (C._ends_at_once, "self.plan.actions.get(name, True) is not None", "False"),
+        (C._ends_at_once, "self._plan.actions.get(name, True) is not None", "False"),
     ),
     (
         "actions without time",
         "chain",
         "each place is equally likely",
         ["timeless_actions", "held_draws"],
-        (C._arrived, "robots / total * v", "v / len(arriving)"),
+        (S._arrived, "state[column] / total * end.probability", "end.probability / len(arriving)"),
     ),
     (
         "actions without time",
@@ -994,7 +949,7 @@ _TABLE: Sequence[Any] = (
         ["timeless_actions", "held_draws"],
         (
             D._lay_out,
-            "not takes_time and (acts or len(outcomes) > 1)",
+            "not takes_time and (bool(columns.arriving) or len(outcomes) > 1)",
             "not takes_time and len(outcomes) > 1",
         ),
     ),
@@ -1012,8 +967,8 @@ _TABLE: Sequence[Any] = (
         ["mixed_partners", "degrees"],
         (
             C._outcomes,
-            "for t, v in self.timing[p].outcomes if v > 0",
-            "for t, v in self.timing[p].outcomes[:1] for v in (1.0,)",
+            "for t, v in self._timing[p].outcomes",
+            "for t, v in self._timing[p].outcomes[:1] for v in (1.0,)",
         ),
     ),
     (
@@ -1043,7 +998,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "they reach robots that are doing only",
         ["events"],
-        (C._prepare, "tuple(range(*self._parts[p]))", "tuple(range(*self._parts[p]))[:1]"),
+        (C.run_net, "tuple(range(*self._parts[p]))", "tuple(range(*self._parts[p]))[:1]"),
     ),
     (
         "events",
@@ -1051,17 +1006,10 @@ _TABLE: Sequence[Any] = (
         "one clock for all robots",
         ["events"],
         (
-            C.steps,
-            "in self._interrupts:",
-            "in [(t, r / max(sum(state[c] for c in w), 1), w) for t, r, w in self._interrupts]:",
+            S._in_time,
+            "in run_net.interrupts:",
+            "in [(t, r / max(sum(state[c] for c in w), 1), w) for t, r, w in run_net.interrupts]:",
         ),
-    ),
-    (
-        "events",
-        "net",
-        "one clock for all robots",
-        ["events"],
-        (P.event_rate, " * marking[self.interrupts[t]]", ""),
     ),
     (
         "events",
@@ -1128,13 +1076,13 @@ _TABLE: Sequence[Any] = (
         ["ends"],
         (T._reached_until, "self.rules.until is not None", "False"),
     ),
-    ("until", "shared", "never", ["ends"], (P.is_over, "self._until is not None", "False")),
+    ("until", "shared", "never", ["ends"], (N.is_over, "self.until is not None", "False")),
     (
         "until",
         "chain",
         "only when time passes",
         ["ends"],
-        (C.settle, "if self._rules.is_over(marking):", "if False:"),
+        (S._one_form, "if self.run_net.has_ended(state, marking):", "if False:"),
     ),
     (
         "until",
@@ -1163,7 +1111,7 @@ _TABLE: Sequence[Any] = (
         "table",
         "never",
         ["ends"],
-        (marking_table.MarkingTable._work_out, "if rules.is_over(marking):", "if False:"),
+        (state_cache.StateCache._work_out, "if self.run_net.is_over(marking):", "if False:"),
     ),
     (
         "all at rest",
@@ -1180,6 +1128,34 @@ _TABLE: Sequence[Any] = (
         (K.play, "if n_active > 0 and inactives == n_active:", "if n_active < 0:"),
     ),
     # -- failures
+    (
+        "failures",
+        "chain",
+        "there are none",
+        ["failures"],
+        (C._failure, "failure if failure > _NEVER else 0.0", "0.0"),
+    ),
+    (
+        "failures",
+        "chain",
+        "they never stop the team",
+        ["failures"],
+        (S._after_end, "if end.stops:", "if False:"),
+    ),
+    (
+        "failures",
+        "chain",
+        "one attempt too few",
+        ["failures"],
+        (C._tries, "count = rule.times", "count = max(rule.times - 1, 0)"),
+    ),
+    (
+        "failures",
+        "chain",
+        "the rule fires nothing",
+        ["failures"],
+        (C._fallback, "return t if t in self._net.consumers[p] else -1", "return -1"),
+    ),
     (
         "failures",
         "run",
@@ -1390,18 +1366,7 @@ _TABLE: Sequence[Any] = (
         "net",
         "who draws in vain draws again at once",
         ["held_draws"],
-        (P._first_of, "if outcomes and wait > 1e-12:", "if False:"),
-    ),
-    (
-        "waiting",
-        "table",
-        "who draws in vain draws again at once",
-        ["held_draws"],
-        (
-            marking_table.MarkingTable.target,
-            "self.number(marking, True)",
-            "self.number(marking, False)",
-        ),
+        (S._at_once, "if steps and 1.0 - whole > _TINY:", "if False:"),
     ),
     (
         "untimed",

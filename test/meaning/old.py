@@ -10,11 +10,10 @@ from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.plan.rules import PlanRules
-from gspn_framework_package.analysis.plan.run_rules import RunRules
-from gspn_framework_package.analysis.plan.space import _NetSteps, _RunSteps
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.steps import Steps
 from meaning.numbers import MOST_STATES, Marking, TooManyStatesError
 
 
@@ -49,15 +48,15 @@ class ExploredSteps:
 
 
 def chain(plan: Plan) -> ExploredSteps:
-    """The plan as it runs, by ``run_rules``: ``--timing run``."""
-    rules = RunRules(plan, PlanTiming(plan))
-    return ExploredSteps(plan, _RunSteps(rules), rules.counters)
+    """The run net of the plan as it runs: ``--timing run``."""
+    run_net = compile_plan(plan, PlanTiming(plan))
+    return ExploredSteps(plan, Steps(run_net), run_net.counters)
 
 
 def net_chain(plan: Plan) -> ExploredSteps:
-    """The classical reading, by ``rules``: ``--timing net``."""
-    rules = PlanRules(plan)
-    return ExploredSteps(plan, _NetSteps(rules), rules.counters)
+    """The run net in the classical reading: ``--timing net``."""
+    run_net = compile_plan(plan, None)
+    return ExploredSteps(plan, Steps(run_net), run_net.counters)
 
 
 class ClosedSteps:

@@ -19,8 +19,6 @@ from dataclasses import replace
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 from unittest import mock
 
-from gspn_framework_package.analysis.plan.phases import phases_of
-from gspn_framework_package.analysis.plan.structure import only_written
 from gspn_framework_package.execution import log_entries, turn
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.phase import Phase
@@ -29,6 +27,7 @@ from gspn_framework_package.execution.token_game import TokenGame, _Reducer
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming
+from gspn_framework_package.run_net.phases import phases_of
 from meaning.numbers import Marking
 
 # What a robot is up to.
@@ -201,7 +200,7 @@ class RunSteps:
     :param ties: whether it is drawn which robot goes first where several could, as the chain and
         the optimiser assume. Otherwise the first to finish does, as in the run.
     :param losses: rate (1/s) at which each robot is lost.
-    :param failing: whether actions fail as the plan says. The chain leaves failures out.
+    :param failing: whether actions fail as the plan says. The optimiser leaves failures out.
     :raises ValueError: a duration is not made of exponential phases, or there are timeouts.
     """
 
@@ -215,7 +214,7 @@ class RunSteps:
         self._resources = [
             p for p, place in enumerate(self.net.places) if place.name in plan.resource_places
         ]
-        self._counters = {self.net.place_number(name) for name in only_written(plan)}
+        self._counters = {self.net.place_number(name) for name in plan.counters}
         self._own = _kinds_of_robots(plan)
         self._events = {
             self.net.place_number(name): [

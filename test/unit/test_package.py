@@ -40,6 +40,7 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 LAYERS = {
     "model": 0,
     "formats": 1,
+    "run_net": 1,
     "analysis": 2,
     "making": 2,
     "execution": 3,

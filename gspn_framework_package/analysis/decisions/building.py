@@ -10,7 +10,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, WAIT, Automaton
-from gspn_framework_package.analysis.decisions.run_net import DecisionNet, Group, Stage
+from gspn_framework_package.analysis.decisions.decision_net import DecisionNet, Group, Stage
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.state_space.space import StateSpace
 

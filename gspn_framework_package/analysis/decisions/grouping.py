@@ -28,10 +28,10 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT, Rewards
+from gspn_framework_package.analysis.decisions.decision_net import Stage
 from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.playing import Answers
 from gspn_framework_package.analysis.decisions.problem import Team
-from gspn_framework_package.analysis.decisions.run_net import Stage
 from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of

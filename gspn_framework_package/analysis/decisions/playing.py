@@ -9,11 +9,11 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.building import Stages
-from gspn_framework_package.analysis.decisions.run_net import Group, Stage
+from gspn_framework_package.analysis.decisions.decision_net import Group, Stage
 from gspn_framework_package.analysis.plan.markings import distinct_rows
-from gspn_framework_package.analysis.plan.rules import Requests, first_to_fire
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.run_net.requests import Requests, first_to_fire
 
 ROUNDING = 1e-12
 """A probability below this is a rounding error."""

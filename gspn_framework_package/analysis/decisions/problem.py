@@ -27,6 +27,7 @@ from gspn_framework_package.analysis.decisions.building import (
     build_automaton,
     part_of,
 )
+from gspn_framework_package.analysis.decisions.decision_net import DecisionNet, Stage
 from gspn_framework_package.analysis.decisions.export import enabled_in
 from gspn_framework_package.analysis.decisions.playing import (
     ROUNDING,
@@ -35,15 +36,13 @@ from gspn_framework_package.analysis.decisions.playing import (
     Play,
     play_answers,
 )
-from gspn_framework_package.analysis.decisions.run_net import DecisionNet, Stage
 from gspn_framework_package.analysis.decisions.safety import Safety
 from gspn_framework_package.analysis.decisions.who_decides import Decider, who_decides
 from gspn_framework_package.analysis.graph import components, flat_ranges, reachable_from
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.plan.markings import distinct_rows, with_end
 from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes, of_events
-from gspn_framework_package.analysis.plan.run_rules import RunRules
-from gspn_framework_package.analysis.plan.structure import only_written, robot_flows
+from gspn_framework_package.analysis.plan.structure import robot_flows
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.condition import parse_condition
@@ -52,6 +51,7 @@ from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming, listed
 from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.run_net.compiling import compile_plan
 
 
 @dataclass(frozen=True)
@@ -148,9 +148,11 @@ class DecisionProblem:
             losses = False
         self._largest = plan
         timing = PlanTiming(plan)
-        self._rules = RunRules(plan, timing, phases=False) if reading == RUN else None
         self.left_out = _left_out(plan, [*never, *conditions])
-        self._net = DecisionNet(plan, self.left_out, self._rules, found, losses=losses)
+        self._run_net = compile_plan(
+            plan, timing.simplified() if reading == RUN else None, left_out=self.left_out
+        )
+        self._net = DecisionNet(self._run_net, found, losses=losses)
         self.assumptions = self._assume(found, timing)
         net = with_end(self._net.net, plan)
         self.space: StateSpace = explore(
@@ -194,18 +196,21 @@ class DecisionProblem:
                 "of the immediate transitions that can fire, the policy chooses one of the highest "
                 "priority"
             )
-        if self._rules is None:
+        if self._run_net.classical:
             return sentences + net_notes(self.plan).assumptions
-        sentences += timing.assumptions + self._rules.assumptions
+        sentences += timing.assumptions + list(self._run_net.assumptions)
+        net = self._run_net.net
+        acting = [
+            net.places[p].name for p, t in self._run_net.timing.items() if t.duration.mean > 0
+        ]
         longer = [
-            p
-            for p, place in self._rules.timing.items()
-            if place.duration.mean > 0 and place.duration.kind is not Kind.EXPONENTIAL
+            name
+            for name in acting
+            if timing.places[self.plan.net.place_number(name)].duration.kind is not Kind.EXPONENTIAL
         ]
         if longer:
             sentences.append(
-                "durations are taken as exponential with their means (%s)"
-                % listed([self._rules.net.places[p].name for p in longer])
+                "durations are taken as exponential with their means (%s)" % listed(longer)
             )
         sentences += of_events(self.plan)
         if any(chance > 0 for chance in self.plan.failures.values()):
@@ -239,7 +244,7 @@ class DecisionProblem:
     def _partner_comes(self) -> Dict[int, Booleans]:
         """For places of the plan's net: the states in which a robot there may wait for a partner
         that is still doing, since the marking enables a transition that lacks it."""
-        if self._rules is None:
+        if self._run_net.classical:
             return {}
         plan, stages, space = self.plan.net, self.stages, self.space
         found: Dict[int, Booleans] = {}
@@ -280,7 +285,7 @@ class DecisionProblem:
     def _doing_places(self) -> Set[int]:
         """The places (numbers of the plan's net) in which robots are distinguished by doing and
         done."""
-        if self._rules is None:
+        if self._run_net.classical:
             return set()
         whole = {q for q in self._net.place_of if q >= 0}
         return {group.at for group in self._net.groups if group.place not in whole}
@@ -288,12 +293,12 @@ class DecisionProblem:
     def _order_matters(self) -> Optional[Booleans]:
         """The places (of the plan's net) in which the run knows which robot finished last, and
         that matters; states do not know it. None in the classical reading."""
-        if self._rules is None:
+        if self._run_net.classical:
             return None
         net = self.plan.net
         late = np.zeros(len(net.places), dtype=bool)
-        for p, timing in self._rules.timing.items():
-            name = self._rules.net.places[p].name
+        for p, timing in self._run_net.timing.items():
+            name = self._run_net.net.places[p].name
             full = net.place_number(name)
             if not any(t == POLICY and v > 0 for t, v in timing.outcomes):
                 continue
@@ -636,4 +641,4 @@ def _left_out(plan: Plan, conditions: Sequence[str]) -> Tuple[str, ...]:
     read: Set[str] = set()
     for condition in conditions:
         read.update(parse_condition(condition, names).places)
-    return tuple(name for name in only_written(plan) if name not in read)
+    return tuple(name for name in plan.counters if name not in read)

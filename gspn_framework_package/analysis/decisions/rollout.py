@@ -35,7 +35,6 @@ from gspn_framework_package.analysis.decisions.rolling import (
 from gspn_framework_package.analysis.decisions.who_decides import who_decides
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.plan.structure import only_written
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.simulation.against_result import Against
 from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
@@ -271,7 +270,7 @@ class _Search:
             self.net.place_index[name] for name, who in deciders.items() if who.policy
         ]
         self._may_wait = {self.net.place_index[name] for name in request.may_wait}
-        counters = set(only_written(plan))
+        counters = set(plan.counters)
         self._read = [p for p, name in enumerate(names) if name not in counters]
         self._immediate = {
             p: [t for t in self.net.consumers[p] if not self.net.transitions[t].timed]

@@ -13,7 +13,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.decisions.building import Stages
-from gspn_framework_package.analysis.decisions.run_net import Stage
+from gspn_framework_package.analysis.decisions.decision_net import Stage
 from gspn_framework_package.analysis.graph import ShortestWays, adjacency, flat_ranges
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import RefusedError

@@ -22,9 +22,7 @@ from gspn_framework_package.analysis.graph import (
     reachable_from,
 )
 from gspn_framework_package.analysis.plan.structure import (
-    fires_alone,
     idle_places,
-    only_written,
     requested,
     terminal_places,
 )
@@ -70,7 +68,7 @@ class PlanMarkings:
     ) -> None:
         self.plan = plan
         self.losses = losses
-        self.left_out = only_written(plan)
+        self.left_out = plan.counters
         net = plan.net.without_places(self.left_out)
         self._own = len(net.transitions)
         if losses:
@@ -249,7 +247,7 @@ class PlanMarkings:
             (p, t)
             for p, asked in requests.items()
             for t in sorted(asked)
-            if not fires_alone(self.plan.net, t, self.original(p))
+            if not self.plan.net.fires_alone(t, self.original(p))
         ]
         if not doubtful or len({t.priority for t in self.net.transitions if not t.timed}) > 1:
             return

@@ -55,14 +55,6 @@ def run_notes(
 ) -> TimingNotes:
     """The notes on the reading as the plan runs, with ``more`` assumptions."""
     assumptions = [*timing.assumptions, *more]
-    failing = [p for p, chance in plan.failures.items() if chance > 0]
-    if failing:
-        assumptions.append(
-            "actions always succeed: the failures of %s are ignored, and so is on_failure "
-            "says (the simulation has both)" % ", ".join(failing)
-        )
-    if plan.timeouts:
-        assumptions.append("actions are never cut off by a timeout (the simulation has timeouts)")
     return TimingNotes(RUN, splits, assumptions + _of_both(plan))
 
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
-from gspn_framework_package.analysis.plan.phases import MOST_PHASES
 from gspn_framework_package.analysis.plan.reading import NET, TimingNotes, net_notes, run_notes
-from gspn_framework_package.analysis.plan.rules import PlanRules
-from gspn_framework_package.analysis.plan.run_rules import RunArc, RunRules, State
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
     RawGraph,
@@ -28,6 +25,11 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.phases import MOST_PHASES
+from gspn_framework_package.run_net.run_net import State
+from gspn_framework_package.run_net.size import PhasesOfDurations
+from gspn_framework_package.run_net.steps import Steps
 
 PLAN_STATE_LIMIT = 200_000
 """Default limit on the states of a plan's exploration."""
@@ -41,104 +43,6 @@ enabled."""
 
 GOES_ON = "(goes on)"
 """Name of a step in which nothing fires: a phase of an action ends, or the action is done."""
-
-
-class _Step(NamedTuple):
-    """A step of the exploration: to state ``target``, with the number of a transition or of a step
-    in which nothing fires, and a rate or probability."""
-
-    target: Hashable
-    label: int
-    value: float
-
-
-class _NetSteps:
-    """The states of the classical reading: pairs (marking, whether the robots wait in it)."""
-
-    def __init__(self, rules: PlanRules) -> None:
-        self._rules = rules
-        self.width = len(rules.net.places)
-        self.start: Hashable = (rules.net.initial_marking, False)
-
-    def expand(self, state: Any) -> Tuple[bool, List[_Step]]:
-        """Whether the state is vanishing, and its steps."""
-        rules, net = self._rules, self._rules.net
-        marking, waiting = state
-        if rules.is_over(marking):
-            return False, []
-        outcomes = [] if waiting else rules.outcomes(marking)
-        if outcomes:
-            return True, [
-                _Step((marking, True), len(net.transitions), probability)
-                if t is None
-                else _Step((net.fire(marking, t), False), t, probability)
-                for t, probability in outcomes
-            ]
-        return False, [
-            _Step((net.fire(marking, t), False), t, rate) for t, rate in rules.timed(marking)
-        ]
-
-    def parts(self, states: Sequence[Any]) -> Tuple[Tuple[str, ...], Optional[Indices]]:
-        """The parts of places that states distinguish: none."""
-        return (), None
-
-    def markings(self, states: Sequence[Any]) -> Indices:
-        """The markings of states, one row each."""
-        found = np.array([marking for marking, _ in states], dtype=np.int64)
-        return found.reshape(len(states), -1)
-
-
-class _RunSteps:
-    """The states of a plan as it runs, each in its one form."""
-
-    _BEGIN = ()
-
-    def __init__(self, rules: RunRules) -> None:
-        self._rules = rules
-        self.width = rules.width
-        self._settled: Dict[State, State] = {}
-        self._at_once: Dict[
-            State, List[RunArc]
-        ] = {}  # of vanishing states that are not expanded yet
-        self.start: Hashable = (
-            self._settle(rules.begin[0][0]) if len(rules.begin) == 1 else self._BEGIN
-        )
-
-    def _settle(self, state: State) -> State:
-        found = self._settled.get(state)
-        if found is None:
-            found, arcs = self._rules.settle(state)
-            self._settled[state] = found
-            if arcs:
-                self._at_once[found] = arcs
-        return found
-
-    def expand(self, state: Any) -> Tuple[bool, List[_Step]]:
-        """Whether the state is vanishing, and its steps."""
-        if state == self._BEGIN:
-            return True, [
-                _Step(self._settle(first), self._rules.ends, v) for first, v in self._rules.begin
-            ]
-        at_once = self._at_once.pop(state, None)
-        arcs = self._rules.steps(state) if at_once is None else at_once
-        return at_once is not None, [_Step(self._settle(a.target), a.label, a.value) for a in arcs]
-
-    def parts(self, states: Sequence[Any]) -> Tuple[Tuple[str, ...], Optional[Indices]]:
-        """The parts of places that states distinguish, and how many robots are in each."""
-        named = self._rules.parts
-        if not named:
-            return (), None
-        columns = self._columns(states)[:, [column for column, _ in named]]
-        return tuple(name for _, name in named), columns.astype(np.min_scalar_type(columns.max()))
-
-    def markings(self, states: Sequence[Any]) -> Indices:
-        """The markings of states, one row each."""
-        return np.add.reduceat(self._columns(states), self._rules.first_columns, axis=1)
-
-    def _columns(self, states: Sequence[Any]) -> Indices:
-        first = self._rules.begin[0][0]
-        columns = np.array([state or first for state in states], dtype=np.int64)
-        return columns.reshape(len(states), -1)
 
 
 class PlanSpace(StateSpace):
@@ -264,28 +168,25 @@ def explore_plan(
     """
     room = Allowance(memory, time.monotonic() + seconds)
     work = _Exploration(limit, Watch(progress, cancel), room, seconds)
+    run_net = compile_plan(plan, timing, phases=False)
     if timing is None:
-        net_rules = PlanRules(plan)
-        return work.explore(
-            net_rules.net, net_rules.counters, _NetSteps(net_rules), net_notes(plan)
-        )
-    rules = RunRules(plan, timing, phases=False)
-    notes = run_notes(plan, timing, rules.splits, rules.assumptions)
-    space = work.explore(rules.net, rules.counters, _RunSteps(rules), notes)
-    if not space.complete or rules.most_phases <= 1:
+        return work.explore(Steps(run_net), net_notes(plan))
+    notes = run_notes(plan, timing, dict(run_net.splits), list(run_net.assumptions))
+    space = work.explore(Steps(run_net), notes)
+    phases = PhasesOfDurations(run_net)
+    if not space.complete or phases.most <= 1:
         return space
     # With one phase for each duration, the same markings are reached. How many states there would
     # be with all phases is known before they are visited.
-    needed = rules.states_with_phases(work.states)
-    if needed > limit or rules.most_phases > MOST_PHASES:
-        space.refusal = "not decided: %s" % rules.why_so_many(needed, limit)
+    needed = phases.states(work.states)
+    if needed > limit or phases.most > MOST_PHASES:
+        space.refusal = "not decided: %s" % phases.why_so_many(needed, limit)
         notes.assumptions.append(
             "for all answers that need no rates, every duration is taken as exponential"
         )
         return space
-    notes.assumptions.extend(rules.matches())
-    rules = RunRules(plan, timing)
-    return work.explore(rules.net, rules.counters, _RunSteps(rules), notes)
+    notes.assumptions.extend(phases.matches())
+    return work.explore(Steps(compile_plan(plan, timing)), notes)
 
 
 class _Exploration:
@@ -296,24 +197,21 @@ class _Exploration:
 
     def __init__(self, limit: int, watch: Watch, room: Allowance, seconds: float) -> None:
         self._limit, self._watch, self._room, self._seconds = limit, watch, room, seconds
-        self.states: List[Any] = []
+        self.states: List[State] = []
 
-    def explore(
-        self,
-        net: Net,
-        counters: Tuple[str, ...],
-        steps: Union[_NetSteps, _RunSteps],
-        notes: TimingNotes,
-    ) -> PlanSpace:
+    def explore(self, steps: Steps, notes: TimingNotes) -> PlanSpace:
+        """Explore the states of a run net."""
+        run_net = steps.run_net
         shortage = ("--limit", "")
-        index: Dict[Hashable, int] = {steps.start: 0}
+        labels_number = len(run_net.net.transitions) + PlanSpace.further_steps
+        index: Dict[State, int] = {steps.start: 0}
         self.states = order = [steps.start]
         vanishing: List[bool] = []
         offsets = [0]
         targets: List[int] = []
         labels: List[int] = []
         values: List[float] = []
-        bytes_per_state = 16 * steps.width + _STATE_BYTES
+        bytes_per_state = 16 * run_net.width + _STATE_BYTES
         explored = 0
         while explored < len(order) <= self._limit:
             at_once, found = steps.expand(order[explored])
@@ -341,19 +239,23 @@ class _Exploration:
             None,
             np.array(offsets, dtype=np.int64),
             np.array(targets, dtype=np.int32),
-            np.array(labels, dtype=label_type(len(net.transitions) + PlanSpace.further_steps)),
+            np.array(labels, dtype=label_type(labels_number)),
             explored,
         )
-        parts, part_counts = steps.parts(order)
+        named = run_net.named_columns
+        part_counts = None
+        if named:
+            part_counts = steps.counts(order)[:, [column for column, _ in named]]
+            part_counts = part_counts.astype(np.min_scalar_type(part_counts.max()))
         return PlanSpace(
-            net,
-            counters,
+            run_net.net,
+            run_net.counters,
             graph,
             steps.markings(order),
             np.array(vanishing, dtype=bool),
             np.array(values, dtype=np.float64),
             notes=notes,
             shortage=shortage,
-            parts=parts,
+            parts=tuple(name for _, name in named),
             part_counts=part_counts,
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FailureKind, Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
@@ -31,28 +30,6 @@ def robot_flows(plan: Plan) -> List[RobotFlow]:
     ]
 
 
-def only_written(plan: Plan) -> Tuple[str, ...]:
-    """Resource places that nothing reads: no transition, inhibitor arc, capacity, policy cell or
-    ``until`` condition. They only count, and cannot affect the behaviour."""
-    net = plan.net
-    inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
-    read: Set[str] = set()
-    for i, place in enumerate(plan.policy.places):
-        if any(row.counts[i] is not None for row in plan.policy.rows):
-            read.add(place)
-    if plan.until:
-        read.update(parse_condition(plan.until, [p.name for p in net.places]).places)
-    return tuple(
-        place.name
-        for p, place in enumerate(net.places)
-        if place.name in plan.resource_places
-        and not net.consumers[p]
-        and p not in inhibiting
-        and place.capacity is None
-        and place.name not in read
-    )
-
-
 def terminal_places(plan: Plan) -> Set[int]:
     """Numbers of the action places without output arcs, where robots are Inactive."""
     return {
@@ -64,16 +41,7 @@ def terminal_places(plan: Plan) -> Set[int]:
 
 def always_leavable(net: Net, place: int) -> bool:
     """Whether one token in ``place`` enables some transition, whatever the rest of the marking."""
-    return any(fires_alone(net, t, place) for t in net.consumers[place])
-
-
-def fires_alone(net: Net, t: int, place: int) -> bool:
-    """Whether one token in ``place`` is all that transition number ``t`` ever needs."""
-    return (
-        net.inputs[t] == ((place, 1),)
-        and not net.inhibitors[t]
-        and all(change <= 0 or net.places[p].capacity is None for p, change in net.effect(t))
-    )
+    return any(net.fires_alone(t, place) for t in net.consumers[place])
 
 
 def idle_places(plan: Plan, *, everybody: bool = False) -> Set[int]:
@@ -294,7 +262,7 @@ class PolicyCover:
             self.speaks(place)
             and not self._may_wait(place)
             and all(
-                fires_alone(net, t, place)
+                net.fires_alone(t, place)
                 for t in chosen
                 if any(p == place for p, _ in net.inputs[t])
             )

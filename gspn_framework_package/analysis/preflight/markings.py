@@ -9,7 +9,6 @@ from typing import Any, Dict, Iterable, List, Optional, Sequence
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan.structure import (
     idle_places,
-    only_written,
     robot_flows,
 )
 from gspn_framework_package.analysis.preflight.report import (
@@ -326,7 +325,7 @@ class MarkingChecks:
 
     def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
         """The findings; of those that differ only in counters read only by ``until``, the first."""
-        counters = set(only_written(replace(self.plan, until=None)))
+        counters = set(replace(self.plan, until=None).counters)
         kinds: Dict[Any, Finding] = {}
         for finding in findings:
             counts = tuple(item for item in finding.marking.items() if item[0] not in counters)

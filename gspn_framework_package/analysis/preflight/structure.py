@@ -9,9 +9,7 @@ from gspn_framework_package.analysis.plan.structure import (
     PolicyCover,
     always_leavable,
     find_cycle,
-    fires_alone,
     idle_places,
-    only_written,
     places_in_cycles,
     predicted_timeless,
     robot_flows,
@@ -41,7 +39,7 @@ class StructureChecks:
         self.unbalanced: List[int] = []
         self.timeless: List[int] = []
         self.cycle: List[str] = []
-        self.written = only_written(plan)
+        self.written = plan.counters
         self.resource_bounds: Dict[str, Optional[int]] = {}
         self._list = checklist
         self._cover = PolicyCover(plan)
@@ -212,7 +210,7 @@ class StructureChecks:
         events = [
             t for t in self.net.consumers[p] if self.net.transitions[t].name in self.plan.events
         ]
-        if any(fires_alone(self.net, t, p) for t in events):
+        if any(self.net.fires_alone(t, p) for t in events):
             return True  # as soon as the robot arrives
         leaving = [self.net.transitions[t] for t in self.net.consumers[p] if t not in events]
         if any(t.timed for t in leaving) or self._cover.always_moves(p):

@@ -13,20 +13,20 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 
 import numpy as np
 
-from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.simulation import kernel, machine
 from gspn_framework_package.analysis.simulation.estimates import Samples
 from gspn_framework_package.analysis.simulation.kernel_run import KernelRun
-from gspn_framework_package.analysis.simulation.marking_table import MarkingTable, TableRuns
 from gspn_framework_package.analysis.simulation.plan_run import PlanRun
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.analysis.simulation.race_run import RaceRun
+from gspn_framework_package.analysis.simulation.state_cache import StateCache, TableRuns
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.run_net.compiling import compile_plan
 
 _COMPILED_EVENTS = 500_000
 _PLAIN_EVENTS = 5_000
@@ -259,10 +259,10 @@ class TablePlayer:
     size = 500
 
     def __init__(self, plan: Plan, subject: Subject) -> None:
-        rules = PlanRules(replace(plan, until=subject.condition))
-        self.net = rules.net
+        run_net = compile_plan(replace(plan, until=subject.condition), None)
+        self.net = run_net.net
         self.notes: List[str] = []
-        self._table = MarkingTable(rules)
+        self._table = StateCache(run_net)
         self._subject = subject
 
     def play(self, batch: RunBatch, watch: Watch) -> Played:

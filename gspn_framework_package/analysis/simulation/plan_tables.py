@@ -363,7 +363,7 @@ class PlanTables:
         kinds, means, lists, chances, nulls = [], [], [], [], []
         numbers: List[List[float]] = []
         rules, times, delays, fires, limits, failures = [], [], [], [], [], []
-        for p, null, (length, outcomes, failure, _) in rows:
+        for p, null, (length, outcomes, failure, limit, _) in rows:
             at_once = null and length.mean == 0.0
             kinds.append(kernel.NULL_ACTION if at_once else _KINDS[length.kind])
             means.append(length.mean)
@@ -382,8 +382,7 @@ class PlanTables:
             if rule.kind is FailureKind.FIRE:
                 t = net.transition_number(rule.transition)
                 fires[-1] = self.arc_of.get((t, p), -1)
-            limit = plan.timeout(name)
-            limits.append(math.inf if limit is None else limit)
+            limits.append(limit)
         timing_from, table = ragged(numbers, np.float64)
         outcome_from, outcome_list = ragged(lists)
         _, outcome_chance = ragged(chances, np.float64)

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Mapping, Sequence
 
-from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.formats.edited_document import EditedDocument, plan_of_document
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.net import MAX_COUNT, Marking
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.run_net import RunNet
 
 
 def choices(document: EditedDocument, path: str, root: str, marking: Any) -> Dict[str, Any]:
@@ -25,7 +26,7 @@ def choices(document: EditedDocument, path: str, root: str, marking: Any) -> Dic
     :raises GspnError: the document is not a valid plan, or the marking is not one of its net.
     """
     plan = plan_of_document(document, path, root)
-    rules = PlanRules(plan)
+    rules = compile_plan(plan, None)
     full = _marking(plan, marking)
     counts = dict(zip((p.name for p in plan.net.places), full))
     here = tuple(counts[p.name] for p in rules.net.places)
@@ -57,14 +58,14 @@ def _marking(plan: Plan, given: Any) -> Marking:
     return tuple(counts.values())
 
 
-def _place(plan: Plan, rules: PlanRules, full: Marking, here: Marking, p: int) -> Dict[str, Any]:
+def _place(plan: Plan, rules: RunNet, full: Marking, here: Marking, p: int) -> Dict[str, Any]:
     """Describe what a robot in place ``p`` of the rules' net does once its action is over."""
     net, name = plan.net, rules.net.places[p].name
     place = net.place_number(name)
     table = plan.policy.bind(net)
     leaving = [t for t in net.consumers[place] if not net.transitions[t].timed]
     ready = {t for t in leaving if net.is_enabled(full, t)}
-    drawn = dict(rules.draw(here, p, ready)) if leaving else {}
+    drawn = dict(rules.draws.of(here, p, ready)) if leaving else {}
     found = table.distribution(full, place) if leaving else None
     return {
         "place": name,

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from running_plans import running_plans
-from scipy import stats
+from scipy import integrate, stats
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.drawing import chain_graph
-from gspn_framework_package.analysis.plan.phases import number_of_phases, phases_of
 from gspn_framework_package.analysis.plan.space import explore_plan
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.steady_state import steady_state
@@ -25,9 +24,10 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.run_net.phases import number_of_phases, phases_of
 
 exponential, erlang = Duration.exponential, Duration.erlang
 
@@ -552,3 +552,94 @@ def test_an_action_that_names_nothing_asks_for_the_only_transition_or_stays():
     two = builder.exponential("off", rate=2.0, inputs="a", outputs="c").build()
     found = Analysis(plan_of(two, outcomes={"a": {"": 1.0}})).measures
     assert found.mean_tokens["a"] == pytest.approx(1.0)
+
+
+# -- failures ------------------------------------------------------------------------------------
+
+
+def workshop(rule, robots=1, **more):
+    """A robot works for 1 s, which fails with 0.3, and rests for 2 s; where its work broke, it
+    mends for 5 s."""
+    net = (
+        NetBuilder("workshop")
+        .place("work", tokens=robots)
+        .place("rest")
+        .place("broken")
+        .exponential("go", rate=1, inputs="work", outputs="rest")
+        .exponential("break", rate=1, inputs="work", outputs="broken")
+        .exponential("back", rate=0.5, inputs="rest", outputs="work")
+        .exponential("mend", rate=0.2, inputs="broken", outputs="work")
+        .build()
+    )
+    settings = {"failures": {"work": 0.3}, "durations": {"work": Duration.exponential(1.0)}, **more}
+    return Plan(
+        net=net,
+        actions=dict.fromkeys(["work", "rest", "broken"], FunctionAction("a.b", "b")),
+        outcomes={"work": {"go": 1.0}},
+        on_failure={"work": rule},
+        **settings,
+    )
+
+
+def test_a_failure_fires_what_its_rule_says():
+    analysis = Analysis(workshop(FailureRule(FailureKind.FIRE, transition="break")))
+    cycle = 1 + 0.7 * 2 + 0.3 * 5
+    assert analysis.measures.throughput["go"] == pytest.approx(0.7 / cycle)
+    assert analysis.measures.throughput["break"] == pytest.approx(0.3 / cycle)
+    assert analysis.timing.splits == {"work": "an attempt at its action can fail"}
+
+
+def test_retries_are_counted():
+    """Two retries at most: the work ends well within three attempts with 1 - 0.3^3."""
+    passage = Analysis(workshop(FailureRule(FailureKind.RETRY, times=2))).first_passage("rest >= 1")
+    assert passage.probability == pytest.approx(1 - 0.3**3)
+
+
+def test_many_retries_are_retries_without_end():
+    analysis = Analysis(workshop(FailureRule(FailureKind.RETRY, times=1000, delay=0.5)))
+    cycle = 1 / 0.7 + 0.3 / 0.7 * 0.5 + 2
+    assert analysis.measures.throughput["go"] == pytest.approx(1 / cycle)
+    ten = Analysis(workshop(FailureRule(FailureKind.RETRY, times=21), failures={"work": 0.9}))
+    assert any("try again without end" in said for said in ten.timing.assumptions)
+
+
+def test_a_robot_whose_action_failed_for_good_stays():
+    analysis = Analysis(workshop(FailureRule(), robots=2))
+    assert analysis.first_passage("rest >= 1").probability == pytest.approx(1 - 0.3**2)
+    assert [analysis.space.named(d) for d in analysis.properties.deadlocks] == [{"work": 2}]
+
+
+def test_a_failure_stops_the_team():
+    analysis = Analysis(workshop(FailureRule(FailureKind.STOP), robots=2))
+    # the first of both to end decides, while nobody else has come back
+    assert analysis.first_passage("rest >= 1").probability == pytest.approx(0.7)
+    ends = {tuple(analysis.space.named(d).items()) for d in analysis.properties.deadlocks}
+    assert ends == {(("work", 2),), (("work", 1), ("rest", 1))}
+
+
+@pytest.mark.parametrize("duration", [Duration.erlang(3, 1.0), Duration.uniform(0.2, 1.8)])
+def test_a_timeout_cuts_an_attempt_off(duration):
+    rule = FailureRule(FailureKind.FIRE, transition="break")
+    plan = workshop(rule, failures={}, timeouts={"work": 1.2}, durations={"work": duration})
+    analysis = Analysis(plan)
+    late = duration.survival(1.2)
+    times = np.linspace(0, 1.2, 100_001)
+    mean = integrate.trapezoid(duration.survival(times), times)
+    cycle = mean + (1 - late) * 2 + late * 5
+    assert analysis.measures.throughput["break"] == pytest.approx(late / cycle, rel=1e-6)
+    assert any("is cut off" in said for said in analysis.timing.assumptions)
+
+
+def test_an_action_that_takes_no_time_fails_too():
+    rule = FailureRule(FailureKind.FIRE, transition="break")
+    analysis = Analysis(workshop(rule, durations={"work": Duration.deterministic(0.0)}))
+    assert analysis.measures.throughput["break"] == pytest.approx(0.3 / (0.7 * 2 + 0.3 * 5))
+
+
+def test_an_action_that_names_nothing_has_failed():
+    """Two exponential transitions leave the place, and the action names none of them."""
+    plan = workshop(FailureRule(FailureKind.FIRE, transition="break"), failures={})
+    plan = replace(plan, outcomes={"work": {"": 1.0}})
+    measures = Analysis(plan).measures
+    assert measures.throughput["go"] == 0
+    assert measures.throughput["break"] == pytest.approx(1 / 6)

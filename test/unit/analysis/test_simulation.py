@@ -16,7 +16,7 @@ from scipy import stats
 
 from benchmarks.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.simulation import machine, marking_table, simulate
+from gspn_framework_package.analysis.simulation import machine, simulate, state_cache
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
@@ -139,7 +139,7 @@ def test_the_same_seed_gives_the_same_result():
 def test_forgetting_markings_changes_nothing(monkeypatch):
     options = {"time": 50, "replications": 20, "seed": 5, "timing": "net"}
     whole = simulate(plan("rendezvous"), **options)
-    monkeypatch.setattr(marking_table, "REMEMBERED_MARKINGS", 40)
+    monkeypatch.setattr(state_cache, "REMEMBERED_STATES", 40)
     forgetful = simulate(plan("rendezvous"), **options)
     assert forgetful.mean_tokens == whole.mean_tokens and forgetful.throughput == whole.throughput
     for place, shares in whole.token_distribution.items():

@@ -1,8 +1,8 @@
-"""The race of a plan by the rates of its net, using a table of the markings that occur.
+"""Runs of a run net, using a table of the states that occur.
 
 Many independent replications advance in step: one round draws the next event of each of them. Each
-marking is evaluated once, when a replication first reaches it, so that a round takes only a few
-array operations.
+state is evaluated once, when a replication first reaches it, so that a round takes only a few array
+operations.
 """
 
 from __future__ import annotations
@@ -13,108 +13,102 @@ from typing import Dict, List, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Floats, Indices
-from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
-from gspn_framework_package.model.net import Marking
+from gspn_framework_package.run_net.run_net import RunNet, State
+from gspn_framework_package.run_net.steps import Steps
 
-REMEMBERED_MARKINGS = 500_000
-"""Largest number of markings in the cache before it is cleared."""
+REMEMBERED_STATES = 500_000
+"""Largest number of states in the cache before it is cleared."""
 
 TIMELESS_FIRINGS = 10_000
 """More consecutive firings in zero time than this are treated as a timeless cycle."""
 
-_WAIT = -1  # the transition of an arc on which robots only wait
 
-
-class MarkingTable:
-    """The markings that the runs have reached so far, as arrays; states are numbered in order of
+class StateCache:
+    """The states that the runs have reached so far, as arrays; they are numbered in order of
     discovery."""
 
-    def __init__(self, rules: PlanRules) -> None:
-        self.rules = rules
+    def __init__(self, run_net: RunNet) -> None:
+        self.run_net = run_net
+        self.net = run_net.net
         self.forget()
 
     def forget(self) -> None:
         """Clear all states."""
-        places = len(self.rules.net.places)
-        self._index: Dict[Tuple[Marking, bool], int] = {}
-        self._keys: List[Tuple[Marking, bool]] = []
+        self._steps = Steps(self.run_net)
+        self._index: Dict[State, int] = {}
+        self._states: List[State] = []
+        self._targets: List[List[State]] = []
         capacity, width = 64, 4
-        self.markings = np.zeros((capacity, places), dtype=np.int64)
+        self.markings = np.zeros((capacity, len(self.net.places)), dtype=np.int64)
         self.exit = np.zeros(capacity)
         """Exit rate (1/s) of each state; infinite for vanishing states, 0 for absorbing ones."""
         self.over = np.zeros(capacity, dtype=bool)
         self.steps = np.full((capacity, width), 2.0)  # cumulative probabilities, padded with 2
         self.targets = np.full((capacity, width), -1, dtype=np.int64)
-        self.transitions = np.full((capacity, width), _WAIT, dtype=np.int64)
+        self.transitions = np.full((capacity, width), -1, dtype=np.int64)
 
     def __len__(self) -> int:
-        return len(self._keys)
+        return len(self._states)
 
-    def key(self, state: int) -> Tuple[Marking, bool]:
-        """The marking of a state, and whether robots wait in it."""
-        return self._keys[state]
+    @property
+    def start(self) -> State:
+        """The state in which runs begin."""
+        return self._steps.start
 
-    def number(self, marking: Marking, waiting: bool) -> int:
+    def state(self, number: int) -> State:
+        """The state of a number."""
+        return self._states[number]
+
+    def number(self, state: State) -> int:
         """The number of a state; a new state is evaluated."""
-        key = marking, waiting
-        known = self._index.get(key)
+        known = self._index.get(state)
         if known is not None:
             return known
-        number = self._index[key] = len(self._keys)
-        self._keys.append(key)
+        number = self._index[state] = len(self._states)
+        self._states.append(state)
         if number == len(self.exit):
             self._grow()
-        self.markings[number] = marking
-        self._work_out(number, marking, waiting)
+        self._work_out(number, state)
         return number
 
-    def target(self, state: int, arc: int) -> int:
+    def target(self, number: int, arc: int) -> int:
         """The target of an arc, evaluated on first use."""
-        if self.targets[state, arc] < 0:
-            marking, _ = self._keys[state]
-            t = int(self.transitions[state, arc])
-            if t == _WAIT:
-                number = self.number(marking, True)
-            else:
-                number = self.number(self.rules.net.fire(marking, t), False)
-            self.targets[state, arc] = number
-        return int(self.targets[state, arc])
+        if self.targets[number, arc] < 0:
+            self.targets[number, arc] = self.number(self._targets[number][arc])
+        return int(self.targets[number, arc])
 
-    def _work_out(self, number: int, marking: Marking, waiting: bool) -> None:
-        rules = self.rules
-        if rules.is_over(marking):
+    def _work_out(self, number: int, state: State) -> None:
+        marking = self.run_net.marking(state or self.run_net.begin[0][0])
+        self.markings[number] = marking
+        self._targets.append([])
+        if self.run_net.is_over(marking):
             self.over[number] = True
             return
-        outcomes = [] if waiting else rules.outcomes(marking)
-        if outcomes:
-            arcs = [
-                (_WAIT if o.transition is None else o.transition, o.probability) for o in outcomes
-            ]
-            self.exit[number] = math.inf
-            total = 1.0
-        else:
-            arcs = rules.timed(marking)
-            total = sum(rate for _, rate in arcs)
-            self.exit[number] = total
-        while len(arcs) > self.steps.shape[1]:
+        vanishing, steps = self._steps.expand(state)
+        total = sum(step.value for step in steps)
+        self.exit[number] = math.inf if vanishing else total
+        while len(steps) > self.steps.shape[1]:
             self._widen()
-        if arcs:
-            chances = np.cumsum([value for _, value in arcs]) / total
+        if steps:
+            chances = np.cumsum([step.value for step in steps]) / total
             chances[-1] = 2.0  # rounding must not lead beyond the last one
-            self.steps[number, : len(arcs)] = chances
-            self.transitions[number, : len(arcs)] = [t for t, _ in arcs]
+            self.steps[number, : len(steps)] = chances
+            self.transitions[number, : len(steps)] = [
+                step.label if step.label < len(self.net.transitions) else -1 for step in steps
+            ]
+            self._targets[number] = [step.target for step in steps]
 
     def _grow(self) -> None:
         for name in ("markings", "exit", "over", "steps", "targets", "transitions"):
             array = getattr(self, name)
-            fill = {"steps": 2.0, "targets": -1, "transitions": _WAIT}.get(name, 0)
+            fill = {"steps": 2.0, "targets": -1, "transitions": -1}.get(name, 0)
             more = np.full_like(array, fill)
             setattr(self, name, np.concatenate([array, more]))
 
     def _widen(self) -> None:
-        for name, fill in (("steps", 2.0), ("targets", -1), ("transitions", _WAIT)):
+        for name, fill in (("steps", 2.0), ("targets", -1), ("transitions", -1)):
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.full_like(array, fill)], axis=1))
 
@@ -124,13 +118,13 @@ class TableRuns:
 
     def __init__(
         self,
-        graph: MarkingTable,
+        graph: StateCache,
         count: int,
         time: float,
         warmup: float,
         random: np.random.Generator,
     ) -> None:
-        net = graph.rules.net
+        net = graph.net
         self.graph = graph
         self.time, self.warmup = time, warmup
         self.count = count
@@ -145,13 +139,13 @@ class TableRuns:
     def go(self, watch: Watch) -> None:
         """Run all replications to the end."""
         graph = self.graph
-        state = np.full(self.count, graph.number(graph.rules.net.initial_marking, False))
+        state = np.full(self.count, graph.number(graph.start))
         timeless = np.zeros(self.count, dtype=np.int64)
         active = np.arange(self.count)
         spent = np.zeros(len(graph.exit))  # seconds in each state, over all runs
         rounds = 0
         while len(active):
-            if len(graph) > REMEMBERED_MARKINGS:
+            if len(graph) > REMEMBERED_STATES:
                 self._fold(spent)
                 state, spent = self._forget(state, active), np.zeros(len(graph.exit))
             here = state[active]
@@ -181,9 +175,9 @@ class TableRuns:
             active, here = active[goes_on], here[goes_on]
             arcs = (graph.steps[here] <= self._random.random(len(here))[:, None]).sum(axis=1)
             fired = graph.transitions[here, arcs]
-            late = (self.clock[active] >= self.warmup) & (fired != _WAIT)
+            late = (self.clock[active] >= self.warmup) & (fired >= 0)
             self.firings[active[late], fired[late]] += 1
-            self.events += int((fired != _WAIT).sum())
+            self.events += int((fired >= 0).sum())
             state[active] = self._follow(here, arcs)
             timeless[active] = np.where(np.isinf(graph.exit[here]), timeless[active] + 1, 0)
             if len(active) and timeless[active].max() > TIMELESS_FIRINGS:
@@ -203,8 +197,8 @@ class TableRuns:
         return targets
 
     def _stuck(self, state: int) -> List[Tuple[str, int]]:
-        marking, _ = self.graph.key(int(state))
-        return list(self.graph.rules.net.named(marking, zeros=False).items())
+        marking = tuple(self.graph.markings[int(state)].tolist())
+        return list(self.graph.net.named(marking, zeros=False).items())
 
     def _fold(self, spent: Floats) -> None:
         """Add the time spent in states to the shares of token counts."""
@@ -219,9 +213,9 @@ class TableRuns:
 
     def _forget(self, state: Indices, active: Indices) -> Indices:
         """Clear all states except the current ones; return their new numbers."""
-        keys = {int(s): self.graph.key(int(s)) for s in np.unique(state[active])}
+        known = {int(s): self.graph.state(int(s)) for s in np.unique(state[active])}
         self.graph.forget()
-        fresh = {old: self.graph.number(*key) for old, key in keys.items()}
+        fresh = {old: self.graph.number(state) for old, state in known.items()}
         renumbered = np.zeros_like(state)
         renumbered[active] = [fresh[int(s)] for s in state[active]]
         return renumbered

@@ -15,13 +15,10 @@ import enum
 from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.analysis.decisions.who_decides import Decider
-from gspn_framework_package.analysis.plan.rules import plan_net
-from gspn_framework_package.analysis.plan.run_rules import RunRules
-from gspn_framework_package.analysis.plan.structure import fires_alone
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
-from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming
+from gspn_framework_package.model.plan_timing import POLICY
+from gspn_framework_package.run_net.run_net import RunNet
 
 
 class Stage(enum.IntEnum):
@@ -89,9 +86,7 @@ class _Parts(NamedTuple):
 class DecisionNet:
     """The net of a decision problem.
 
-    :param plan: a validated plan.
-    :param left_out: counters that nothing reads.
-    :param rules: the rules of the run; None: the classical reading.
+    :param run_net: the plan, compiled with exponential durations.
     :param deciders: who decides, from :func:`who_decides`.
     :param losses: whether robots can be lost.
     :raises RefusedError: a team move mixes robots in a way that this net cannot express.
@@ -112,26 +107,19 @@ class DecisionNet:
 
     def __init__(
         self,
-        plan: Plan,
-        left_out: Sequence[str],
-        rules: Optional[RunRules],
+        run_net: RunNet,
         deciders: Mapping[str, Decider],
         *,
         losses: bool,
     ) -> None:
-        self._plan = plan
-        self._rules = rules
+        self._run_net = run_net
+        self._plan = plan = run_net.plan
         self._deciders = deciders
-        self._left_out = set(left_out)
-        self._source = plan_net(plan, left_out)
-        self._acts = [p.name not in plan.resource_places for p in self._source.places]
-        self._events = {
-            t: p
-            for t, transition in enumerate(self._source.transitions)
-            if transition.name in plan.events
-            for p, _ in self._source.inputs[t]
-            if self._acts[p]
-        }
+        self._source = run_net.net
+        self._acts = run_net.acts
+        self._events = run_net.interrupted
+        self._races = {race.transition for race in run_net.races}
+        self._racing = {racing.column: dict(racing.rates) for racing in run_net.racing}
         self._refuse_shared_clocks()
         self._taken: Set[str] = set(plan.net.place_index)
         self.labels: List[str] = []
@@ -182,24 +170,15 @@ class DecisionNet:
         name = self._source.places[p].name
         full = self._plan.net.place_number(name)
         self._at[name] = full
-        leaving = self._source.consumers[p]
-        if not leaving:
+        columns = self._run_net.columns.get(p)
+        if columns is None:
+            return _Parts(name, racing=self._racing.get(self._run_net.whole[p], {}))
+        if not columns.outcomes:
             return _Parts(name)
-        if self._rules is not None and self._rules.only_events(p):
-            return _Parts(name)
-        if self._rules is None:
-            return _Parts(name, asking=name)
-        timing = self._rules.timing[p]
-        if not timing.outcomes:
-            return _Parts(name)
-        if self._races(p, timing):
-            rate = 1.0 / timing.duration.mean
-            return _Parts(name, racing={t: rate * v for t, v in timing.outcomes if v > 0})
-        outcomes = [t for t, v in timing.outcomes if v > 0]
-        takes_time = timing.duration.mean > 0
-        # an action that takes no time ends when all others have moved that can (run_rules)
-        acts = self._plan.actions.get(name, True) is not None
-        arrives = not takes_time and (acts or len(outcomes) > 1)
+        outcomes = [t for t, _ in columns.outcomes]
+        takes_time = bool(columns.attempts)
+        # an action that takes no time ends when all others have moved that can
+        arrives = not takes_time and (bool(columns.arriving) or len(outcomes) > 1)
         if not takes_time and not arrives:
             if outcomes == [POLICY]:
                 return _Parts(name, asking=name)
@@ -222,22 +201,6 @@ class DecisionNet:
         elif asking:
             self.resting.append(doing)
         return _Parts(entry, doing, asking, named, arriving)
-
-    def _races(self, p: int, timing: PlaceTiming) -> bool:
-        """Whether place ``p`` stays whole although its action takes time, because the transitions
-        that leave it need no other token."""
-        net = self._source
-        return (
-            timing.duration.mean > 0
-            and all(t != POLICY for t, v in timing.outcomes if v > 0)
-            and all(
-                net.transitions[t].timed and fires_alone(net, t, p)
-                for t in {
-                    *(t for t in net.consumers[p] if t not in self._events),
-                    *(t for t, v in timing.outcomes if v > 0),
-                }
-            )
-        )
 
     def _refuse_shared_clocks(self) -> None:
         """Refuse what the rates of this net cannot say: an event comes to each robot by itself, but
@@ -310,21 +273,26 @@ class DecisionNet:
             step = Stage.TIMED if transition.timed else Stage.SPONTANEOUS
             self._fire(step, t, {})
             return
-        if t in self._events and self._rules is not None:
+        if t in self._events:
             parts = self._split[self._events[t]]
             for part in parts.pieces or (self._source.places[self._events[t]].name,):
                 self._fire(Stage.TIMED, t, {self._events[t]: part})
             if t not in parts.named and t not in parts.racing:
                 return  # no robot asks for it besides
+        if t in self._races:
+            self._fire(Stage.TIMED, t, {})
+            return
         if transition.timed:
             self._add_exponential(t, robots)
             return
+        if t in self._run_net.never:
+            return
         options: List[List[Tuple[str, bool]]] = []  # of each place: (part, whether it was named)
-        for p, _ in robots:
-            parts = self._split[p]
+        for taking in self._run_net.takes[t]:
+            parts = self._split[taking.place]
             options.append(
-                ([(parts.named[t], True)] if t in parts.named else [])
-                + ([(parts.asking, False)] if parts.asking else [])
+                ([(parts.named[t], True)] if taking.named >= 0 else [])
+                + ([(parts.asking, False)] if taking.at_policy else [])
             )
         if not all(options):
             return  # no robot ever asks for it
@@ -374,9 +342,6 @@ class DecisionNet:
         return () if decider.policy else decider.chances
 
     def _add_exponential(self, t: int, robots: Sequence[Tuple[int, int]]) -> None:
-        if self._rules is None:
-            self._fire(Stage.TIMED, t, {})
-            return
         parts = [self._split[p] for p, _ in robots]
         if len(robots) == 1 and parts[0].racing:
             if t in parts[0].racing:
@@ -434,7 +399,7 @@ class DecisionNet:
     def _by_net(self, t: int) -> bool:
         """Whether the time until exponential transition ``t`` fires comes from its rate in the
         net."""
-        if self._rules is None:
+        if self._run_net.classical:
             return True
         names = [self._source.places[p].name for p, _ in self._source.inputs[t] if self._acts[p]]
         return not any(p in self._plan.durations or p in self._plan.outcomes for p in names)
@@ -444,30 +409,27 @@ class DecisionNet:
         source = parts.doing or parts.arriving
         if not source:
             return
-        assert self._rules is not None
-        timing = self._rules.timing[p]
-        for t, v in timing.outcomes:
-            if v > 0:
-                target = parts.asking if t == POLICY else parts.named[t]
-                step = Stage.TIMED if parts.doing else Stage.ARRIVED
-                number = self._add(
-                    step,
-                    "(%s ends)" % source,
-                    -1,
-                    [(source, 1)],
-                    [(target, 1)],
-                    rate=v / timing.duration.mean if parts.doing else 1.0,
-                    rated=t if parts.doing and t != POLICY and self._by_net(t) else -1,
-                )
-                if not parts.doing:
-                    self._join_group(step, source, number, v)
+        columns = self._run_net.columns[p]
+        step = Stage.TIMED if parts.doing else Stage.ARRIVED
+        for t, v in columns.outcomes:
+            number = self._add(
+                step,
+                "(%s ends)" % source,
+                -1,
+                [(source, 1)],
+                [(parts.asking if t == POLICY else parts.named[t], 1)],
+                rate=v * columns.attempts[0].rates[0] if parts.doing else 1.0,
+                rated=t if parts.doing and t != POLICY and self._by_net(t) else -1,
+            )
+            if not parts.doing:
+                self._join_group(step, source, number, v)
 
     def _add_losses(self, p: int, parts: _Parts) -> None:
         name = self._source.places[p].name
         back = [
             (resource, count)
             for resource, count in self._plan.on_evict.get(name, {}).items()
-            if resource not in self._left_out and count > 0
+            if resource not in self._run_net.counters and count > 0
         ]
         for part in parts.pieces or (name,):
             inputs = [(name, 1)] + ([(part, 1)] if part != name else [])

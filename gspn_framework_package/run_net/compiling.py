@@ -1,0 +1,528 @@
+"""From a plan to its run net.
+
+**As the plan runs** (``--timing run``) each robot is *doing* its action for a duration, then
+*done*, and moves as soon as it can (``docs/semantics.md``). An action place has the columns of
+``columns`` where that has to be known. It is kept as it is where the net is the same chain: a robot
+whose exponential transitions need nothing but its own token, with an exponential duration, moves on
+the moment that it is done. Its action and the race of those transitions are then the same, because
+an exponential duration is memoryless. So is a place that only events leave. Robots in a decision
+place without a duration are done at once. If it has an action, which takes no time, they are done
+one after the other, each when all others have moved that can; without one they are done on arrival.
+
+An attempt *fails* with the probability of the plan's ``failures``, or when the timeout cuts it off,
+or when it says nothing that is possible; then the plan's rule for the place applies. An attempt
+that may be cut off takes the lesser of its duration and the timeout, one after a delay also that:
+both are matched by their mean and variance, and whether they fail does not depend on how long they
+took.
+
+**In the classical reading** (``--timing net``) the plan is its net under its policy: exponential
+transitions race while they are enabled, and robots take no time in a place with immediate outputs,
+even where an action runs there. Only these places have columns. Every firing ends the draws.
+
+In both, an event that interrupts comes at the rate of its transition to each robot in the place,
+whatever it is doing there, and has an effect if the marking then enables the transition.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Dict, List, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan
+from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming
+from gspn_framework_package.run_net.columns import (
+    End,
+    EventClock,
+    PlaceColumns,
+    Race,
+    Racing,
+    Shares,
+    Taking,
+    TimedAttempt,
+    spread,
+)
+from gspn_framework_package.run_net.phases import (
+    MOST_PHASES,
+    number_of_phases,
+    phases_of,
+    single_phase,
+)
+from gspn_framework_package.run_net.requests import PolicyDraws
+from gspn_framework_package.run_net.run_net import RunNet
+
+FEW_PHASES = 4
+"""An attempt that is cut off or delayed has so many phases at most, or those of its action."""
+
+MOST_RETRIES = 20
+"""A rule that allows more than this is taken to allow any number."""
+
+_NEVER = 1e-12
+"""A failure with a smaller probability is taken never to happen."""
+
+_ROUNDING = 1e-15
+"""A probability below this is a rounding error."""
+
+
+def compile_plan(
+    plan: Plan,
+    timing: Optional[PlanTiming],
+    *,
+    phases: bool = True,
+    left_out: Optional[Sequence[str]] = None,
+) -> RunNet:
+    """Compile a plan.
+
+    :param plan: a validated plan.
+    :param timing: its durations and outcomes; None: the classical reading.
+    :param phases: whether durations get their phases. If not, each is exponential with its mean:
+        the same markings are reached in far fewer states.
+    :param left_out: resource places that nothing reads; None: all of them.
+    """
+    counters = plan.counters if left_out is None else tuple(left_out)
+    return _Compiler(plan, timing, phases, counters).run_net()
+
+
+class _Compiler:
+    def __init__(
+        self, plan: Plan, timing: Optional[PlanTiming], phases: bool, counters: Tuple[str, ...]
+    ) -> None:
+        self._plan = plan
+        self._counters = counters
+        self._net = net = _net_of(plan, counters)
+        self._acts = [p.name not in plan.resource_places for p in net.places]
+        self._assumptions: List[str] = []
+        full = [plan.net.transition_number(t.name) for t in net.transitions]
+        self._short = {t: i for i, t in enumerate(full)}
+        self._changes = [bool(plan.net.effect(t)) for t in full]
+        self._robots_of = [tuple((p, w) for p, w in arcs if self._acts[p]) for arcs in net.inputs]
+        self._by_event = {
+            t: p
+            for t, transition in enumerate(net.transitions)
+            if transition.timed and transition.name in plan.events
+            for p, _ in self._robots_of[t]
+        }
+        self._classical = timing is None
+        self._timing: Dict[int, PlaceTiming] = {}
+        if timing is not None:
+            self._timing = {
+                p: self._of_team(timing, place.name)
+                for p, place in enumerate(net.places)
+                if self._acts[p]
+            }
+        self._late = {p for p in self._timing if self._takes_time(p) or self._ends_at_once(p)}
+        self._keeps_draws = not self._classical and any(
+            self._robots_of[t]
+            and not self._changes[t]
+            and self._is_asked_for(t)
+            and not any(self._races(p) for p, _ in self._robots_of[t])
+            for t in range(len(net.transitions))
+        )
+        self._columns: Dict[int, PlaceColumns] = {}
+        self._whole: Dict[int, int] = {}
+        self._racing: List[Racing] = []
+        self._parts: List[Tuple[int, int]] = []
+        self._stopped = -1
+        self._lay_out(phases)
+        self._splits: Dict[str, str] = {}
+        for p in self._columns:
+            name = net.places[p].name
+            if timing is not None and name in timing.splits:
+                self._splits[name] = timing.splits[name]
+            elif p in self._timing and self._failure(p):
+                self._splits[name] = "an attempt at its action can fail"
+
+    # -- places ------------------------------------------------------------------------------------
+
+    def _of_team(self, timing: PlanTiming, place: str) -> PlaceTiming:
+        """The timing of a place for every robot, since states do not distinguish robots."""
+        p = self._plan.net.place_number(place)
+        team = timing.of("", p)
+        own = [timing.of(robot.name, p) for robot in self._plan.robots]
+        if any(one != team for one in own):
+            team = max(own, key=own.count)
+            if any(one != team for one in own):
+                self._assumptions.append(
+                    "every robot in %s does what most of them do there, since states do not "
+                    "distinguish robots (the simulation does)" % place
+                )
+        leaving = self._plan.of_action(p)
+        if len(leaving) == 1 and self._plan.net.transitions[leaving[0]].timed:
+            # who names nothing asks for the only transition that there is
+            asked: Dict[int, float] = {}
+            for t, v in team.outcomes:
+                t = leaving[0] if t == POLICY else t
+                asked[t] = asked.get(t, 0) + v
+            team = team._replace(outcomes=tuple(asked.items()))
+        return team
+
+    def _of_action(self, p: int) -> List[int]:
+        """The transitions that leave place ``p`` without an event."""
+        return [t for t in self._net.consumers[p] if t not in self._by_event]
+
+    def _only_events(self, p: int) -> bool:
+        """Whether nothing but events takes a robot out of place ``p``."""
+        return not self._of_action(p) and all(t == POLICY for t, _ in self._timing[p].outcomes)
+
+    def _outcomes(self, p: int) -> Shares:
+        """The requests of a robot whose action in place ``p`` succeeded; empty if the action never
+        says what is possible."""
+        if self._classical:
+            return ((POLICY, 1.0),)
+        consumers = self._net.consumers[p]
+        possible = [
+            (t if t == POLICY else self._short[t], v)
+            for t, v in self._timing[p].outcomes
+            if v > 0 and (t != POLICY or not self._is_ambiguous(p))
+        ]
+        possible = [(t, v) for t, v in possible if t == POLICY or t in consumers]
+        total = sum(v for _, v in possible)
+        return tuple((t, v / total if total < 1.0 - _ROUNDING else v) for t, v in possible)
+
+    def _is_ambiguous(self, p: int) -> bool:
+        """Whether several exponential transitions leave place ``p``, and no other: an action that
+        names none has failed."""
+        leaving = self._of_action(p)
+        return len(leaving) > 1 and all(
+            self._net.transitions[t].timed for t in self._net.consumers[p]
+        )
+
+    def _failure(self, p: int) -> float:
+        """The probability that an attempt in place ``p`` fails: it is cut off, or does not succeed,
+        or says nothing that is possible."""
+        timing = self._timing[p]
+        says = sum(v for t, v in timing.outcomes if t != POLICY or not self._is_ambiguous(p))
+        if timing.outcomes or self._net.consumers[p]:
+            succeeds = (1.0 - timing.failure) * min(says, 1.0)
+        else:
+            succeeds = 1.0 - timing.failure
+        failure = 1.0 - (1.0 - self._cut_off(p)) * succeeds
+        return failure if failure > _NEVER else 0.0
+
+    def _cut_off(self, p: int) -> float:
+        """The probability that the timeout cuts an attempt in place ``p`` off."""
+        timing = self._timing[p]
+        if timing.timeout == math.inf or timing.duration.mean == 0:
+            return 0.0
+        cut_off = float(timing.duration.survival(timing.timeout))
+        return cut_off if cut_off > _NEVER else 0.0
+
+    def _failure_leads_on(self, p: int) -> bool:
+        """Whether a failure in place ``p`` has another effect than that the robot stays there."""
+        rule = self._rule(p)
+        return self._failure(p) > 0 and (rule.kind is FailureKind.STOP or self._fallback(p) >= 0)
+
+    def _rule(self, p: int) -> FailureRule:
+        return self._plan.failure_rule(self._net.places[p].name)
+
+    def _fallback(self, p: int) -> int:
+        """The transition that a robot in place ``p`` asks for when its action has failed; -1: it
+        asks for none."""
+        rule = self._rule(p)
+        if rule.kind is not FailureKind.FIRE:
+            return -1
+        t = self._net.transition_number(rule.transition)
+        return t if t in self._net.consumers[p] else -1
+
+    def _races(self, p: int) -> bool:
+        """Whether place ``p`` is not split although its action takes time: what leaves it needs
+        only the own token, and the duration is exponential."""
+        timing = self._timing[p]
+        return (
+            timing.duration.mean > 0
+            and _is_exponential(timing.duration)
+            and bool(timing.outcomes)
+            and not self._failure(p)
+            and all(t != POLICY for t, v in timing.outcomes if v > 0)
+            and all(
+                self._net.transitions[t].timed and self._net.fires_alone(t, p)
+                for t in {*self._of_action(p), *(t for t, v in self._outcomes(p) if v > 0)}
+            )
+        )
+
+    def _is_asked_for(self, t: int) -> bool:
+        """Whether a robot ever asks for transition ``t``; if not, only its event fires it."""
+        p = self._by_event.get(t)
+        return p is None or any(asked == t for asked, _ in self._outcomes(p))
+
+    def _takes_time(self, p: int) -> bool:
+        """Whether robots in place ``p`` are distinguished by doing and done."""
+        return not self._stays_whole(p) and self._timing[p].duration.mean > 0 and not self._races(p)
+
+    def _ends_at_once(self, p: int) -> bool:
+        """Whether robots in place ``p`` have an action that takes no time. They are done one after
+        the other, when the others have moved; without an action they are done on arrival."""
+        name = self._net.places[p].name
+        return (
+            not self._stays_whole(p)
+            and self._timing[p].duration.mean == 0
+            and self._plan.actions.get(name, True) is not None
+        )
+
+    def _stays_whole(self, p: int) -> bool:
+        """Whether nothing is to be known of the robots in place ``p`` but how many they are."""
+        if not self._acts[p]:
+            return True
+        if self._classical:
+            return all(self._net.transitions[t].timed for t in self._net.consumers[p])
+        nothing_follows = not self._net.consumers[p] or self._only_events(p)
+        return nothing_follows and not self._failure_leads_on(p)
+
+    def _waits_for_partners(self, p: int, t: int) -> bool:
+        """Whether transition ``t``, drawn in place ``p``, may have to wait for a partner that is
+        still doing."""
+        return any(q in self._late and (q != p or w > 1) for q, w in self._robots_of[t])
+
+    def _lay_out(self, with_phases: bool) -> None:
+        width = 0
+        if any(
+            self._rule(p).kind is FailureKind.STOP and self._failure(p) > 0 for p in self._timing
+        ):
+            self._stopped, width = 0, 1
+        for p in range(len(self._net.places)):
+            first = width
+            if self._stays_whole(p):
+                self._whole[p] = width
+                width += 1
+            elif not self._classical and self._races(p):
+                self._whole[p] = width
+                rate = 1.0 / self._timing[p].duration.mean
+                rates = tuple((t, rate * v) for t, v in self._outcomes(p))
+                self._racing.append(Racing(width, rates))
+                width += 1
+            else:
+                self._columns[p], width = self._split(p, width, with_phases)
+            self._parts.append((first, width))
+
+    def _split(self, p: int, first: int, with_phases: bool) -> Tuple[PlaceColumns, int]:
+        """The columns of place ``p``, from column ``first`` on, and the column after them."""
+        outcomes = self._outcomes(p) if self._net.consumers[p] else ()
+        numbers = itertools.count(first)
+        tries, repeats = self._tries(p)
+        entries: List[Shares] = []
+        attempts: List[TimedAttempt] = []
+        arriving: List[int] = []
+        for duration, what in tries:
+            if duration.mean == 0:
+                arriving.append(next(numbers))
+                entries.append(((arriving[-1], 1.0),))
+                continue
+            phases = phases_of(duration) if with_phases else single_phase(duration)
+            assert phases is not None  # the caller has asked
+            doing = tuple(next(numbers) for _ in phases.rates)
+            following = tuple(f if f < 0 else doing[f] for f in phases.following)
+            attempts.append(TimedAttempt(doing, phases.rates, following, duration, what))
+            entries.append(tuple((doing[phase], v) for phase, v in phases.start))
+        failure = self._failure(p) if tries else float(not self._classical and not outcomes)
+        fallback = self._fallback(p) if failure else -1
+        asked = [t for t, _ in outcomes if t != POLICY]
+        if fallback >= 0 and fallback not in asked:
+            asked.append(fallback)
+        named = {t: next(numbers) for t in asked}
+        stops = failure > 0 and self._rule(p).kind is FailureKind.STOP
+        stuck = -1
+        if not outcomes or (failure and fallback < 0):
+            stuck = next(numbers)
+        newest = asking = idle = -1
+        holding: Dict[int, int] = {}
+        if any(t == POLICY for t, _ in outcomes):
+            if tries:
+                newest = next(numbers)
+            asking, idle = next(numbers), next(numbers)
+            for t in self._net.consumers[p]:
+                if not self._net.transitions[t].timed and (
+                    self._keeps_draws or self._waits_for_partners(p, t)
+                ):
+                    holding[t] = next(numbers)
+        at_policy = newest if tries else asking
+        done = [End(t, at_policy if t == POLICY else named[t], v) for t, v in outcomes]
+        if not outcomes:
+            done = [End(None, stuck, 1.0)]
+        if fallback >= 0:
+            failed = [End(fallback, named[fallback], 1.0)]
+        else:
+            failed = [End(None, stuck, 1.0, stops)]
+        ends: Dict[int, Tuple[End, ...]] = {}
+        for number, entry in enumerate(entries):
+            again = entries[number + 1] if number + 1 < len(entries) else entry if repeats else None
+            fails = failed if again is None else [End(None, column, v) for column, v in again]
+            here = [end._replace(probability=end.probability * (1.0 - failure)) for end in done]
+            here += [end._replace(probability=end.probability * failure) for end in fails]
+            lasts = {column for column, _ in entry}
+            for attempt in attempts:
+                if attempt.columns[0] <= entry[0][0] <= attempt.columns[-1]:
+                    lasts = {c for c, f in zip(attempt.columns, attempt.following) if f < 0}
+            ends.update(dict.fromkeys(lasts, tuple(end for end in here if end.probability > 0)))
+        columns = PlaceColumns(
+            entries[0] if entries else tuple((end.column, end.probability) for end in done),
+            ends=ends,
+            outcomes=outcomes,
+            attempts=tuple(attempts),
+            arriving=tuple(arriving),
+            named=named,
+            newest=newest,
+            asking=asking,
+            idle=idle,
+            holding=holding,
+            stuck=stuck,
+        )
+        return columns, next(numbers)
+
+    def _tries(self, p: int) -> Tuple[List[Tuple[Duration, str]], bool]:
+        """The attempts at the action of place ``p``: how long each takes, also in words, and
+        whether a robot goes on trying after the last of them. Empty if there is no action."""
+        if p not in self._late:
+            return [], False
+        timing, rule = self._timing[p], self._rule(p)
+        first, what = timing.duration, timing.duration.describe()
+        plain = number_of_phases(first) if first.mean > 0 else 1
+        if self._cut_off(p):
+            what += ", cut off after %g s" % timing.timeout
+            first = self._few_phases(p, first.cut_off(timing.timeout), plain, what)
+            self._assumptions.append(
+                "whether an attempt in %s is cut off does not depend on how long it takes"
+                % self._net.places[p].name
+            )
+        failure = self._failure(p)
+        if rule.kind is not FailureKind.RETRY or not failure:
+            return [(first, what)], False
+        again, words = first, what
+        if rule.delay > 0:
+            words = "%s, after %g s" % (what, rule.delay)
+            again = self._few_phases(p, first.delayed(rule.delay), plain, words)
+        count = rule.times
+        endless = failure**count <= _NEVER or count > MOST_RETRIES
+        if endless:
+            count = 1 if rule.delay > 0 else 0
+            if failure**rule.times > _NEVER:
+                self._assumptions.append(
+                    "robots in %s try again without end (in a run %d times)"
+                    % (self._net.places[p].name, rule.times)
+                )
+        return [(first, what)] + [(again, words)] * count, endless
+
+    def _few_phases(self, p: int, duration: Duration, plain: float, what: str) -> Duration:
+        """The duration of an attempt in place ``p``, or one of its mean if it needs many more
+        phases than the ``plain`` duration of the action."""
+        most = max(plain if plain <= MOST_PHASES else 1, FEW_PHASES)
+        if number_of_phases(duration) <= most:
+            return duration
+        self._assumptions.append(
+            "an attempt in %s (%s) is taken as Erlang with %d phases, of the same mean"
+            % (self._net.places[p].name, what, most)
+        )
+        return Duration.erlang(int(most), duration.mean)
+
+    def _entry(self, p: int) -> Shares:
+        return self._columns[p].entry if p in self._columns else ((self._whole[p], 1.0),)
+
+    # -- steps -------------------------------------------------------------------------------------
+
+    def run_net(self) -> RunNet:
+        """The run net."""
+        plan, net = self._plan, self._net
+        numbers = range(len(net.transitions))
+        immediate = [t for t in numbers if not net.transitions[t].timed]
+        begin: List[Tuple[List[int], float]] = [([0] * self._parts[-1][1], 1.0)]
+        for p, place in enumerate(net.places):
+            begin = spread(begin, self._entry(p), place.tokens)
+        return RunNet(
+            plan,
+            net,
+            self._counters,
+            self._classical,
+            self._timing,
+            self._acts,
+            [-1 if t.timed else t.priority for t in net.transitions],
+            parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None,
+            PolicyDraws(plan, net),
+            self._columns,
+            self._whole,
+            self._parts,
+            self._stopped,
+            [(tuple(counts), v) for counts, v in begin],
+            self._racing,
+            [
+                EventClock(t, net.transitions[t].rate, tuple(range(*self._parts[p])))
+                for t, p in self._by_event.items()
+            ],
+            [self._race(t) for t in numbers if self._is_race(t)],
+            [t for t in immediate if not self._robots_of[t]],
+            [self._takes(t) for t in numbers],
+            {t for t in numbers if any(p in self._whole for p, _ in self._robots_of[t])},
+            [self._moves(t) for t in numbers],
+            [[(entry, w) for entry, w in self._puts(t) if len(entry) > 1] for t in numbers],
+            [True] * len(numbers) if self._classical else self._changes,
+            self._keeps_draws,
+            {p: self._watched_from(p) for p in self._late},
+            self._splits,
+            self._assumptions,
+        )
+
+    def _is_race(self, t: int) -> bool:
+        """Whether exponential transition ``t`` fires at the rate that the marking gives it."""
+        if not self._net.transitions[t].timed or t in self._by_event:
+            return False
+        return self._classical or not self._robots_of[t]
+
+    def _race(self, t: int) -> Race:
+        robots = self._robots_of[t]
+        return Race(
+            t,
+            tuple((self._whole[p], w) for p, w in robots if p in self._whole),
+            tuple((tuple(range(*self._parts[p])), w) for p, w in robots if p in self._columns),
+        )
+
+    def _takes(self, t: int) -> Tuple[Taking, ...]:
+        """The robots that transition ``t`` takes from split places."""
+        timed = self._net.transitions[t].timed
+        return tuple(
+            Taking(
+                p,
+                w,
+                self._columns[p].named.get(t, -1),
+                () if timed else self._columns[p].at_policy,
+            )
+            for p, w in self._robots_of[t]
+            if p in self._columns
+        )
+
+    def _puts(self, t: int) -> Sequence[Tuple[Shares, int]]:
+        return [(self._entry(p), w) for p, w in self._net.outputs[t]]
+
+    def _moves(self, t: int) -> List[Tuple[int, int]]:
+        taken = [(self._whole[p], -w) for p, w in self._net.inputs[t] if not self._acts[p]]
+        return taken + [(entry[0][0], w) for entry, w in self._puts(t) if len(entry) == 1]
+
+    def _watched_from(self, p: int) -> List[int]:
+        """The places in which a robot that gets done in place ``p`` can change what others may
+        draw."""
+        return [
+            q
+            for q, columns in self._columns.items()
+            if columns.asking >= 0
+            and any(
+                not self._net.transitions[t].timed
+                and any(r == p and (q != p or w > 1) for r, w in self._robots_of[t])
+                for t in self._net.consumers[q]
+            )
+        ]
+
+
+def _is_exponential(duration: Duration) -> bool:
+    return number_of_phases(duration) == 1 and duration.branches is not None
+
+
+def _net_of(plan: Plan, left_out: Sequence[str]) -> Net:
+    """The net of a plan for analysis: without the places ``left_out``. The exponential transitions
+    that leave action places get as many servers as there are robots."""
+    net = plan.net.without_places(left_out)
+    acts = {p for p, place in enumerate(net.places) if place.name not in plan.resource_places}
+    transitions = [
+        t._replace(servers=None) if t.timed and any(p in acts for p, _ in net.inputs[i]) else t
+        for i, t in enumerate(net.transitions)
+    ]
+    return Net(net.places, transitions, net.arcs, net.name)

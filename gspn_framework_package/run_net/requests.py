@@ -1,0 +1,123 @@
+"""What robots that are done ask for: the distribution from which the policy lets each draw, and
+which of several requests fires first."""
+
+from __future__ import annotations
+
+from typing import AbstractSet, Dict, List, NamedTuple, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.model.plan import Plan
+
+
+class PolicyDraws:
+    """What the policy of a plan lets robots draw.
+
+    :param plan: a validated plan.
+    :param net: its net, possibly without some resource places.
+    """
+
+    def __init__(self, plan: Plan, net: Net) -> None:
+        self._plan, self._net = plan, net
+        self._table = plan.policy.bind(plan.net)
+        self._full = [plan.net.place_index[p.name] for p in net.places]
+        self._start = list(plan.net.initial_marking)
+        self._leaving = {
+            p: [t for t in consumers if not net.transitions[t].timed]
+            for p, consumers in enumerate(net.consumers)
+        }
+
+    def of(self, marking: Marking, p: int, ready: AbstractSet[int]) -> List[Tuple[int, float]]:
+        """The distribution from which a robot in place ``p`` draws: pairs (transition,
+        probability).
+
+        :param ready: the immediate transitions that can fire.
+        """
+        transitions = self._net.transitions
+        full = self._start
+        for q, count in zip(self._full, marking):
+            full[q] = count
+        place = self._full[p]
+        distribution = self._table.distribution(full, place)
+        if distribution is not None:
+            choices = list(distribution.choices)
+        elif self._table.matches(full, place) or self._plan.strict:
+            return []
+        else:
+            choices = [(t, transitions[t].weight) for t in self._leaving[p] if t in ready]
+        floor = max([transitions[t].priority for t, _ in choices if t in ready], default=0)
+        choices = [(t, v) for t, v in choices if transitions[t].priority >= floor]
+        total = sum(v for _, v in choices)
+        return [(t, v / total) for t, v in choices if v] if total else []
+
+
+def by_weight(net: Net, candidates: Sequence[int]) -> List[Tuple[int, float]]:
+    """Which of these transitions, which take resources only, fires: pairs (transition,
+    probability)."""
+    transitions = net.transitions
+    top = max(transitions[t].priority for t in candidates)
+    weights = [(t, transitions[t].weight) for t in candidates if transitions[t].priority == top]
+    total = sum(weight for _, weight in weights)
+    if total == 0:
+        return [(weights[0][0], 1.0)]  # file order, as in the token game
+    return [(t, weight / total) for t, weight in weights if weight]
+
+
+class Requests(NamedTuple):
+    """Robots in one place that ask alike.
+
+    :ivar robots: how many they are.
+    :ivar draw: the transitions that each of them may ask for and that can fire: transition ->
+        probability. With the remaining probability it asks for nothing that can fire.
+    :ivar last: whether all others were done before (one robot only).
+    """
+
+    robots: int
+    draw: Dict[int, float]
+    last: bool = False
+
+
+def first_to_fire(groups: Sequence[Requests], urgency: Sequence[int]) -> List[Dict[int, float]]:
+    """Which request fires first. Higher urgency takes precedence; within one, every order of the
+    robots is equally likely, except for one that is known to be the last.
+
+    :param urgency: the urgency of each transition.
+    :returns: for each group, transition -> the probability that a robot of this group goes first
+        and fires it. The rest is the probability that no request can fire.
+    """
+    if len(groups) == 1 and groups[0].robots == 1:
+        return [dict(groups[0].draw)]
+    first: List[Dict[int, float]] = [{} for _ in groups]
+    for level in sorted({urgency[t] for group in groups for t in group.draw}, reverse=True):
+        rows = []
+        for robots, draw, last in groups:
+            mine = sum(v for t, v in draw.items() if urgency[t] == level)
+            above = sum(v for t, v in draw.items() if urgency[t] > level)
+            rows.append((robots, mine, max(1.0 - above - mine, 0.0), last))
+        for i, (robots, draw, _) in enumerate(groups):
+            share = robots * _goes_first(rows, i)
+            for t, v in draw.items():
+                if urgency[t] == level:
+                    first[i][t] = v * share
+    return first
+
+
+def _goes_first(groups: Sequence[Tuple[int, float, float, bool]], mine: int) -> float:
+    """The probability that one robot of group ``mine``, asking for a transition of this urgency,
+    fires before all others that do: the mean of 1 / (1 + number of those), and 0 if one asks for
+    something more urgent.
+
+    :param groups: (robots, probability of asking for something of this urgency, probability of
+        asking for nothing of this or a higher one, whether the others were done before).
+    """
+    polynomial = np.ones(1)  # coefficients by the number of robots that ask for this urgency
+    for i, (robots, enabled, idle, last) in enumerate(groups):
+        factor = [idle, enabled]
+        if groups[mine][3]:
+            factor = [idle]
+        elif last:
+            factor = [idle + enabled]
+        for _ in range(robots - (i == mine)):
+            polynomial = np.convolve(polynomial, factor)
+    return float((polynomial / np.arange(1, len(polynomial) + 1)).sum())
