@@ -637,7 +637,7 @@ _TABLE: Sequence[Any] = (
         "partners",
         "run",
         "exponential ones take robots that ask",
-        ["mixed_partners", "phased"],
+        ["asked_exponential"],
         (R._is_free, " and not self.net.transitions[t].timed", ""),
     ),
     (
@@ -651,7 +651,7 @@ _TABLE: Sequence[Any] = (
         "partners",
         "run",
         "the last to finish come along",
-        ["mixed_partners"],
+        ["who_stays"],
         (
             T._bind,
             "movers += free[:weight]",
@@ -720,22 +720,22 @@ _TABLE: Sequence[Any] = (
         "partners",
         "simulation",
         "those that ask before those that named",
-        ["mixed_partners"],
+        ["who_stays"],
         (K.play, "(named >= 0 and order[named] < order[free_one])", "False"),
     ),
     (
         "partners",
         "simulation",
         "not who asked for it",
-        ["mixed_partners", "newest_last"],
+        ["who_asked"],
         (K.play, "if not found and requester >= 0", "if False and requester >= 0"),
     ),
     (
         "partners",
         "simulation",
         "a partner that gets done is not noticed",
-        ["mixed_partners"],
-        (B.PlanTables._joins, "groups += [transitions + q for q, _ in arcs_of[t]]", "pass"),
+        ["candidates"],
+        (B.PlanTables._joins, "groups += [t, *(transitions + q for q, _ in arcs_of[t])]", "pass"),
     ),
     # -- the marking
     (
@@ -1021,13 +1021,9 @@ _TABLE: Sequence[Any] = (
     (
         "events",
         "simulation",
-        "an event that has no effect is the last",
+        "twice as often",
         ["events"],
-        (
-            K.play,
-            "if not fits(event, level, event_test_from, event_tests):",
-            "if fits(event, level, event_test_from, event_tests) == (robot < 0):",
-        ),
+        (K.play, "now + exponential(random) / total,", "now + exponential(random) / total / 2,"),
     ),
     (
         "events",

@@ -254,6 +254,7 @@ def candidates(source: random.Random) -> Plan:
         "join", inputs=["p", "q"], outputs=["c", "c"], priority=1 if weighed else 2, weight=1.5
     )
     b.immediate("use", inputs=["p", "tool"], outputs=["c", "tool"], weight=0.7)
+    b.immediate("spray", inputs="p", outputs="c", inhibitors={"c": 1}, weight=0.9)
     b.immediate("wash", inputs=["q", "tool"], outputs=["c", "tool"])
     b.exponential("to_p", rate=_rate(source), inputs="c", outputs="p", inhibitors={"p": 2})
     b.exponential("to_q", rate=_rate(source), inputs="c", outputs="q", inhibitors={"q": 1})
@@ -261,7 +262,7 @@ def candidates(source: random.Random) -> Plan:
     b.exponential("take", rate=_rate(source), inputs="tool")
     rows = [PolicyRow((1,), (("wash", 1.0),))]
     if not weighed:
-        rows.append(PolicyRow((None,), tuple(_split(source, ["join", "use"]).items())))
+        rows.append(PolicyRow((None,), tuple(_split(source, ["join", "use", "spray"]).items())))
     return _plan(
         b.build(),
         resources=["tool"],
@@ -372,6 +373,39 @@ def mixed_partners(source: random.Random) -> Plan:
     )
 
 
+def asked_exponential(source: random.Random) -> Plan:
+    """An exponential transition takes robots that named it, and none that ask the policy, although
+    those are held up in the same place."""
+    b = NetBuilder("asked").place("p", source.choice([2, 3])).place("r", source.choice([0, 1]))
+    b.exponential("lift", rate=_rate(source), inputs={"p": 2}, outputs={"r": 2})
+    b.immediate("alone", inputs="p", outputs="r", inhibitors={"r": 1})
+    b.exponential("back", rate=_rate(source), inputs="r", outputs="p")
+    return _plan(
+        b.build(),
+        durations={"p": _mean(source)},
+        outcomes={"p": _split(source, ["", "lift"])},
+    )
+
+
+def who_asked(source: random.Random) -> Plan:
+    """The one who asks for a move of two robots comes along, whoever else is free and was done
+    before: some drew what is not enabled."""
+    b = NetBuilder("who asked").place("p", 3).place("r", 1)
+    b.place("tool", source.choice([0, 1])).place("used", 1)
+    b.immediate("join", inputs={"p": 2, "tool": 1}, outputs={"r": 2, "used": 1})
+    b.immediate("other", inputs="p", outputs="r", inhibitors={"r": 1})
+    b.exponential("back", rate=_rate(source), inputs="r", outputs="p")
+    b.exponential("reset", rate=0.6, inputs="used", outputs="tool", inhibitors="tool")
+    rows = [PolicyRow((), tuple(_split(source, ["join", "other"]).items()))]
+    return _plan(
+        b.build(),
+        resources=["tool", "used"],
+        policy=Policy([], rows),
+        durations={"p": _mean(source)},
+        outcomes={"p": _split(source, ["", "join"])},
+    )
+
+
 def who_stays(source: random.Random) -> Plan:
     """A robot elsewhere asks for two of three robots, some of which named the move and some of
     which ask the policy: each two are equally likely."""
@@ -407,7 +441,8 @@ def capacities(source: random.Random) -> Plan:
         b.immediate("enter", **enter)
         b.immediate("aside", inputs="out", outputs="side", weight=0.3)
         b.exponential("return", rate=_rate(source), inputs="side", outputs="out")
-    b.immediate("leave", inputs="in", outputs=["out", "bin"], weight=0.5)
+    # were there no capacities, there would still be an end of states
+    b.immediate("leave", inputs="in", outputs=["out", "bin"], weight=0.5, inhibitors={"bin": 4})
     b.immediate("again", inputs="in", outputs="in", weight=0.8)
     b.immediate("drop", inputs="in", outputs="out", weight=0.2)
     b.exponential("empty", rate=_rate(source), servers=source.choice([1, 2, None]), inputs="bin")
@@ -777,7 +812,9 @@ FAMILIES: Dict[str, Callable[[random.Random], Plan]] = {
         candidates,
         policy_rows,
         mixed_partners,
+        asked_exponential,
         who_stays,
+        who_asked,
         capacities,
         inhibitors,
         degrees,
