@@ -415,6 +415,7 @@ _TABLE: Sequence[Any] = (
         "weights decide as well",
         ["policy_rows"],
         (K.weigh, "        < 0\n", "        < numbers[0] + 10**9\n"),
+        (K.weigh, "always == 0", "always < 2"),
     ),
     (
         "rows of others",
