@@ -1308,9 +1308,9 @@ _TABLE: Sequence[Any] = (
     (
         "agents",
         "simulation",
-        "those that go stay active",
-        ["agents", "losses"],
-        (K.play, "                n_active -= 1", "                pass"),
+        "none appear",
+        ["agents"],
+        (B.PlanTables._movers, "left.append(slots)", "left.append([])"),
     ),
     (
         "routes",
