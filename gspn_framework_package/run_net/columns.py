@@ -10,7 +10,8 @@ state of a run net counts the robots in each:
 * *newest*, *asking*, *holding t* and *idle*: done, and the policy decides. It has just finished, as
   the last of all; it has yet to draw; it has drawn t, which can fire as soon as a partner is done;
   it has drawn what this marking does not enable, or there is nothing to draw;
-* *stuck*: its action has failed for good, or is done and nothing comes next.
+* *stuck*: its action has failed for good, or said nothing that is possible;
+* *inactive*: done in a place that no transition leaves.
 
 Every other place has one column.
 """
@@ -71,6 +72,7 @@ class PlaceColumns(NamedTuple):
     :ivar newest, asking, idle: -1 where no robot asks the policy.
     :ivar holding: transition -> column of the robots that have drawn it.
     :ivar stuck: -1 if the action always says what to do next.
+    :ivar inactive: -1 if a transition leaves the place.
     """
 
     entry: Shares
@@ -84,6 +86,7 @@ class PlaceColumns(NamedTuple):
     idle: int = -1
     holding: Mapping[int, int] = {}
     stuck: int = -1
+    inactive: int = -1
 
     @property
     def at_policy(self) -> Tuple[int, ...]:
@@ -113,6 +116,7 @@ class PlaceColumns(NamedTuple):
             (self.asking, "done, asks the policy"),
             (self.idle, "done, waits"),
             (self.stuck, "stuck"),
+            (self.inactive, "inactive"),
         ):
             if column >= 0:
                 yield column, "%s (%s)" % (place, what)

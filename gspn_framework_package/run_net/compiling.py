@@ -113,6 +113,7 @@ class _Compiler:
                 for p, place in enumerate(net.places)
                 if self._acts[p]
             }
+        self._outlives_robots = not self._classical and not all(self._robots_of)
         self._late = {p for p in self._timing if self._takes_time(p) or self._ends_at_once(p)}
         self._keeps_draws = not self._classical and any(
             self._robots_of[t]
@@ -268,8 +269,14 @@ class _Compiler:
             return True
         if self._classical:
             return all(self._net.transitions[t].timed for t in self._net.consumers[p])
-        nothing_follows = not self._net.consumers[p] or self._only_events(p)
-        return nothing_follows and not self._failure_leads_on(p)
+        if self._failure_leads_on(p):
+            return False
+        if self._net.consumers[p]:
+            return self._only_events(p)
+        # when its action is done matters where the run could go on without robots
+        return not self._outlives_robots or not (
+            self._failure(p) or self._timing[p].duration.mean > 0
+        )
 
     def _waits_for_partners(self, p: int, t: int) -> bool:
         """Whether transition ``t``, drawn in place ``p``, may have to wait for a partner that is
@@ -324,7 +331,8 @@ class _Compiler:
         named = {t: next(numbers) for t in asked}
         stops = failure > 0 and self._rule(p).kind is FailureKind.STOP
         stuck = -1
-        if not outcomes or (failure and fallback < 0):
+        inactive = next(numbers) if not self._net.consumers[p] else -1
+        if (not outcomes and inactive < 0) or (failure and fallback < 0):
             stuck = next(numbers)
         newest = asking = idle = -1
         holding: Dict[int, int] = {}
@@ -340,7 +348,7 @@ class _Compiler:
         at_policy = newest if tries else asking
         done = [End(t, at_policy if t == POLICY else named[t], v) for t, v in outcomes]
         if not outcomes:
-            done = [End(None, stuck, 1.0)]
+            done = [End(None, inactive if inactive >= 0 else stuck, 1.0)]
         if fallback >= 0:
             failed = [End(fallback, named[fallback], 1.0)]
         else:
@@ -368,6 +376,7 @@ class _Compiler:
             idle=idle,
             holding=holding,
             stuck=stuck,
+            inactive=inactive,
         )
         return columns, next(numbers)
 
@@ -416,6 +425,13 @@ class _Compiler:
         )
         return Duration.erlang(int(most), duration.mean)
 
+    def _inactive(self) -> Tuple[int, ...]:
+        return tuple(
+            self._columns[p].inactive if p in self._columns else self._whole[p]
+            for p in self._timing
+            if not self._net.consumers[p]
+        )
+
     def _entry(self, p: int) -> Shares:
         return self._columns[p].entry if p in self._columns else ((self._whole[p], 1.0),)
 
@@ -443,6 +459,7 @@ class _Compiler:
             self._whole,
             self._parts,
             self._stopped,
+            self._inactive() if self._outlives_robots else (),
             [(tuple(counts), v) for counts, v in begin],
             self._racing,
             [

@@ -58,6 +58,8 @@ class RunNet:
     :ivar whole: the column of each other place.
     :ivar parts: the columns of each place: from, to.
     :ivar stopped: the column that counts whether a failure has stopped the team; -1: none can.
+    :ivar inactive: the columns of robots that are Inactive; empty where it makes no difference that
+        a run ends when all are.
     :ivar begin: the states that a run begins in, with probabilities.
     :ivar racing: the places that are not split although actions there take time.
     :ivar interrupts: the events that come to robots.
@@ -93,6 +95,7 @@ class RunNet:
     whole: Mapping[int, int]
     parts: Sequence[Tuple[int, int]]
     stopped: int
+    inactive: Tuple[int, ...]
     begin: Sequence[Tuple[State, float]]
     racing: Sequence[Racing]
     interrupts: Sequence[EventClock]
@@ -140,7 +143,12 @@ class RunNet:
 
     def has_ended(self, state: State, marking: Marking) -> bool:
         """Whether the run has ended in a state, which has this marking."""
-        return (self.stopped >= 0 and state[self.stopped] > 0) or self.is_over(marking)
+        if self.stopped >= 0 and state[self.stopped] > 0:
+            return True
+        robots = [state[column] for column in self.inactive]
+        if any(robots) and sum(robots) == sum(n for n, acts in zip(marking, self.acts) if acts):
+            return True
+        return self.is_over(marking)
 
     @property
     def interrupted(self) -> Dict[int, int]:

@@ -178,7 +178,8 @@ def optimiser_and_net(case: Case) -> List[str]:
 
 def optimum_and_run(case: Case) -> List[str]:
     """The best policy is worth in the run what the optimiser says, and no less than the present
-    one, unless the optimiser says that another may be better: until an end at a constant rate, which is what the optimiser calls a discount."""
+    one, unless the optimiser says that another may be better: until an end at a constant rate, which is
+    what the optimiser calls a discount."""
     rate = END_RATES[1]
     present = case.exponential_run.fired[rate]
     number = max(range(len(present)), key=present.__getitem__)
@@ -324,9 +325,9 @@ UNTIMED = (
 )
 """The families in whose ``busy`` plans a robot may always wait until another one is done."""
 
-OWN_WAYS = ("held_events", "identities", "at_rest")
-"""The families with something that the chain leaves out: that events are held, that robots differ,
-and that a run ends when all robots are in places that they never leave."""
+OWN_WAYS = ("held_events", "identities")
+"""The families with something that the chain leaves out: that events are held, and that robots
+differ."""
 
 
 class Comparison(NamedTuple):

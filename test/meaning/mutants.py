@@ -1124,6 +1124,13 @@ _TABLE: Sequence[Any] = (
         ["at_rest"],
         (K.play, "if n_active > 0 and inactives == n_active:", "if n_active < 0:"),
     ),
+    (
+        "all at rest",
+        "chain",
+        "the run goes on",
+        ["at_rest"],
+        (N.has_ended, "any(robots) and", "False and"),
+    ),
     # -- failures
     (
         "failures",

@@ -612,7 +612,8 @@ def at_rest(source: random.Random) -> Plan:
     b.exponential("end", rate=_rate(source), inputs="b", outputs="sink")
     b.exponential("tick", rate=_rate(source), outputs="clock", inhibitors="clock")
     b.exponential("tock", rate=_rate(source), inputs="clock")
-    return _plan(b.build(), resources=["clock"], durations={"a": _mean(source)})
+    durations = {p: _mean(source) for p in ("a", "sink") if p == "a" or source.random() < 0.5}
+    return _plan(b.build(), resources=["clock"], durations=durations)
 
 
 def failures(source: random.Random) -> Plan:

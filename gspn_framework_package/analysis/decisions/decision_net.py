@@ -14,7 +14,11 @@ from __future__ import annotations
 import enum
 from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.decisions.who_decides import Decider
+from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.model.plan_timing import POLICY
@@ -152,6 +156,20 @@ class DecisionNet:
         ]
         self.place_of = [number.get(place.name, -1) for place in plan.net.places]
 
+    def busy(self, space: StateSpace) -> Booleans:
+        """Boolean array: the states of a space of this net in which a robot is not Inactive, or
+        there is none; the run has ended in the others."""
+        robots = np.zeros(len(space), dtype=np.int64)
+        inactive = np.zeros(len(space), dtype=np.int64)
+        for p, parts in self._split.items():
+            here = space.column(self.net.place_index[self._source.places[p].name])
+            robots += here
+            if not self._source.consumers[p]:
+                inactive += here
+                if parts.doing:
+                    inactive -= space.column(self.net.place_index[parts.doing])
+        return (inactive < robots) | (robots == 0)
+
     def start(self, marking: Sequence[int]) -> Tuple[int, ...]:
         """The state in which a run with this initial marking (of the plan's net) begins."""
         counts = [0] * len(self.net.places)
@@ -173,7 +191,7 @@ class DecisionNet:
         columns = self._run_net.columns.get(p)
         if columns is None:
             return _Parts(name, racing=self._racing.get(self._run_net.whole[p], {}))
-        if not columns.outcomes:
+        if not columns.outcomes and columns.inactive < 0:
             return _Parts(name)
         outcomes = [t for t, _ in columns.outcomes]
         takes_time = bool(columns.attempts)
@@ -198,7 +216,7 @@ class DecisionNet:
         self.resting += named.values()
         if arriving:
             self.resting.append(arriving)
-        elif asking:
+        elif asking or not outcomes:
             self.resting.append(doing)
         return _Parts(entry, doing, asking, named, arriving)
 
@@ -411,6 +429,9 @@ class DecisionNet:
             return
         columns = self._run_net.columns[p]
         step = Stage.TIMED if parts.doing else Stage.ARRIVED
+        if not columns.outcomes:  # what follows is nothing
+            rate = columns.attempts[0].rates[0]
+            self._add(step, "(%s ends)" % source, -1, [(source, 1)], [], rate=rate)
         for t, v in columns.outcomes:
             number = self._add(
                 step,

@@ -168,6 +168,8 @@ class DecisionProblem:
         self._over = (
             self.space.holds(plan.until) if plan.until else np.zeros(len(self.space), dtype=bool)
         )
+        if self._run_net.inactive:
+            self._over |= ~self._net.busy(self.space)
         self.stages = Stages(self._net, self.space, self._over)
         self._late = self._order_matters()
         self._plays: Dict[Policy, Play] = {}
