@@ -10,6 +10,7 @@ Behind it, each folder builds on those before it:
 - ``state_space``: the reachable markings, found by one of three engines; coverability; properties
   read off the graph (deadlocks, liveness, home states);
 - ``plan``: the same for a plan under its policy;
+- ``proofs``: what holds in all markings, by the state equation, where they are too many to visit;
 - ``chain``: the Markov chain of a state space, vanishing markings eliminated;
 - ``solution``: steady state, transient, first passage, and the measures derived from them;
 - ``simulation``: many runs of a net or a plan, with confidence intervals;

@@ -662,6 +662,13 @@ def test_a_check_imports_only_what_it_needs():
     assert len(own) <= 60, sorted(own)
 
 
+def test_a_check_that_visits_all_markings_imports_no_solver():
+    checked, imported = gspn_importing("check", "plans/rendezvous")
+    assert checked.returncode == 0
+    assert PACKAGE.name + ".analysis.preflight.markings" in imported
+    assert "scipy.optimize" not in imported
+
+
 def test_version():
     shown = gspn("--version")
     assert (shown.returncode, shown.stdout.split()) == (

@@ -1,7 +1,8 @@
 """The check before any robot moves ("preflight"; thesis 4.3.5 and ``docs/semantics.md``).
 
 The structure is checked first, in milliseconds. Markings are visited only for the questions that it
-leaves open, up to a limit; questions still open after that are reported as not decided.
+leaves open, up to a limit. Whether a run can get stuck is then put to a proof. Questions still open
+after that are reported as not decided.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ def check(
     standalone: bool = False,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    prove: bool = True,
 ) -> PreflightReport:
     """Check a plan before it runs.
 
@@ -40,6 +42,7 @@ def check(
     :param standalone: the tokens are agents, which a net may create and destroy, not robots.
     :param progress: receives the number of markings at intervals.
     :param cancel: called at intervals; returns whether to stop.
+    :param prove: whether to prove what the markings leave open, which may take seconds.
     :raises PlanError: the plan is invalid: a name does not exist, or a rule is invalid.
     :raises PolicyError: the policy is invalid in the same way.
     :raises CancelledError: ``cancel`` returned true.
@@ -57,7 +60,7 @@ def check(
         # most plans do not need it, nor the exploration that it imports
         from gspn_framework_package.analysis.preflight.markings import MarkingChecks
 
-        by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel)
+        by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel, prove)
         markings = by_marking.look_at_markings()
     if server_probe is not None:
         by_name.look_at_servers(server_probe)

@@ -24,6 +24,9 @@ from gspn_framework_package.analysis.state_space.coverability import Coverabilit
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.errors import LimitError
 
+PROOF_SECONDS = 5.0
+"""Longest time that a proof may take (s)."""
+
 TREE_NODES = 5_000
 """Largest number of nodes of the coverability tree that shows which places grow."""
 
@@ -33,6 +36,7 @@ class MarkingChecks:
 
     :param structure: the structural checks, with the questions that they left open.
     :param limit: largest number of markings to visit.
+    :param prove: whether to prove what they leave open.
     """
 
     def __init__(
@@ -42,6 +46,7 @@ class MarkingChecks:
         limit: int,
         progress: Optional[Progress],
         cancel: Optional[Cancel],
+        prove: bool,
     ) -> None:
         self.plan = structure.plan
         self.net = structure.net
@@ -49,14 +54,11 @@ class MarkingChecks:
         self.progress, self.cancel = progress, cancel
         self._structure = structure
         self._list = checklist
+        self._prove = prove
 
     def look_at_markings(self) -> PlanMarkings:
         """Visit markings, answer the open questions, and return the markings."""
-        losses = (
-            self.plan.timing.evict_after > 0
-            and len(self.plan.robots) > 1
-            and not self._structure.standalone
-        )
+        losses = self._robots_can_be_lost()
         markings = self._visit(False)
         if losses and markings.complete:
             with_losses = self._visit(True)
@@ -68,13 +70,16 @@ class MarkingChecks:
                     Severity.WARNING,
                     "teams that lost a robot were not checked: more than %d markings" % self.limit,
                 )
-        if not markings.complete:
+        left = list(self._structure.open)
+        if not markings.complete and "dead_markings" in left and self._proven_alive(markings):
+            left.remove("dead_markings")
+        if not markings.complete and left:
             self._list.add(
                 "exploration",
                 Severity.WARNING,
                 "not decided within %d markings: %s; the findings so far are "
-                "listed" % (len(markings.space), name_list(self._structure.open)),
-                open=list(self._structure.open),
+                "listed" % (len(markings.space), name_list(left)),
+                open=left,
             )
         answers = {
             "conservative": self._decide_conservative,
@@ -84,7 +89,7 @@ class MarkingChecks:
             "dead_markings": self._decide_dead,
             "policy": self._decide_policy,
         }
-        for question in self._structure.open:
+        for question in left:
             answers[question](markings)
         if markings.complete and markings.losses == losses:
             self._look_at_waiting(markings)
@@ -98,6 +103,39 @@ class MarkingChecks:
                     transitions=never,
                 )
         return markings
+
+    def _robots_can_be_lost(self) -> bool:
+        return (
+            self.plan.timing.evict_after > 0
+            and len(self.plan.robots) > 1
+            and not self._structure.standalone
+        )
+
+    def _proven_alive(self, markings: PlanMarkings) -> bool:
+        """Whether it is proven, and reported, that no dead marking is reachable, of which the
+        visited markings have none."""
+        if not self._prove or next(markings.dead(after_losses=False), None) is not None:
+            return False
+        # few plans need it, nor the solver that it imports
+        from gspn_framework_package.analysis.proofs.dead_markings import plan_never_dead
+        from gspn_framework_package.analysis.proofs.program import solver_available
+
+        if not solver_available():
+            return False
+        losses = self._robots_can_be_lost()
+        for lost in (True, False) if losses else (False,):
+            if plan_never_dead(self.plan, PROOF_SECONDS, losses=lost, cancel=self.cancel):
+                of = "" if lost or not losses else " as long as no robot is lost"
+                self._list.add(
+                    "dead_markings",
+                    Severity.OK,
+                    "no dead marking can be reached%s: the state equation has no solution in which "
+                    "nothing can happen" % of,
+                    decided_by="state equation",
+                    losses=lost,
+                )
+                return True
+        return False
 
     def _visit(self, losses: bool) -> PlanMarkings:
         return PlanMarkings(

@@ -41,10 +41,14 @@ def report_soon(
     deadline = clock() + CHECK_TIME
     try:
         return check(
-            plan, standalone=standalone, limit=CHECK_MARKINGS, cancel=lambda: clock() > deadline
+            plan,
+            standalone=standalone,
+            limit=CHECK_MARKINGS,
+            cancel=lambda: clock() > deadline,
+            prove=False,
         )
     except CancelledError:
-        return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST)
+        return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST, prove=False)
 
 
 def why_refused(plan: Plan, standalone: bool = False) -> str:

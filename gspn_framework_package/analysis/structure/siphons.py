@@ -81,6 +81,16 @@ def largest_siphon(
     return _largest(net, (arcs or Directions(net)).siphons, within)
 
 
+def largest_trap(
+    net: Net, within: Iterable[str], *, arcs: Optional[Directions] = None
+) -> Tuple[str, ...]:
+    """The largest trap inside a set of places (names), in the order of the net; it may be empty.
+
+    :param arcs: the arcs of the net, if known.
+    """
+    return _largest(net, (arcs or Directions(net)).traps, within)
+
+
 def unguarded_siphon(
     net: Net,
     limit: int = STRUCTURE_LIMIT,
