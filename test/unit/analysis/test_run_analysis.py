@@ -623,8 +623,7 @@ def test_a_timeout_cuts_an_attempt_off(duration):
     plan = workshop(rule, failures={}, timeouts={"work": 1.2}, durations={"work": duration})
     analysis = Analysis(plan)
     late = duration.survival(1.2)
-    times = np.linspace(0, 1.2, 100_001)
-    mean = integrate.trapezoid(duration.survival(times), times)
+    mean, _ = integrate.quad(duration.survival, 0, 1.2, points=[0.2])
     cycle = mean + (1 - late) * 2 + late * 5
     assert analysis.measures.throughput["break"] == pytest.approx(late / cycle, rel=1e-6)
     assert any("is cut off" in said for said in analysis.timing.assumptions)

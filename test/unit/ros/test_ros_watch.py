@@ -58,7 +58,7 @@ def test_an_operators_program_says_that_no_master_answers(master):
 @pytest.mark.timeout(60)
 def test_an_order_of_the_page_says_it_too(master):
     watch = TeamWatch(read_plan("plans/patrol"), RosConnection(), "monday")
-    watch._names = {"/robot_1": "robot_1"}
+    watch.names = {"/robot_1": "robot_1"}
     with pytest.raises(RefusedError, match="the ROS master does not answer"):
         watch.command("stop", {})
     with pytest.raises(UnreachableError, match="the ROS master does not answer"):
