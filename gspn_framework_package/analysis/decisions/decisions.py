@@ -179,7 +179,8 @@ class Decisions:
                 teams.append(found)
                 decided.append(found.grouped.decided)
         policy = plan.policy
-        if without or not all(team.grouped.kept for team in teams):
+        # where nothing is for the policy to decide, rows would only draw what cannot fire yet
+        if self.problem.deciders and (without or not all(team.grouped.kept for team in teams)):
             policy = policy_of(plan, _joined(decided), cancel=self._cancel)
         return Solution(policy, own.value(request), own.lower, own.upper, tuple(teams), without)
 

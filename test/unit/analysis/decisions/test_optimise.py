@@ -293,3 +293,24 @@ def test_a_rate_that_plays_no_part_is_not_uncertain():
     )
     with pytest.raises(UsageError, match="driven: its rate has no effect"):
         optimise(plan, request, simulated=0)
+
+
+def test_rows_are_not_written_where_nothing_is_for_the_policy_to_decide():
+    """By weights a robot never waits for a partner; a row with the same chances would make it."""
+    net = (
+        NetBuilder()
+        .place("work", tokens=2)
+        .place("done")
+        .immediate("finish", inputs="work", outputs="done", inhibitors="done")
+        .immediate("pair", inputs={"work": 2}, outputs={"done": 2})
+        .exponential("again", rate=2.0, inputs="done", outputs="work")
+        .build()
+    )
+    plan = Plan(
+        net,
+        actions={"work": FunctionAction("a.b", "b")},
+        durations={"work": Duration.exponential(0.7)},
+    )
+    report = optimise(plan, Request(Objective.long_run({"finish": 1.0})), simulated=0.0)
+    assert report.plan.policy == plan.policy
+    assert report.teams[0].value == pytest.approx(Analysis(plan).measures.throughput["finish"])
