@@ -116,7 +116,7 @@ class PlaceColumns(NamedTuple):
             (self.asking, "done, asks the policy"),
             (self.idle, "done, waits"),
             (self.stuck, "stuck"),
-            (self.inactive, "inactive"),
+            (self.inactive, "done for good"),
         ):
             if column >= 0:
                 yield column, "%s (%s)" % (place, what)
