@@ -73,6 +73,7 @@ autodoc_mock_imports = [
 LAYERS = {
     "model": "Nets, markings, policies, plans, errors. Immutable; no input or output, no ROS.",
     "formats": "Readers and writers: each file format to and from the model.",
+    "run_net": "What a plan means while it runs, compiled once.",
     "analysis": "Structure, state spaces, Markov chains: model in, result objects out.",
     "execution": "The token game, the event log, the agreement among robots, the standalone "
     "executor.",
