@@ -95,9 +95,8 @@ class _Compiler:
         self._net = net = _net_of(plan, counters)
         self._acts = [p.name not in plan.resource_places for p in net.places]
         self._assumptions: List[str] = []
-        full = [plan.net.transition_number(t.name) for t in net.transitions]
-        self._short = {t: i for i, t in enumerate(full)}
-        self._changes = [bool(plan.net.effect(t)) for t in full]
+        # a firing that only adds to a counter changes the marking of the run
+        self._changes = [bool(plan.net.effect(t)) for t in range(len(net.transitions))]
         self._robots_of = [tuple((p, w) for p, w in arcs if self._acts[p]) for arcs in net.inputs]
         self._by_event = {
             t: p
@@ -113,6 +112,7 @@ class _Compiler:
                 for p, place in enumerate(net.places)
                 if self._acts[p]
             }
+        self._failures = {p: self._failure(p) for p in self._timing}
         self._outlives_robots = not self._classical and not all(self._robots_of)
         self._late = {p for p in self._timing if self._takes_time(p) or self._ends_at_once(p)}
         self._keeps_draws = not self._classical and any(
@@ -133,7 +133,7 @@ class _Compiler:
             name = net.places[p].name
             if timing is not None and name in timing.splits:
                 self._splits[name] = timing.splits[name]
-            elif p in self._timing and self._failure(p):
+            elif self._failures.get(p):
                 self._splits[name] = "an attempt at its action can fail"
 
     # -- places ------------------------------------------------------------------------------------
@@ -173,15 +173,18 @@ class _Compiler:
         says what is possible."""
         if self._classical:
             return ((POLICY, 1.0),)
-        consumers = self._net.consumers[p]
-        possible = [
-            (t if t == POLICY else self._short[t], v)
-            for t, v in self._timing[p].outcomes
-            if v > 0 and (t != POLICY or not self._is_ambiguous(p))
-        ]
-        possible = [(t, v) for t, v in possible if t == POLICY or t in consumers]
+        possible = self._possible(p)
         total = sum(v for _, v in possible)
         return tuple((t, v / total if total < 1.0 - _ROUNDING else v) for t, v in possible)
+
+    def _possible(self, p: int) -> List[Tuple[int, float]]:
+        """Those of the plan's outcomes in place ``p`` that say what is possible there."""
+        consumers = self._net.consumers[p]
+        return [
+            (t, v)
+            for t, v in self._timing[p].outcomes
+            if v > 0 and (t in consumers if t != POLICY else not self._is_ambiguous(p))
+        ]
 
     def _is_ambiguous(self, p: int) -> bool:
         """Whether several exponential transitions leave place ``p``, and no other: an action that
@@ -194,12 +197,9 @@ class _Compiler:
     def _failure(self, p: int) -> float:
         """The probability that an attempt in place ``p`` fails: it is cut off, or does not succeed,
         or says nothing that is possible."""
-        timing = self._timing[p]
-        says = sum(v for t, v in timing.outcomes if t != POLICY or not self._is_ambiguous(p))
-        if timing.outcomes or self._net.consumers[p]:
-            succeeds = (1.0 - timing.failure) * min(says, 1.0)
-        else:
-            succeeds = 1.0 - timing.failure
+        succeeds = 1.0 - self._timing[p].failure
+        if self._net.consumers[p]:
+            succeeds *= min(sum(v for _, v in self._possible(p)), 1.0)
         failure = 1.0 - (1.0 - self._cut_off(p)) * succeeds
         return failure if failure > _NEVER else 0.0
 
@@ -213,11 +213,14 @@ class _Compiler:
 
     def _failure_leads_on(self, p: int) -> bool:
         """Whether a failure in place ``p`` has another effect than that the robot stays there."""
-        rule = self._rule(p)
-        return self._failure(p) > 0 and (rule.kind is FailureKind.STOP or self._fallback(p) >= 0)
+        return self._failures[p] > 0 and (self._stops(p) or self._fallback(p) >= 0)
 
     def _rule(self, p: int) -> FailureRule:
         return self._plan.failure_rule(self._net.places[p].name)
+
+    def _stops(self, p: int) -> bool:
+        """Whether a failure in place ``p`` stops the team."""
+        return self._failures[p] > 0 and self._rule(p).kind is FailureKind.STOP
 
     def _fallback(self, p: int) -> int:
         """The transition that a robot in place ``p`` asks for when its action has failed; -1: it
@@ -236,7 +239,7 @@ class _Compiler:
             timing.duration.mean > 0
             and _is_exponential(timing.duration)
             and bool(timing.outcomes)
-            and not self._failure(p)
+            and not self._failures[p]
             and all(t != POLICY for t, v in timing.outcomes if v > 0)
             and all(
                 self._net.transitions[t].timed and self._net.fires_alone(t, p)
@@ -275,7 +278,7 @@ class _Compiler:
             return self._only_events(p)
         # when its action is done matters where the run could go on without robots
         return not self._outlives_robots or not (
-            self._failure(p) or self._timing[p].duration.mean > 0
+            self._failures[p] or self._timing[p].duration.mean > 0
         )
 
     def _waits_for_partners(self, p: int, t: int) -> bool:
@@ -285,9 +288,7 @@ class _Compiler:
 
     def _lay_out(self, with_phases: bool) -> None:
         width = 0
-        if any(
-            self._rule(p).kind is FailureKind.STOP and self._failure(p) > 0 for p in self._timing
-        ):
+        if any(map(self._stops, self._timing)):
             self._stopped, width = 0, 1
         for p in range(len(self._net.places)):
             first = width
@@ -310,12 +311,14 @@ class _Compiler:
         numbers = itertools.count(first)
         tries, repeats = self._tries(p)
         entries: List[Shares] = []
+        exits: List[List[int]] = []  # of each attempt: the columns in which it ends
         attempts: List[TimedAttempt] = []
         arriving: List[int] = []
         for duration, what in tries:
             if duration.mean == 0:
                 arriving.append(next(numbers))
                 entries.append(((arriving[-1], 1.0),))
+                exits.append([arriving[-1]])
                 continue
             phases = phases_of(duration) if with_phases else single_phase(duration)
             assert phases is not None  # the caller has asked
@@ -323,13 +326,13 @@ class _Compiler:
             following = tuple(f if f < 0 else doing[f] for f in phases.following)
             attempts.append(TimedAttempt(doing, phases.rates, following, duration, what))
             entries.append(tuple((doing[phase], v) for phase, v in phases.start))
-        failure = self._failure(p) if tries else float(not self._classical and not outcomes)
+            exits.append([column for column, f in zip(doing, following) if f < 0])
+        failure = self._failures[p] if tries else float(not self._classical and not outcomes)
         fallback = self._fallback(p) if failure else -1
         asked = [t for t, _ in outcomes if t != POLICY]
         if fallback >= 0 and fallback not in asked:
             asked.append(fallback)
         named = {t: next(numbers) for t in asked}
-        stops = failure > 0 and self._rule(p).kind is FailureKind.STOP
         stuck = -1
         inactive = next(numbers) if not self._net.consumers[p] else -1
         if (not outcomes and inactive < 0) or (failure and fallback < 0):
@@ -352,19 +355,17 @@ class _Compiler:
         if fallback >= 0:
             failed = [End(fallback, named[fallback], 1.0)]
         else:
-            failed = [End(None, stuck, 1.0, stops)]
+            failed = [End(None, stuck, 1.0, bool(tries) and self._stops(p))]
         ends: Dict[int, Tuple[End, ...]] = {}
-        for number, entry in enumerate(entries):
-            again = entries[number + 1] if number + 1 < len(entries) else entry if repeats else None
-            fails = failed if again is None else [End(None, column, v) for column, v in again]
+        again = [*entries[1:], *(entries[-1:] if repeats else ())]
+        for columns, following_entry in itertools.zip_longest(exits, again):
+            fails = failed
+            if following_entry is not None:
+                fails = [End(None, column, v) for column, v in following_entry]
             here = [end._replace(probability=end.probability * (1.0 - failure)) for end in done]
             here += [end._replace(probability=end.probability * failure) for end in fails]
-            lasts = {column for column, _ in entry}
-            for attempt in attempts:
-                if attempt.columns[0] <= entry[0][0] <= attempt.columns[-1]:
-                    lasts = {c for c, f in zip(attempt.columns, attempt.following) if f < 0}
-            ends.update(dict.fromkeys(lasts, tuple(end for end in here if end.probability > 0)))
-        columns = PlaceColumns(
+            ends.update(dict.fromkeys(columns, tuple(end for end in here if end.probability > 0)))
+        layout = PlaceColumns(
             entries[0] if entries else tuple((end.column, end.probability) for end in done),
             ends=ends,
             outcomes=outcomes,
@@ -378,7 +379,7 @@ class _Compiler:
             stuck=stuck,
             inactive=inactive,
         )
-        return columns, next(numbers)
+        return layout, next(numbers)
 
     def _tries(self, p: int) -> Tuple[List[Tuple[Duration, str]], bool]:
         """The attempts at the action of place ``p``: how long each takes, also in words, and
@@ -395,7 +396,7 @@ class _Compiler:
                 "whether an attempt in %s is cut off does not depend on how long it takes"
                 % self._net.places[p].name
             )
-        failure = self._failure(p)
+        failure = self._failures[p]
         if rule.kind is not FailureKind.RETRY or not failure:
             return [(first, what)], False
         again, words = first, what
@@ -462,6 +463,7 @@ class _Compiler:
             self._inactive() if self._outlives_robots else (),
             [(tuple(counts), v) for counts, v in begin],
             self._racing,
+            self._by_event,
             [
                 EventClock(t, net.transitions[t].rate, tuple(range(*self._parts[p])))
                 for t, p in self._by_event.items()

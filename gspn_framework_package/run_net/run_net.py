@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Dict, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.net import Marking, Net
@@ -62,7 +62,8 @@ class RunNet:
         a run ends when all are.
     :ivar begin: the states that a run begins in, with probabilities.
     :ivar racing: the places that are not split although actions there take time.
-    :ivar interrupts: the events that come to robots.
+    :ivar interrupted: the transitions by which events interrupt robots -> the place of the robot.
+    :ivar interrupts: these events.
     :ivar races: exponential transitions with rates by the marking.
     :ivar spontaneous: immediate transitions that only take resources.
     :ivar takes: for each transition the robots that it takes where one asks for it, by place.
@@ -98,6 +99,7 @@ class RunNet:
     inactive: Tuple[int, ...]
     begin: Sequence[Tuple[State, float]]
     racing: Sequence[Racing]
+    interrupted: Mapping[int, int]
     interrupts: Sequence[EventClock]
     races: Sequence[Race]
     spontaneous: Sequence[int]
@@ -149,14 +151,3 @@ class RunNet:
         if any(robots) and sum(robots) == sum(n for n, acts in zip(marking, self.acts) if acts):
             return True
         return self.is_over(marking)
-
-    @property
-    def interrupted(self) -> Dict[int, int]:
-        """The transitions by which events interrupt robots -> the place of the robot."""
-        return {
-            t: p
-            for t, transition in enumerate(self.net.transitions)
-            if transition.timed and transition.name in self.plan.events
-            for p, _ in self.net.inputs[t]
-            if self.acts[p]
-        }

@@ -125,12 +125,13 @@ class Steps:
         if found is None:
             marking = self.run_net.marking(state)
             found, steps = self._one_form(state, marking)
-            self._settled[state] = found
-            if steps:
-                self._pending[found] = steps
-            elif found == state or found not in self._settled:
+            if found not in self._settled:
                 self._settled[found] = found
-                self._markings[found] = marking
+                if steps:
+                    self._pending[found] = steps
+                else:
+                    self._markings[found] = marking
+            self._settled[state] = found
         return found
 
     def _one_form(self, state: State, marking: Marking) -> Tuple[State, List[RunStep]]:

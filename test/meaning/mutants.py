@@ -618,7 +618,7 @@ _TABLE: Sequence[Any] = (
         ["counters"],
         (
             C.__init__,
-            "bool(plan.net.effect(t)) for t in full",
+            "bool(plan.net.effect(t)) for t in range(len(net.transitions))",
             "bool(net.effect(t)) for t in range(len(net.transitions))",
         ),
     ),
@@ -967,7 +967,7 @@ _TABLE: Sequence[Any] = (
         "the first one twice",
         ["mixed_partners", "degrees"],
         (
-            C._outcomes,
+            C._possible,
             "for t, v in self._timing[p].outcomes",
             "for t, v in self._timing[p].outcomes[:1] for v in (1.0,)",
         ),

@@ -203,7 +203,6 @@ class _Exploration:
         """Explore the states of a run net."""
         run_net = steps.run_net
         shortage = ("--limit", "")
-        labels_number = len(run_net.net.transitions) + PlanSpace.further_steps
         index: Dict[State, int] = {steps.start: 0}
         self.states = order = [steps.start]
         vanishing: List[bool] = []
@@ -239,7 +238,7 @@ class _Exploration:
             None,
             np.array(offsets, dtype=np.int64),
             np.array(targets, dtype=np.int32),
-            np.array(labels, dtype=label_type(labels_number)),
+            np.array(labels, dtype=label_type(steps.ends + 1)),
             explored,
         )
         named = run_net.named_columns
