@@ -543,12 +543,19 @@ def with_end(net: Net, plan: Plan) -> Net:
 
     For each count that alone satisfies ``until``, every transition gets an inhibitor arc.
     """
-    if not plan.until:
+    ends = counts_that_end(net, plan)
+    if not ends:
         return net
-    enough = parse_condition(plan.until, [p.name for p in plan.net.places]).enough()
-    ends = [(place, count) for place, count in enough if place in net.place_index and count >= 1]
     arcs = [Arc(place, t.name, count, True) for place, count in ends for t in net.transitions]
     return Net(net.places, net.transitions, net.arcs + tuple(arcs), net.name)
+
+
+def counts_that_end(net: Net, plan: Plan) -> List[Tuple[str, int]]:
+    """The places of ``net``, each with a count from which on it alone satisfies ``until``."""
+    if not plan.until:
+        return []
+    enough = parse_condition(plan.until, [p.name for p in plan.net.places]).enough()
+    return [(place, count) for place, count in enough if place in net.place_index and count >= 1]
 
 
 def with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:

@@ -16,13 +16,12 @@ from __future__ import annotations
 import time
 from typing import Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.analysis.plan.markings import with_losses
+from gspn_framework_package.analysis.plan.markings import counts_that_end, with_losses
 from gspn_framework_package.analysis.plan.structure import terminal_places
 from gspn_framework_package.analysis.proofs.program import MarkingProgram
 from gspn_framework_package.analysis.structure.invariants import place_invariants
 from gspn_framework_package.analysis.structure.siphons import Directions, largest_trap
 from gspn_framework_package.analysis.watch import Cancel
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -134,12 +133,8 @@ class _StuckPlan:
         self.program.add_row(busy, 1, float("inf"))
 
     def _run_is_not_over(self) -> None:
-        if not self._plan.until:
-            return
-        condition = parse_condition(self._plan.until, [p.name for p in self._plan.net.places])
-        for name, count in condition.enough():
-            if name in self.net.place_index and count >= 1:  # as in with_end
-                self.program.limit(self.net.place_number(name), count - 1)
+        for name, count in counts_that_end(self.net, self._plan):
+            self.program.limit(self.net.place_number(name), count - 1)
 
     def _policy_moves_nobody(self, p: int, rows: _RowsOfPlaces) -> None:
         """Require that the policy lets no robot in place number ``p`` choose what is enabled."""
