@@ -1087,7 +1087,7 @@ _TABLE: Sequence[Any] = (
         "never",
         ["ends"],
         (M._until, "if not self.plan.until:", "if True:"),
-        (markings.with_end, "if not plan.until:", "if True:"),
+        (markings.counts_that_end, "if not plan.until:", "if True:"),
     ),
     (
         "until",
