@@ -112,13 +112,13 @@ class Thief:
 
 def test_forged_and_replayed_votes_change_nothing(hub, team):
     thief = Thief(hub)
-    wait_for(
-        lambda: any(
-            b'"kind":"accepted"' in body and b'"from":"robot_2"' in body
-            for body in list(thief.heard)
-        )
-    )
-    recorded = [body for body in list(thief.heard) if b'"from":"robot_2"' in body][-10:]
+
+    def votes():  # the leader, which may be robot_2, sends "accept", and the others "accepted"
+        heard = [body for body in list(thief.heard) if b'"from":"robot_2"' in body]
+        return [body for body in heard if b'"kind":"accept' in body][-10:]
+
+    wait_for(votes)
+    recorded = votes()
 
     lanes = itertools.cycle(str(lane) for lane in range(LANES))  # a full one would hide the rest
 
