@@ -47,12 +47,17 @@ NOBODY = Giver()
 
 class Start(NamedTuple):
     """The run begins with this team: ``roster`` holds (robot, place, incarnation); ``witnesses``
-    vote but have no token. ``plan`` is the hash of the plan."""
+    vote but have no token. ``plan`` is the hash of the plan.
+
+    ``draws_ties``: chance decides between robots that could move alike. In runs that began under
+    version 4 of the protocol the first to finish goes first, for as long as they last.
+    """
 
     roster: Tuple[Tuple[str, str, int], ...]
     seed: int
     plan: str
     witnesses: Tuple[str, ...] = ()
+    draws_ties: bool = False
 
 
 class Done(NamedTuple):
@@ -266,7 +271,7 @@ _BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by"))
 """Fields that are checked for more than their type."""
 
 
-_LATER = ("again", "returns")
+_LATER = ("again", "returns", "draws_ties")
 """Fields that entries of earlier versions lack."""
 
 

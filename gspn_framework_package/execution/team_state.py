@@ -64,7 +64,7 @@ class RobotState:
     request: int = POLICY
     """The request of a DONE robot: a transition, or POLICY."""
     order: int = 0
-    """Sequence number of its ``Done``: robots move in order of completion."""
+    """Sequence number of its ``Done``."""
     failures: int = 0
     """Failed attempts since the last retry by the operator."""
     paused: bool = False
@@ -139,6 +139,8 @@ class TeamState:
     for each place. Both follow from ``robots``. ``version`` counts the changes of the marking,
     ``orders`` counts how often a robot became DONE, and ``created`` numbers new agents.
 
+    ``draws_ties`` is that of :class:`~gspn_framework_package.execution.log_entries.Start`.
+
     ``data`` belongs to the team. ``queues`` holds the tasks of each queue (place), the next one
     first; ``submitted`` holds tasks whose transition was not enabled yet; ``known`` holds the
     newest ids of tasks that arrived through each transition.
@@ -148,6 +150,7 @@ class TeamState:
     robots: Dict[str, RobotState] = field(default_factory=dict)
     witnesses: Tuple[str, ...] = ()
     seed: int = 0
+    draws_ties: bool = False
     next_slot: int = 0
     version: int = 0
     orders: int = 0
@@ -271,7 +274,7 @@ class TeamState:
             "robots": [_robot_to_json(r, net) for r in self.robots.values()],
             "witnesses": list(self.witnesses),
             **{key: getattr(self, key) for key in _PLAIN},
-            **{key: True for key in ("finished", "fault") if getattr(self, key)},
+            **{key: True for key in _FLAGS if getattr(self, key)},
             **self._reacting_to_json(net),
             **self._plans_to_json(),
         }
@@ -287,6 +290,7 @@ class TeamState:
             state = cls(
                 net.marking(data["marking"]),
                 witnesses=tuple(data["witnesses"]),
+                draws_ties=bool(data.get("draws_ties", False)),
                 finished=bool(data.get("finished", False)),
                 fault=bool(data.get("fault", False)),
                 **{key: data[key] for key in _PLAIN},
@@ -407,6 +411,7 @@ def reported_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
     return Phase.WAITING if phase is Phase.DONE else phase
 
 
+_FLAGS = ("finished", "fault", "draws_ties")
 _PLAIN = ("seed", "next_slot", "version", "orders", "created", "paused", "ended")
 _ROBOT_PLAIN = ("name", "incarnation", "visit", "attempt", "order", "failures", "paused", "why")
 

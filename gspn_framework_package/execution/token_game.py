@@ -120,7 +120,7 @@ class TokenGame(Rules):
         """The ``Start`` of the plan's own robots, each in its initial place with incarnation 0."""
         roster = tuple((r.name, r.place, 0) for r in self.plan.robots)
         return log_entries.Start(
-            roster, self.plan.seed, plan_hash or self.plan.hash(), self.plan.witness
+            roster, self.plan.seed, plan_hash or self.plan.hash(), self.plan.witness, True
         )
 
     def reduce(self, state: TeamState, slot: int, batch: Iterable[log_entries.Entry]) -> Step:
@@ -185,7 +185,7 @@ class _Reducer(Turn):
     def _start(self, entry: log_entries.Start) -> None:
         if self.state.robots:
             return
-        self.state.seed = entry.seed
+        self.state.seed, self.state.draws_ties = entry.seed, entry.draws_ties
         self.state.witnesses = tuple(entry.witnesses)
         for name, place, incarnation in entry.roster:
             self._add(RobotState(name, self.net.place_number(place), incarnation))

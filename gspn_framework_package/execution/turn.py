@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+import itertools
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
-from gspn_framework_package.execution.chance import choose, sample, uniform
+from gspn_framework_package.execution.chance import choose, shuffled, uniform
 from gspn_framework_package.execution.firing import (
     CancelAction,
     Ended,
@@ -24,6 +25,8 @@ from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import FailureKind
 from gspn_framework_package.model.plan_timing import POLICY
 
+_T = TypeVar("_T")
+
 FIRINGS_PER_ENTRY = 10_000
 """Number of firings after one entry that counts as a timeless cycle and ends the run."""
 
@@ -38,9 +41,9 @@ class Turn:
     """The state while one log slot is reduced, the position in the log, and the output so far.
 
     After each entry (``docs/semantics.md``), immediate transitions with only resource inputs fire
-    first, by priority and weight. Then come the requests of robots that are done, in order of
-    completion; higher priority takes precedence. Then come held events, and waiting tasks. This
-    repeats after each firing until nothing is enabled.
+    first, by priority and weight. Then come the requests of robots that are done: higher priority
+    takes precedence, and between equals chance decides. Then come held events, and waiting tasks.
+    This repeats after each firing until nothing is enabled.
     """
 
     def __init__(self, rules: Rules, state: TeamState, slot: int) -> None:
@@ -106,7 +109,7 @@ class Turn:
     def _fire_requested(self) -> bool:
         best: Optional[Tuple[int, RobotState]] = None
         refused = set()
-        for name in self.state.waiting:
+        for name in self._in_turn():
             robot = self.state.robots[name]
             if robot.paused:
                 continue
@@ -126,6 +129,15 @@ class Turn:
         held = robot.drawn if robot.request == POLICY else None
         self._fire(t, robot, (held.slot, held.index) if held else None)
         return True
+
+    def _in_turn(self) -> Iterable[str]:
+        """The robots that are done, in the order in which they may move now."""
+        waiting = self.state.waiting
+        draws = self.state.draws_ties and len(waiting) > 1
+        return self._shuffled(waiting, "turn") if draws else waiting
+
+    def _shuffled(self, items: Iterable[_T], what: str) -> Iterator[_T]:
+        return shuffled(items, self.state.seed, *self._position(), what)
 
     def _fire_held(self) -> bool:
         """Fire the first held event that can fire now."""
@@ -356,13 +368,20 @@ class Turn:
         return move
 
     def _bind(self, t: int, requester: Optional[RobotState]) -> List[RobotState]:
-        """The robots that ``t`` moves, place by place in the order of its arcs, including the one
-        that requested it."""
+        """The robots that ``t`` moves, place by place in the order of its arcs: the one that
+        requested it, and of the others that are free those that chance selects."""
         movers: List[RobotState] = []
         for p, weight in self.net.inputs[t]:
             if not self.rules.is_resource[p]:
                 free = self.rules.free_robots(self.state, p, t)
-                if requester in free[weight:]:
+                if self.state.draws_ties and len(free) > 1:
+                    others = [robot for robot in free if robot is not requester]
+                    chosen = [robot for robot in free if robot is requester]
+                    chosen += itertools.islice(
+                        self._shuffled(others, "in " + self._name(p)), weight - len(chosen)
+                    )
+                    free = chosen
+                elif requester in free[weight:]:
                     free = free[: weight - 1] + [requester]
                 movers += free[:weight]
         return movers
@@ -379,9 +398,7 @@ class Turn:
         surplus = len(movers) - len(slots)
         void = set()
         if surplus > 0:
-            void = set(
-                sample(range(len(movers)), surplus, self.state.seed, *self._position(), "void")
-            )
+            void = set(itertools.islice(self._shuffled(range(len(movers)), "void"), surplus))
         routes = self.rules.routing.get(t, {})
         targets: Dict[int, int] = {}
         for i, robot in enumerate(movers):

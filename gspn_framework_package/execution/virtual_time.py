@@ -121,7 +121,7 @@ class VirtualRun:
         self._loss_rate = loss_rate
         self._slowness = slowness
         self._log: Optional[EventLogWriter] = None
-        self._heap: List[Tuple[float, int, Optional[StartAction], log_entries.Entry]] = []
+        self._heap: List[Tuple[float, float, int, Optional[StartAction], log_entries.Entry]] = []
         self._numbers = itertools.count()
         self._running: Dict[str, Tuple[int, int]] = {}  # robot -> visit, attempt
         self._choices: Dict[int, Tuple[List[str], List[float]]] = {}
@@ -233,7 +233,7 @@ class VirtualRun:
             return True
         if due > time or not self._heap:
             return False
-        when, _, command, entry = heapq.heappop(self._heap)
+        when, _, _, command, entry = heapq.heappop(self._heap)
         if command is not None:
             if self._running.get(command.robot) != (command.visit, command.attempt):
                 return True  # cancelled in the meantime
@@ -362,7 +362,9 @@ class VirtualRun:
         seconds, entry = self._attempt(command)
         self._running[command.robot] = command.visit, command.attempt
         if math.isfinite(seconds):
-            self._at(self.now + command.delay + seconds, entry, command)
+            # those that take no time end in any order
+            draw = self._random.random() if seconds == 0 and self.state.draws_ties else 0.0
+            self._at(self.now + command.delay + seconds, entry, command, draw)
 
     def _attempt(self, command: StartAction) -> Tuple[float, log_entries.Entry]:
         """Draw how long an attempt takes (s), and the log entry at its end. Subclasses may override
@@ -396,9 +398,14 @@ class VirtualRun:
         return "" if t == POLICY else self.plan.net.transitions[t].name
 
     def _at(
-        self, when: float, entry: log_entries.Entry, command: Optional[StartAction] = None
+        self,
+        when: float,
+        entry: log_entries.Entry,
+        command: Optional[StartAction] = None,
+        draw: float = 0.0,
     ) -> None:
-        heapq.heappush(self._heap, (when, next(self._numbers), command, entry))
+        """Let something happen later; at one time the lowest ``draw`` comes first."""
+        heapq.heappush(self._heap, (when, draw, next(self._numbers), command, entry))
 
     def _schedule_losses(self) -> None:
         for robot in self.state.active():

@@ -7,9 +7,9 @@ state of a run net counts the robots in each:
   is exponential);
 * *arriving*: the attempt takes no time, and has yet to end;
 * *named t*: done, and the action has named transition t;
-* *newest*, *asking*, *holding t* and *idle*: done, and the policy decides. It has just finished, as
-  the last of all; it has yet to draw; it has drawn t, which can fire as soon as a partner is done;
-  it has drawn what this marking does not enable, or there is nothing to draw;
+* *asking*, *holding t* and *idle*: done, and the policy decides. It has yet to draw; it has drawn
+  t, which can fire as soon as a partner is done; it has drawn what this marking does not enable, or
+  there is nothing to draw;
 * *stuck*: its action has failed for good, or said nothing that is possible;
 * *inactive*: done in a place that no transition leaves.
 
@@ -69,7 +69,7 @@ class PlaceColumns(NamedTuple):
     :ivar attempts: the attempts that take time.
     :ivar arriving: one column for each attempt that takes none.
     :ivar named: transition -> column of the robots that named it.
-    :ivar newest, asking, idle: -1 where no robot asks the policy.
+    :ivar asking, idle: -1 where no robot asks the policy.
     :ivar holding: transition -> column of the robots that have drawn it.
     :ivar stuck: -1 if the action always says what to do next.
     :ivar inactive: -1 if a transition leaves the place.
@@ -81,7 +81,6 @@ class PlaceColumns(NamedTuple):
     attempts: Tuple[TimedAttempt, ...] = ()
     arriving: Tuple[int, ...] = ()
     named: Mapping[int, int] = {}
-    newest: int = -1
     asking: int = -1
     idle: int = -1
     holding: Mapping[int, int] = {}
@@ -93,8 +92,7 @@ class PlaceColumns(NamedTuple):
         """The columns of the robots that ask the policy."""
         if self.asking < 0:
             return ()
-        newest = (self.newest,) if self.newest >= 0 else ()
-        return (*newest, self.asking, self.idle, *self.holding.values())
+        return (self.asking, self.idle, *self.holding.values())
 
     def named_for_people(self, net: Net, p: int) -> Iterator[Tuple[int, str]]:
         """The columns, each with what its robots are up to in place ``p``, in words. Nothing if
@@ -112,7 +110,6 @@ class PlaceColumns(NamedTuple):
             for t, column in table.items():
                 yield column, "%s (done, %s %s)" % (place, does, net.transitions[t].name)
         for column, what in (
-            (self.newest, "just done"),
             (self.asking, "done, asks the policy"),
             (self.idle, "done, waits"),
             (self.stuck, "stuck"),

@@ -337,19 +337,16 @@ class _Compiler:
         inactive = next(numbers) if not self._net.consumers[p] else -1
         if (not outcomes and inactive < 0) or (failure and fallback < 0):
             stuck = next(numbers)
-        newest = asking = idle = -1
+        asking = idle = -1
         holding: Dict[int, int] = {}
         if any(t == POLICY for t, _ in outcomes):
-            if tries:
-                newest = next(numbers)
             asking, idle = next(numbers), next(numbers)
             for t in self._net.consumers[p]:
                 if not self._net.transitions[t].timed and (
                     self._keeps_draws or self._waits_for_partners(p, t)
                 ):
                     holding[t] = next(numbers)
-        at_policy = newest if tries else asking
-        done = [End(t, at_policy if t == POLICY else named[t], v) for t, v in outcomes]
+        done = [End(t, asking if t == POLICY else named[t], v) for t, v in outcomes]
         if not outcomes:
             done = [End(None, inactive if inactive >= 0 else stuck, 1.0)]
         if fallback >= 0:
@@ -372,7 +369,6 @@ class _Compiler:
             attempts=tuple(attempts),
             arriving=tuple(arriving),
             named=named,
-            newest=newest,
             asking=asking,
             idle=idle,
             holding=holding,

@@ -70,17 +70,15 @@ class Requests(NamedTuple):
     :ivar robots: how many they are.
     :ivar draw: the transitions that each of them may ask for and that can fire: transition ->
         probability. With the remaining probability it asks for nothing that can fire.
-    :ivar last: whether all others were done before (one robot only).
     """
 
     robots: int
     draw: Dict[int, float]
-    last: bool = False
 
 
 def first_to_fire(groups: Sequence[Requests], urgency: Sequence[int]) -> List[Dict[int, float]]:
     """Which request fires first. Higher urgency takes precedence; within one, every order of the
-    robots is equally likely, except for one that is known to be the last.
+    robots is equally likely.
 
     :param urgency: the urgency of each transition.
     :returns: for each group, transition -> the probability that a robot of this group goes first
@@ -91,11 +89,11 @@ def first_to_fire(groups: Sequence[Requests], urgency: Sequence[int]) -> List[Di
     first: List[Dict[int, float]] = [{} for _ in groups]
     for level in sorted({urgency[t] for group in groups for t in group.draw}, reverse=True):
         rows = []
-        for robots, draw, last in groups:
+        for robots, draw in groups:
             mine = sum(v for t, v in draw.items() if urgency[t] == level)
             above = sum(v for t, v in draw.items() if urgency[t] > level)
-            rows.append((robots, mine, max(1.0 - above - mine, 0.0), last))
-        for i, (robots, draw, _) in enumerate(groups):
+            rows.append((robots, mine, max(1.0 - above - mine, 0.0)))
+        for i, (robots, draw) in enumerate(groups):
             share = robots * _goes_first(rows, i)
             for t, v in draw.items():
                 if urgency[t] == level:
@@ -103,21 +101,16 @@ def first_to_fire(groups: Sequence[Requests], urgency: Sequence[int]) -> List[Di
     return first
 
 
-def _goes_first(groups: Sequence[Tuple[int, float, float, bool]], mine: int) -> float:
+def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
     """The probability that one robot of group ``mine``, asking for a transition of this urgency,
     fires before all others that do: the mean of 1 / (1 + number of those), and 0 if one asks for
     something more urgent.
 
     :param groups: (robots, probability of asking for something of this urgency, probability of
-        asking for nothing of this or a higher one, whether the others were done before).
+        asking for nothing of this or a higher one).
     """
     polynomial = np.ones(1)  # coefficients by the number of robots that ask for this urgency
-    for i, (robots, enabled, idle, last) in enumerate(groups):
-        factor = [idle, enabled]
-        if groups[mine][3]:
-            factor = [idle]
-        elif last:
-            factor = [idle + enabled]
+    for i, (robots, enabled, idle) in enumerate(groups):
         for _ in range(robots - (i == mine)):
-            polynomial = np.convolve(polynomial, factor)
+            polynomial = np.convolve(polynomial, [idle, enabled])
     return float((polynomial / np.arange(1, len(polynomial) + 1)).sum())

@@ -9,10 +9,9 @@ as in ``execution/turn.py``:
    do: a partner that gets done can make one of higher priority possible. A partner that gets done
    does not change the marking.
 4. Among the requests that can fire, the most urgent goes first: immediate transitions by priority,
-   then exponential ones. Between equals the first robot to finish goes first. A state does not know
-   that order, so each is equally likely; only the robot that has just finished is known to be last.
+   then exponential ones. Between equals chance decides: each is equally likely.
 5. A transition takes robots that are done and free for it: those that named it, and, if it is
-   immediate, those that ask the policy, whatever they have drawn.
+   immediate, those that ask the policy, whatever they have drawn. Each of them is equally likely.
 6. One of the robots is done whose action takes no time.
 
 Rates and probabilities leave a state accordingly: phases end at their rates, the outcome of an
@@ -76,9 +75,7 @@ class Steps:
         self._draws_end = [
             (column, c.asking) for c in asked for column in c.at_policy if column != c.asking
         ]
-        self._rests = [
-            (column, c.idle) for c in asked for column in (c.newest, c.asking) if column >= 0
-        ]
+        self._rests = [(c.asking, c.idle) for c in asked]
         self._arriving = [
             (column, p) for p, c in sorted(run_net.columns.items()) for column in c.arriving
         ]
@@ -303,13 +300,12 @@ class Steps:
                     if state[column] and t in ready:
                         asked.groups.append(Requests(state[column], {t: 1.0}))
                         asked.columns.append(column)
-            for column in (columns.newest, columns.asking):
-                if column >= 0 and state[column]:
-                    self._ask_policy(asked, state, marking, p, column, ready)
+            if columns.asking >= 0 and state[columns.asking]:
+                self._ask_policy(asked, state, marking, p, ready)
         return asked
 
     def _ask_policy(
-        self, asked: _Asked, state: State, marking: Marking, p: int, column: int, ready: Set[int]
+        self, asked: _Asked, state: State, marking: Marking, p: int, ready: Set[int]
     ) -> None:
         columns = self.run_net.columns[p]
         draw = self._draws.of(marking, p, ready)
@@ -319,19 +315,18 @@ class Steps:
             drawn = [
                 (t, v) for t, v in draw if t in columns.holding and self._net.is_enabled(marking, t)
             ]
-        if self.run_net.keeps_draws and drawn and column == columns.asking:
+        if self.run_net.keeps_draws and drawn:
             kept = [(columns.holding[t], v) for t, v in drawn]
-            asked.first.append(_Drawing(column, columns.idle, kept, 1.0))
+            asked.first.append(_Drawing(columns.asking, columns.idle, kept, 1.0))
         kept = [(columns.holding[t], v) for t, v in drawn if t not in ready]
-        asked.drawing.append(_Drawing(column, columns.idle, kept, 1.0 - sum(able.values())))
+        asked.drawing.append(_Drawing(columns.asking, columns.idle, kept, 1.0 - sum(able.values())))
         if able:
-            asked.groups.append(Requests(state[column], able, column == columns.newest))
-            asked.columns.append(column)
+            asked.groups.append(Requests(state[columns.asking], able))
+            asked.columns.append(columns.asking)
 
     def _may_outlast(self, state: State, asked: _Asked) -> bool:
         """Whether one of the requests may fire and leave draws of others, which have yet to draw,
-        as they are. Then all draw before anything fires. Not so the robot that has just finished:
-        it goes last, and if a partner takes it its own draw is never needed."""
+        as they are. Then all draw before anything fires."""
         at_policy = {self.run_net.columns[p].asking for p in self._deciding}
         asking = sum(state[robots.column] for robots in asked.first)
         return any(

@@ -106,13 +106,13 @@ class Case:
 
     @cached_property
     def run(self) -> Numbers:
-        """The run, in which ties are drawn."""
-        return self.numbers(RunSteps(self.plan, ties=True, failing=True))
+        """The run."""
+        return self.numbers(RunSteps(self.plan, failing=True))
 
     @cached_property
     def exponential_run(self) -> Numbers:
         """The same with exponential durations, where no action fails."""
-        return self.numbers(RunSteps(exponential(self.plan), ties=True))
+        return self.numbers(RunSteps(exponential(self.plan)))
 
     @cached_property
     def net_run(self) -> Numbers:
@@ -121,9 +121,9 @@ class Case:
 
     @cached_property
     def expected(self) -> Any:
-        """Expected firings and token-seconds of a run of ``TIME`` seconds, as it is: the first
-        to finish goes first, actions fail and robots are lost."""
-        steps = RunSteps(self.plan, ties=False, losses=self.losses, failing=True)
+        """Expected firings and token-seconds of a run of ``TIME`` seconds, in which actions fail and
+        robots are lost."""
+        steps = RunSteps(self.plan, losses=self.losses, failing=True)
         return self._means(steps, steps.over)
 
     @cached_property
@@ -136,8 +136,8 @@ class Case:
     def markings(self) -> Tuple[FrozenSet[Marking], FrozenSet[Marking]]:
         """The markings of the run and of the ``busy`` plan's."""
         count = len(self.plan.net.transitions)
-        steps = RunSteps(self.plan, ties=True, losses=self.losses, failing=True)
-        slow = RunSteps(busy(self.plan), ties=True, failing=True)
+        steps = RunSteps(self.plan, losses=self.losses, failing=True)
+        slow = RunSteps(busy(self.plan), failing=True)
         return (
             frozenset(SolvedChain(steps, count).markings),
             frozenset(SolvedChain(slow, count).markings),
@@ -153,7 +153,7 @@ class Case:
 
 
 def chain_and_run(case: Case) -> List[str]:
-    """``--timing run`` against the run in which ties are drawn."""
+    """``--timing run`` against the run."""
     return differences(case.numbers(old.chain(case.plan)), case.run)
 
 
@@ -192,7 +192,7 @@ def optimum_and_run(case: Case) -> List[str]:
     stays = any("the present policy stays" in note for note in report.undecided)
     if not report.exact or value is None or stays:
         return []
-    worth = case.numbers(RunSteps(exponential(report.plan), ties=True)).fired[rate][number]
+    worth = case.numbers(RunSteps(exponential(report.plan))).fired[rate][number]
     found = []
     if abs(value - worth) > 1e-9 * max(1.0, worth):
         found.append(
@@ -312,7 +312,7 @@ def _distance(rows: Any, expected: Any) -> Any:
 # -- all of them -----------------------------------------------------------------------------------
 
 UNTIMED = (
-    "newest_last",
+    "draw_again",
     "held_draws",
     "policy_rows",
     "mixed_partners",

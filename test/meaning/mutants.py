@@ -27,9 +27,9 @@ _TABLE: Sequence[Any] = (
     (
         "ties",
         "run",
-        "the last to finish goes first",
-        ["unequal_classes", "newest_last"],
-        (T._fire_requested, "in self.state.waiting:", "in reversed(list(self.state.waiting)):"),
+        "the first to finish goes first",
+        ["unequal_classes", "draw_again"],
+        (T._in_turn, "self.state.draws_ties and", "False and"),
     ),
     (
         "ties",
@@ -44,7 +44,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "each class of robots that ask is equally likely",
         ["unequal_classes"],
-        (S._ask_policy, "Requests(state[column], able", "Requests(1, able"),
+        (S._ask_policy, "Requests(state[columns.asking], able", "Requests(1, able"),
     ),
     (
         "ties",
@@ -74,27 +74,20 @@ _TABLE: Sequence[Any] = (
     (
         "ties",
         "simulation",
-        "the last to finish goes first",
-        ["unequal_classes", "newest_last"],
+        "each class of robots is equally likely",
+        ["unequal_classes", "draw_again"],
         (
             K.play,
-            "urgency == best_urgency and order[robot] < best_order",
-            "urgency == best_urgency and order[robot] > best_order",
+            "waits[group] + (rivals if urgency == best_urgency else 0)",
+            "waits[group] * (2 if urgency == best_urgency and rivals else 1)",
         ),
     ),
     (
-        "newest last",
-        "chain",
-        "it is like any other",
-        ["newest_last"],
-        (S._ask_policy, "column == columns.newest)", "False)"),
-    ),
-    (
-        "newest last",
-        "shared",
-        "it goes first",
-        ["newest_last"],
-        (requests._goes_first, "factor = [idle + enabled]", "factor = [idle]"),
+        "ties",
+        "simulation",
+        "the first that asks goes first",
+        ["unequal_classes", "draw_again"],
+        (K.play, "any_of_these(rivals, random) == 0", "rivals == 1"),
     ),
     (
         "urgency",
@@ -143,7 +136,11 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "the lowest priority goes first",
         ["unequal_classes"],
-        (K.play, "urgency > best_urgency or", "best_urgency < -1 or urgency < best_urgency or"),
+        (
+            K.play,
+            "if urgency >= best_urgency:",
+            "if best_urgency < -1 or urgency <= best_urgency:",
+        ),
     ),
     (
         "urgency",
@@ -645,20 +642,15 @@ _TABLE: Sequence[Any] = (
         "partners",
         "run",
         "not who asked for it",
-        ["mixed_partners", "newest_last"],
-        (T._bind, "if requester in free[weight:]:", "if False:"),
+        ["mixed_partners", "draw_again"],
+        (T._bind, "robot for robot in free if robot is requester", "robot for robot in ()"),
     ),
     (
         "partners",
         "run",
-        "the last to finish come along",
+        "the first to finish come along",
         ["who_stays"],
-        (
-            T._bind,
-            "movers += free[:weight]",
-            "movers += [requester, *[r for r in free[::-1] if r is not requester]][:weight] "
-            "if requester in free else free[::-1][:weight]",
-        ),
+        (T._bind, "if self.state.draws_ties and", "if False and"),
     ),
     (
         "partners",
@@ -713,8 +705,8 @@ _TABLE: Sequence[Any] = (
         ["mixed_partners"],
         (
             K.play,
-            "head[arcs + place] if immediate[firing] > 0 else -1",
-            "head[arcs + place] if head[arc] < 0 else -1",
+            "level[places + wish] if immediate[firing] > 0 else 0",
+            "level[places + wish] if named == 0 else 0",
         ),
     ),
     (
@@ -722,14 +714,18 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "those that ask before those that named",
         ["who_stays"],
-        (K.play, "(named >= 0 and order[named] < order[free_one])", "False"),
+        (K.play, "if k < named:", "if level[places + wish] == 0:"),
     ),
     (
         "partners",
         "simulation",
         "not who asked for it",
         ["who_asked"],
-        (K.play, "if not found and requester >= 0", "if False and requester >= 0"),
+        (
+            K.play,
+            "if i == 0 and requester >= 0 and",
+            "if arc_weight[arc] == 1 and requester >= 0 and",
+        ),
     ),
     (
         "partners",

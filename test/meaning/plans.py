@@ -156,11 +156,11 @@ def spontaneous_first(source: random.Random) -> Plan:
     )
 
 
-def newest_last(source: random.Random) -> Plan:
-    """A robot gets done where others wait that have drawn what needs a partner: they draw again,
-    and the newest goes last."""
+def draw_again(source: random.Random) -> Plan:
+    """A robot gets done where others wait that have drawn what needs a partner: they draw
+    again."""
     count = source.choice([2, 3, 3])
-    b = NetBuilder("newest last").place("p", count).place("q").place("r")
+    b = NetBuilder("draw again").place("p", count).place("q").place("r")
     b.place("tool", 1)
     tool = ["tool"] if source.random() < 0.5 else []
     b.immediate("pair", inputs=["p", "p"], outputs=["q", "q"], priority=source.choice([1, 1, 2]))
@@ -807,7 +807,7 @@ FAMILIES: Dict[str, Callable[[random.Random], Plan]] = {
     for family in (
         unequal_classes,
         spontaneous_first,
-        newest_last,
+        draw_again,
         timeless_actions,
         held_draws,
         candidates,

@@ -1,8 +1,7 @@
 """The run itself as exact steps: the token game of ``execution``, with every draw in it enumerated.
 
 Nothing of the game is stated again here. A state is written down as what the game needs to go on
-from it: where each robot is and what it is up to, in which order robots finished, what they have
-drawn. Each step builds the game's own state of it, applies one log entry, and lets the game settle
+from it: where each robot is and what it is up to, and what it has drawn. Each step builds the game's own state of it, applies one log entry, and lets the game settle
 until its first firing. Where the game draws a number, all that it may choose is followed.
 
 What this module does state is time: phases end at their rates, an action that takes no time ends
@@ -13,10 +12,20 @@ phases, and there are no timeouts.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 from dataclasses import replace
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 from unittest import mock
 
 from gspn_framework_package.execution import log_entries, turn
@@ -43,7 +52,6 @@ class Robot(NamedTuple):
     :ivar failures: failed attempts of this visit.
     :ivar drawn: its last draw: (candidates, transition), and whether the marking is the same.
     :ivar held: the events that are held for it.
-    :ivar newest: whether it is known to have finished last. Counts only where ties are drawn.
     """
 
     own: int
@@ -53,14 +61,13 @@ class Robot(NamedTuple):
     failures: int = 0
     drawn: Optional[Tuple[Tuple[int, ...], int, bool]] = None
     held: Tuple[int, ...] = ()
-    newest: bool = False
 
 
 class State(NamedTuple):
     """A state of the run.
 
-    :ivar robots: those that are done come first, in the order in which they finished; then those
-        that begin, in the order in which they began; then the others, in any order.
+    :ivar robots: those that are done come first, then those that begin, then the others; each of
+        these in any order.
     :ivar settled: whether nothing can fire any more.
     """
 
@@ -112,72 +119,45 @@ class Chances:
         self.probability *= weights[chosen] / total
         return chosen
 
-    def order(self, keys: Sequence[Any]) -> List[int]:
-        """A random order of things, as indices. Those with equal keys are alike."""
-        left = list(range(len(keys)))
-        found = []
-        while left:
-            members: List[List[int]] = []
-            for i in left:
-                alike = [m for m in members if keys[m[0]] == keys[i]]
-                alike[0].append(i) if alike else members.append([i])
-            first = members[self.one_of([len(m) for m in members])][0]
-            found.append(first)
-            left.remove(first)
-        return found
-
 
 class _OneFiring(_Reducer):
-    """A turn of the game that ends after its first firing.
-
-    :param ties: draws who goes first where several robots could; None: the first to finish.
-    """
+    """A turn of the game that ends after its first firing."""
 
     def __init__(
         self,
         game: TokenGame,
         state: TeamState,
         chances: Chances,
-        ties: bool,
         robots: Sequence[Robot],
     ) -> None:
         super().__init__(game, state, 0)
-        self.chances, self.ties = chances, ties
+        self.chances = chances
         self.own = [robot.own for robot in robots]
-        self.newest: Set[str] = {str(i) for i, robot in enumerate(robots) if robot.newest}
+        if any(self.own):  # its robots are named by their numbers here
+            specs = self.plan.robots
+            mine = [specs[own - 1]._replace(name=str(i)) for i, own in enumerate(self.own) if own]
+            self.plan = replace(self.plan, robots=tuple(mine))
 
     def _fire(self, *args: Any, **more: Any) -> None:
         super()._fire(*args, **more)
         raise _FiredError
 
-    def _fire_requested(self) -> bool:
-        if self.ties:
-            self._shuffle(self.state.waiting, self.newest)
-        return super()._fire_requested()
+    def _shuffled(self, items: Iterable[Any], what: str) -> Iterator[Any]:
+        left = list(items)
+        while left:
+            alike: Dict[Any, List[Any]] = {}
+            for item in left:
+                name = item.name if isinstance(item, RobotState) else item
+                alike.setdefault(self._kind(name), []).append(item)
+            kinds = list(alike.values())
+            item = kinds[self.chances.one_of([len(kind) for kind in kinds])][0]
+            left.remove(item)
+            yield item
 
-    def _bind(self, t: int, requester: Optional[RobotState]) -> List[RobotState]:
-        if self.ties:
-            for p, weight in self.net.inputs[t]:
-                if len(self.state.done_in.get(p, ())) > weight:
-                    self._shuffle(self.state.done_in[p], set(), requester)
-        return super()._bind(t, requester)
-
-    def _shuffle(
-        self, names: Dict[str, None], last: Set[str], apart: Optional[RobotState] = None
-    ) -> None:
-        """Put robots into a random order, but for the ``last`` ones.
-
-        :param apart: a robot that is not like any other, whatever it is up to.
-        """
-        first = [name for name in names if name not in last]
-        rest = [name for name in names if name in last]
-        if len(first) > 1:
-            kinds = [apart if apart and apart.name == n else self._kind(n) for n in first]
-            first = [first[i] for i in self.chances.order(kinds)]
-        names.clear()
-        names.update(dict.fromkeys(first + rest))
-
-    def _kind(self, name: str) -> Any:
+    def _kind(self, name: Any) -> Any:
+        """What it depends on how a robot goes on; a number is a kind of its own."""
+        if not isinstance(name, str):
+            return name
         robot = self.state.robots[name]
         own = self.own[int(name)] if int(name) < len(self.own) else 0
         return (
@@ -197,17 +177,13 @@ class RunSteps:
     """The run of a plan as steps (see :class:`~meaning.numbers.Steps`).
 
     :param plan: a validated plan.
-    :param ties: whether it is drawn which robot goes first where several could, as the chain and
-        the optimiser assume. Otherwise the first to finish does, as in the run.
     :param losses: rate (1/s) at which each robot is lost.
     :param failing: whether actions fail as the plan says. The optimiser leaves failures out.
     :raises ValueError: a duration is not made of exponential phases, or there are timeouts.
     """
 
-    def __init__(
-        self, plan: Plan, *, ties: bool, losses: float = 0.0, failing: bool = False
-    ) -> None:
-        self.plan, self.ties, self.losses, self.failing = plan, ties, losses, failing
+    def __init__(self, plan: Plan, *, losses: float = 0.0, failing: bool = False) -> None:
+        self.plan, self.losses, self.failing = plan, losses, failing
         self.net = plan.net
         self.game = TokenGame(plan, agents=True)
         self.timing = PlanTiming(plan)
@@ -252,8 +228,8 @@ class RunSteps:
                     found.append((state._replace(robots=self._ordered(robots)), -1, chance))
                 return True, found
         if beginning:  # actions that take no time end, one after the other
-            which = beginning if self.ties else beginning[:1]
-            return True, [arc for i in which for arc in self._ends(state, i, 1.0 / len(which))]
+            chance = 1.0 / len(beginning)
+            return True, [arc for i in beginning for arc in self._ends(state, i, chance)]
         return False, self._timed(state)
 
     def marking(self, state: State) -> Marking:
@@ -342,9 +318,7 @@ class RunSteps:
 
     def _play(self, state: State, entry: Any, chances: Chances) -> Tuple[State, int]:
         team = self._team(state)
-        one = _OneFiring(self.game, team, chances, self.ties, state.robots)
-        if self.ties and isinstance(entry, log_entries.Done):
-            one.newest.add(entry.robot)
+        one = _OneFiring(self.game, team, chances, state.robots)
         settled = False
         with _drawn(chances):
             try:
@@ -362,7 +336,7 @@ class RunSteps:
 
     def _team(self, state: State) -> TeamState:
         """The game's own state."""
-        team = TeamState(tuple(self._count(state)))
+        team = TeamState(tuple(self._count(state)), draws_ties=True)
         for i, robot in enumerate(state.robots):
             mine = RobotState(str(i), robot.place, attempt=robot.failures + 1)
             mine.failures = robot.failures
@@ -384,7 +358,6 @@ class RunSteps:
     def _written(self, before: State, one: _OneFiring, settled: bool) -> State:
         """The state that the game has come to."""
         team = one.state
-        same = team.version == 0  # the marking did not change
         begun = [c.robot for c in one.commands if isinstance(c, StartAction)]
         old = dict(zip(map(str, range(len(before.robots))), before.robots))
         robots: List[Robot] = []
@@ -403,7 +376,6 @@ class RunSteps:
                     drawn=None
                     if draw is None
                     else (draw.candidates, draw.transition, draw.version == team.version),
-                    newest=same and not settled and name in one.newest and robot.visit == 1,
                 )
             elif robot.phase is not Phase.DOING:
                 now = now._replace(what=FAILED if robot.phase is Phase.FAILED else REST)
@@ -418,10 +390,7 @@ class RunSteps:
         done = [robot for robot in robots if robot.what == DONE]
         begin = [robot for robot in robots if robot.what == BEGINS]
         others = [robot for robot in robots if robot.what not in (DONE, BEGINS)]
-        if self.ties:
-            done.sort(key=_key)
-            begin.sort(key=_key)
-        return (*done, *begin, *sorted(others, key=_key))
+        return (*sorted(done, key=_key), *sorted(begin, key=_key), *sorted(others, key=_key))
 
     def _count(self, state: State) -> List[int]:
         marking = [0] * len(self.net.places)
@@ -438,7 +407,7 @@ class NetRunSteps(RunSteps):
     the net. A state is a marking, and whether the robots wait in it."""
 
     def __init__(self, plan: Plan) -> None:
-        super().__init__(replace(plan, timeouts={}), ties=True)
+        super().__init__(replace(plan, timeouts={}))
         self._deciding = {
             p
             for p, leaving in enumerate(self.net.consumers)
@@ -514,9 +483,5 @@ def _drawn(chances: Chances) -> Iterator[None]:
     def choose(choices: Any, number: float) -> Any:
         return choices[chances.one_of([weight for _, weight in choices])][0]
 
-    def sample(items: Any, count: int, *position: Any) -> List[Any]:
-        ways = list(itertools.combinations(items, count))
-        return list(ways[chances.one_of([1.0] * len(ways))])
-
-    with mock.patch.multiple(turn, choose=choose, sample=sample):
+    with mock.patch.object(turn, "choose", choose):
         yield

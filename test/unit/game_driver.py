@@ -28,14 +28,17 @@ def make_plan(
 
 
 class Run:
-    """A token game with its state, driven entry by entry."""
+    """A token game with its state, driven entry by entry.
 
-    def __init__(self, plan: Plan, agents: bool = False) -> None:
+    :param in_order: that between equals the first robot to finish goes first.
+    """
+
+    def __init__(self, plan: Plan, agents: bool = False, in_order: bool = False) -> None:
         self.game = TokenGame(plan, agents=agents)
         self.state = self.game.new_state()
         self.firings: List[Firing] = []
         self.commands: List[Any] = []
-        self.feed(self.game.start_entry())
+        self.feed(self.game.start_entry()._replace(draws_ties=not in_order))
 
     def feed(self, *entries: Any) -> List[str]:
         """Apply the entries as one slot; the transitions that fired."""

@@ -3,7 +3,7 @@ first to fire, by the rules of the plan (``docs/semantics.md``)."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Dict, List, Mapping, NamedTuple, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class Play(NamedTuple):
     :ivar shares: float array, one value per arc: the probability that it is the first to fire.
     :ivar waits: float array, one value per state: the probability that none fires.
     :ivar unsettled: boolean array, one value per state: the run would have to know more than the
-      state shows: which robot finished first, or what a robot has drawn before.
+      state shows: what a robot has drawn before.
     """
 
     shares: Floats
@@ -137,15 +137,14 @@ def play_answers(
     plan: Plan,
     answers: Union[Answers, DecidedAnswers],
     stages: Stages,
-    late: Optional[Booleans],
+    draws_last: bool,
 ) -> Play:
     """What a policy does that gives these answers.
 
-    :param late: boolean array, one value per place of the plan's net: the order in which robots
-        finish matters there, but states do not know it. None: in the classical reading they need
-        not know.
+    :param draws_last: whether a draw holds until the marking changes, as in the run; in the
+        classical reading it does not.
     """
-    return _Player(plan, answers, stages, late).play()
+    return _Player(plan, answers, stages, draws_last).play()
 
 
 class _Player:
@@ -154,12 +153,12 @@ class _Player:
         plan: Plan,
         answers: Union[Answers, DecidedAnswers],
         stages: Stages,
-        late: Optional[Booleans],
+        draws_last: bool,
     ) -> None:
         self._plan = plan
         self._told = answers
         self._stages = stages
-        self._late = late
+        self._draws_last = draws_last
 
     def play(self) -> Play:
         stages = self._stages
@@ -213,30 +212,11 @@ class _Player:
                 if len(askers.arcs):
                     source = stages.sources[askers.arcs]
                     shares[askers.arcs] += askers.chances * firsts[place[source], i]
-            self._unsettled(found, codes, firsts, place, waits, unsettled)
+            if self._draws_last:
+                for _, askers in found:
+                    chancy = (askers.able < 1 - ROUNDING) & (askers.able > ROUNDING)
+                    unsettled[askers.states[chancy]] = True
         return Play(shares, waits, unsettled)
-
-    def _unsettled(
-        self,
-        found: List[Tuple[Group, _Askers]],
-        codes: Indices,
-        firsts: Floats,
-        place: Indices,
-        waits: Floats,
-        unsettled: Booleans,
-    ) -> None:
-        """Mark the states in which the run knows more."""
-        if self._late is None:
-            return
-        several = np.zeros(len(unsettled), dtype=np.int64)
-        late = np.zeros(len(unsettled), dtype=bool)
-        for i, (group, askers) in enumerate(found):
-            goes = askers.states[firsts[place[askers.states], i] > ROUNDING]
-            several[goes] += 1
-            late[goes] |= bool(self._late[group.at])
-            chancy = askers.states[(askers.able < 1 - ROUNDING) & (askers.able > ROUNDING)]
-            unsettled[chancy] = True
-        unsettled |= late & (several > 1)
 
     def _askers(self, groups: List[Group], asked: Booleans) -> _Askers:
         """The robots of groups in one place."""

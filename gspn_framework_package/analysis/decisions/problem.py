@@ -49,7 +49,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlanTiming, listed
+from gspn_framework_package.model.plan_timing import PlanTiming, listed
 from gspn_framework_package.model.policy import Policy
 from gspn_framework_package.run_net.compiling import compile_plan
 
@@ -171,7 +171,6 @@ class DecisionProblem:
         if self._run_net.inactive:
             self._over |= ~self._net.busy(self.space)
         self.stages = Stages(self._net, self.space, self._over)
-        self._late = self._order_matters()
         self._plays: Dict[Policy, Play] = {}
         self.present = self._play(plan.policy)
         self.built: Built = build_automaton(
@@ -291,30 +290,6 @@ class DecisionProblem:
             return set()
         whole = {q for q in self._net.place_of if q >= 0}
         return {group.at for group in self._net.groups if group.place not in whole}
-
-    def _order_matters(self) -> Optional[Booleans]:
-        """The places (of the plan's net) in which the run knows which robot finished last, and
-        that matters; states do not know it. None in the classical reading."""
-        if self._run_net.classical:
-            return None
-        net = self.plan.net
-        late = np.zeros(len(net.places), dtype=bool)
-        for p, timing in self._run_net.timing.items():
-            name = self._run_net.net.places[p].name
-            full = net.place_number(name)
-            if not any(t == POLICY and v > 0 for t, v in timing.outcomes):
-                continue
-            late[full] = any(
-                not net.transitions[t].timed
-                and sum(
-                    w
-                    for q, w in net.inputs[t]
-                    if net.places[q].name not in self.plan.resource_places
-                )
-                > 1
-                for t in net.consumers[full]
-            )
-        return late
 
     def _markings_of(self, states: Indices) -> Indices:
         """The markings of states in the place order of the plan's net."""
@@ -522,7 +497,7 @@ class DecisionProblem:
         found = self._plays.get(policy)
         if found is None:
             answers = Answers(self._largest, policy, self.stages)
-            found = play_answers(self._largest, answers, self.stages, self._late)
+            found = play_answers(self._largest, answers, self.stages, not self._run_net.classical)
             self._plays = {policy: found}
         return found
 
@@ -548,7 +523,9 @@ class DecisionProblem:
         mine = np.flatnonzero(~team.twin)
         of_state[team.states_in[mine]] = kind[team.marking_of[mine]]
         answers = DecidedAnswers(self.plan, of_state, kinds)
-        return self._weights(team, play_answers(self.plan, answers, self.stages, self._late))
+        return self._weights(
+            team, play_answers(self.plan, answers, self.stages, not self._run_net.classical)
+        )
 
     def _weights(self, team: Team, played: Play) -> Floats:
         built, stages = self.built, self.stages
@@ -599,7 +576,7 @@ class DecisionProblem:
                 hint="name the place with --may-wait",
             )
         raise RefusedError(
-            "what the policy does at %s depends on which robot finished first or has drawn what"
+            "what the policy does at %s depends on what robots have drawn before"
             % self.named(team, state),
             hint="gspn analyse and gspn simulate follow that",
         )

@@ -73,13 +73,6 @@ def _of_both(plan: Plan) -> List[str]:
         any(net.places[p].name not in plan.resource_places for p, _ in arcs) for arcs in net.inputs
     ]
     assumptions = of_events(plan)
-    if sum(p.tokens for p in net.places if p.name not in plan.resource_places) > 1 and any(
-        not t.timed for t in net.transitions
-    ):
-        assumptions.append(
-            "if several robots could fire at once, each is equally likely to be first (in a run, "
-            "the first to finish does)"
-        )
     if not plan.simulate_environment and any(
         t.timed and not moves and t.name not in plan.submissions
         for t, moves in zip(net.transitions, robots)

@@ -94,12 +94,10 @@ INACTIVE = 4
 # Positions in ``numbers`` of the state.
 MARKING_VERSION = 0
 SEQUENCE = 1
-ORDER_COUNT = 2
 STAMP = 3
 DIRTY = 4
 VOLATILE = 5
 HEAP = 6
-QUEUE_HEAD = 7
 QUEUE = 8
 PENDING = 9
 ACTIVE = 10
@@ -814,6 +812,29 @@ def mark(
     return n
 
 
+def any_of_these(count: int, random: Indices) -> int:
+    """One of so many things, by chance; its number, from 0."""
+    return int(draw_uniform(random) * count) if count > 1 else 0
+
+
+def waiting_at(k: int, robot: int, following: Indices) -> int:
+    """The robot that is ``k`` places behind ``robot`` in its list."""
+    for _ in range(k):
+        robot = following[robot]
+    return robot
+
+
+def only_due(count: int, tags: Indices, robots: Indices, due_tag: Indices) -> int:
+    """Keep the entries of a list of actions that are still running; how many they are."""
+    kept = 0
+    for i in range(count):
+        if due_tag[robots[i]] == tags[i]:
+            tags[kept] = tags[i]
+            robots[kept] = robots[i]
+            kept += 1
+    return kept
+
+
 def unlink(
     robot: int,
     in_list: Indices,
@@ -981,7 +1002,6 @@ class PlanState(NamedTuple):
     in_list: Any
     following: Any
     preceding: Any
-    order: Any
     due_tag: Any
     due_what: Any
     draw: Any
@@ -1135,7 +1155,6 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         in_list,
         following,
         preceding,
-        order,
         due_tag,
         due_what,
         draw,
@@ -1194,7 +1213,6 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     now = clocks[NOW]
     version = numbers[MARKING_VERSION]
     sequence = numbers[SEQUENCE]
-    orders = numbers[ORDER_COUNT]
     n_dirty = numbers[DIRTY]
     n_volatile = numbers[VOLATILE]
     n_heap = numbers[HEAP]
@@ -1202,7 +1220,6 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     n_held = numbers[HELD]
     heap_room = len(heap_robot)
     interrupted = False
-    queue_head = numbers[QUEUE_HEAD]
     n_queue = numbers[QUEUE]
     n_pending = numbers[PENDING]
     n_active = numbers[ACTIVE]
@@ -1326,18 +1343,15 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     push(now + length, sequence, robot, n_heap, heap_time, heap_tag, heap_robot)
                     n_heap += 1
                 else:
-                    i = queue_head + n_queue
-                    if i >= queue_room:
-                        i -= queue_room
-                    queue_tag[i] = sequence
-                    queue_robot[i] = robot
+                    if n_queue >= queue_room:
+                        n_queue = only_due(n_queue, queue_tag, queue_robot, due_tag)
+                    queue_tag[n_queue] = sequence
+                    queue_robot[n_queue] = robot
                     n_queue += 1
             elif what == ASKS:
                 failures[robot] = 0
                 phase[robot] = WAITING
                 in_list[robot] = wish
-                orders += 1
-                order[robot] = orders
                 draw_stamp[robot] = 0
                 following[robot] = -1
                 last = tail[wish]
@@ -1413,27 +1427,26 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                             break
         else:
             best_urgency = -2
-            best_order = 0
+            rivals = 0  # robots whose requests are as urgent as that
             i = 0
             while i < n_dirty:
                 group = dirty[i]
-                asked = -1
+                asked = False
                 if group < transitions:
                     if waits[group] > 0 and fits(group, level, test_from, tests):
+                        asked = True
                         urgency = priority[group] if immediate[group] > 0 else -1
-                        for arc in range(arc_from[group], arc_from[group + 1]):
-                            robot = head[arc]
-                            if robot >= 0:
-                                asked = robot if asked < 0 else asked
-                                if order[robot] < order[asked]:
-                                    asked = robot
-                                if urgency > best_urgency or (
-                                    urgency == best_urgency and order[robot] < best_order
-                                ):
-                                    best_urgency = urgency
-                                    best_order = order[robot]
-                                    firing = group
-                                    requester = robot
+                        if urgency >= best_urgency:
+                            rivals = waits[group] + (rivals if urgency == best_urgency else 0)
+                            best_urgency = urgency
+                            k = any_of_these(rivals, random)
+                            if k < waits[group]:
+                                firing = group
+                                arc = arc_from[group]
+                                while k >= level[places + arc]:
+                                    k -= level[places + arc]
+                                    arc += 1
+                                requester = waiting_at(k, head[arc], following)
                 elif waits[group] > 0:
                     place = group - transitions
                     count = weigh(
@@ -1474,10 +1487,6 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     )
                     kinds = numbers[KINDS]
                     if numbers[ABLE] > 0:
-                        top = -1
-                        for k in range(count):
-                            if candidate_ok[k] > 0 and priority[candidate[k]] > top:
-                                top = priority[candidate[k]]
                         robot = head[arcs + place]
                         while robot >= 0:
                             if draw_stamp[robot] != group_stamp[place]:
@@ -1485,26 +1494,23 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                                 draw[robot] = pick(count, kinds, candidate_weight, random)
                             k = draw[robot]
                             if candidate_ok[k] > 0:
+                                asked = True
                                 urgency = priority[candidate[k]]
-                                asked = robot
-                                if urgency > best_urgency or (
-                                    urgency == best_urgency and order[robot] < best_order
-                                ):
+                                if urgency >= best_urgency:
+                                    rivals = rivals + 1 if urgency == best_urgency else 1
                                     best_urgency = urgency
-                                    best_order = order[robot]
-                                    firing = candidate[k]
-                                    requester = robot
-                                if urgency == top:
-                                    break
+                                    if any_of_these(rivals, random) == 0:
+                                        firing = candidate[k]
+                                        requester = robot
                             elif kinds == 1:
                                 break
                             robot = following[robot]
-                    if asked < 0 and numbers[READY] > 0 and is_volatile[group] == 0:
+                    if not asked and numbers[READY] > 0 and is_volatile[group] == 0:
                         # another draw, or other candidates, in the next marking may be able to fire
                         is_volatile[group] = 1
                         volatile[n_volatile] = group
                         n_volatile += 1
-                if asked < 0:
+                if not asked:
                     is_dirty[group] = 0
                     n_dirty -= 1
                     dirty[i] = dirty[n_dirty]
@@ -1546,8 +1552,17 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
             while n_heap > 0 and due_tag[heap_robot[0]] != heap_tag[0]:
                 drop_first(n_heap, heap_time, heap_tag, heap_robot)
                 n_heap -= 1
-            while n_queue > 0 and due_tag[queue_robot[queue_head]] != queue_tag[queue_head]:
-                queue_head = queue_head + 1 if queue_head + 1 < queue_room else 0
+            while n_queue > 0:  # actions that take no time end in any order
+                last = n_queue - 1
+                i = any_of_these(n_queue, random)
+                robot = queue_robot[i]
+                tag = queue_tag[i]
+                queue_robot[i] = queue_robot[last]
+                queue_tag[i] = queue_tag[last]
+                queue_robot[last] = robot
+                queue_tag[last] = tag
+                if due_tag[robot] == tag:
+                    break
                 n_queue -= 1
             if with_environment > 0 and numbers[ENVIRONMENT_DIRTY] > 0:
                 numbers[ENVIRONMENT_DIRTY] = 0
@@ -1563,7 +1578,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
             source = 0
             if n_heap > 0:
                 time = heap_time[0]
-            if n_queue > 0 and not (time <= now and heap_tag[0] < queue_tag[queue_head]):
+            if n_queue > 0 and time > now:
                 time = now
                 source = 1
             if clocks[ENVIRONMENT_AT] < time:
@@ -1600,9 +1615,8 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     drop_first(n_heap, heap_time, heap_tag, heap_robot)
                     n_heap -= 1
                 else:
-                    robot = queue_robot[queue_head]
-                    queue_head = queue_head + 1 if queue_head + 1 < queue_room else 0
                     n_queue -= 1
+                    robot = queue_robot[n_queue]
                 due_tag[robot] = 0
                 pending_robot[0] = robot
                 pending_what[0] = due_what[robot]
@@ -1677,30 +1691,28 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         firings[firing] += 1
         numbers[FIRINGS] += 1
         n_movers = 0
-        for arc in range(arc_from[firing], arc_from[firing + 1]):
-            place = arc_place[arc]
-            need = arc_weight[arc]
-            if need == 1 and requester >= 0 and at[requester] == place:
-                movers[n_movers] = requester
-                n_movers += 1
-                continue
-            named = head[arc]
-            free_one = head[arcs + place] if immediate[firing] > 0 else -1
-            found = False
-            for _ in range(need):
-                if free_one < 0 or (named >= 0 and order[named] < order[free_one]):
-                    robot = named
-                    named = following[named]
-                else:
-                    robot = free_one
-                    free_one = following[free_one]
-                movers[n_movers] = robot
-                n_movers += 1
-                if robot == requester:
-                    found = True
-            if not found and requester >= 0 and at[requester] == place:
-                movers[n_movers - 1] = requester
-        if interrupted:
+        if not interrupted:
+            for arc in range(arc_from[firing], arc_from[firing + 1]):
+                place = arc_place[arc]
+                wish = arcs + place
+                for i in range(arc_weight[arc]):
+                    if i == 0 and requester >= 0 and at[requester] == place:
+                        robot = requester
+                    else:
+                        named = level[places + arc]
+                        k = any_of_these(
+                            named + (level[places + wish] if immediate[firing] > 0 else 0), random
+                        )
+                        if k < named:
+                            robot = waiting_at(k, head[arc], following)
+                        else:
+                            robot = waiting_at(k - named, head[wish], following)
+                    movers[n_movers] = robot
+                    n_movers += 1
+                    unlink(robot, in_list, following, preceding, head, tail)
+                    level[places + in_list[robot]] -= 1
+                    waits[list_group[in_list[robot]]] -= 1
+        else:
             # it leaves whatever it is doing: its action, or a list in which it waits
             interrupted = False
             movers[0] = requester
@@ -1717,13 +1729,6 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     joins_from[wish], joins_from[wish + 1], joins, waits, dirty, is_dirty, n_dirty
                 )
             in_list[requester] = -1
-        for i in range(n_movers):
-            if in_list[movers[i]] < 0:
-                continue
-            unlink(movers[i], in_list, following, preceding, head, tail)
-            wish = in_list[movers[i]]
-            level[places + wish] -= 1
-            waits[list_group[wish]] -= 1
         begin = effect_from[firing]
         end = effect_from[firing + 1]
         if begin < end:
@@ -1850,13 +1855,11 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     clocks[NOW] = now
     numbers[MARKING_VERSION] = version
     numbers[SEQUENCE] = sequence
-    numbers[ORDER_COUNT] = orders
     numbers[DIRTY] = n_dirty
     numbers[VOLATILE] = n_volatile
     numbers[HEAP] = n_heap
     numbers[ARRIVALS] = n_arrivals
     numbers[HELD] = n_held
-    numbers[QUEUE_HEAD] = queue_head
     numbers[QUEUE] = n_queue
     numbers[PENDING] = n_pending
     numbers[ACTIVE] = n_active

@@ -4,7 +4,7 @@ Python: the start, and the loss of a robot."""
 from __future__ import annotations
 
 import math
-from typing import Dict, List, Optional
+from typing import Dict, List
 
 import numpy as np
 
@@ -102,11 +102,7 @@ class PlanRun(KernelRun):
             )
         numbers[kernel.MARKING_VERSION] += 1
         if rules.sizes[7]:
-            stuck = [
-                other
-                for other, t in sorted(drawn.items(), key=lambda item: s.order[item[0]])
-                if self._lacks(t, place)
-            ]
+            stuck = [other for other, t in drawn.items() if self._lacks(t, place)]
             if stuck and rules.sizes[7] == 1:
                 return True
             for other in stuck:
@@ -200,27 +196,21 @@ class PlanRun(KernelRun):
         return bool(there < self.tables.arcs[arc][2])
 
     def _ask_instead(self, robot: int, wish: int) -> None:
-        """Let a waiting robot request something else, in its place in the order of completion."""
+        """Let a waiting robot request something else."""
         s, places = self.state, len(self.net.places)
         old = s.in_list[robot]
         kernel.unlink(robot, s.in_list, s.following, s.preceding, s.head, s.tail)
         s.level[places + old] -= 1
         s.waits[self.arrays[0].list_group[old]] -= 1
-        after: Optional[int] = next(
-            (other for other in self._listed(wish) if s.order[other] > s.order[robot]), None
-        )
-        before = int(s.tail[wish]) if after is None else int(s.preceding[after])
+        last = int(s.tail[wish])
         s.in_list[robot] = wish
-        s.preceding[robot] = before
-        s.following[robot] = -1 if after is None else after
-        if before < 0:
+        s.preceding[robot] = last
+        s.following[robot] = -1
+        if last < 0:
             s.head[wish] = robot
         else:
-            s.following[before] = robot
-        if after is None:
-            s.tail[wish] = robot
-        else:
-            s.preceding[after] = robot
+            s.following[last] = robot
+        s.tail[wish] = robot
         s.level[places + wish] += 1
         s.waits[self.arrays[0].list_group[wish]] += 1
 
@@ -306,7 +296,6 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
         in_list=whole_numbers(room),
         following=whole_numbers(room),
         preceding=whole_numbers(room),
-        order=whole_numbers(room),
         due_tag=whole_numbers(room),
         due_what=whole_numbers(room),
         draw=whole_numbers(room),

@@ -107,6 +107,8 @@ class LoggedTeam:
         self.robots: Dict[str, LoggedRobot] = {}
         self.witnesses: Tuple[str, ...] = ()
         self.seed = 0
+        self.draws_ties = False
+        """Whether chance decides between robots that could move alike."""
         self.paused = False
         self.ended: Optional[str] = None
         self.perhaps_ended = False
@@ -353,6 +355,7 @@ class LoggedTeam:
         if self.robots:
             return
         self.seed, self.witnesses = entry.seed, entry.witnesses
+        self.draws_ties = entry.draws_ties
         for name, place, incarnation in entry.roster:
             self.robots[name] = LoggedRobot(name, place, incarnation)
             self.marking[place] += 1

@@ -267,6 +267,11 @@ class SlotCheck(LoggedTeam):
                 return "it takes %d robots of %s, not %d" % (len(movers), place, n)
             if any(r not in free for r in movers):
                 return "a robot in %s asked for something else" % place
+            if self.draws_ties:
+                drawn = self._drawn(firing, free, n, requester)
+                if {r.name for r in movers} != set(drawn):
+                    return "chance selects %s in %s" % (" and ".join(drawn), place)
+                continue
             first = free[:n]
             if any(r.name == requester for r in free[n:]) and requester:
                 first = [*free[: n - 1], self.robots[requester]]
@@ -275,6 +280,18 @@ class SlotCheck(LoggedTeam):
         if taken:
             return "it takes robots of %s" % ", ".join(taken)
         return self._why_not_targets(firing, t) or self._why_not_requester(firing, t, requester)
+
+    def _drawn(self, firing: Record, free: List[LoggedRobot], n: int, requester: str) -> List[str]:
+        """The ``n`` robots that move of those that are free in a place: the one that asked if it is
+        among them, and others by chance."""
+        names = [r.name for r in free]
+        drawn = [name for name in names if name == requester]
+        rest = [name for name in names if name != requester]
+        for k in range(n - len(drawn)):
+            who = "in %s#%d" % (free[0].place, k)
+            number = _uniform(self.seed, firing["slot"], firing["index"], who)
+            drawn.append(rest.pop(int(number * len(rest))))
+        return drawn
 
     def _why_not_targets(self, firing: Record, t: str) -> str:
         targets = Counter(target for _, _, target, _ in firing["moves"] if target is not None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import json
+import os
 from functools import lru_cache
 from typing import Any, Callable, List
 
@@ -22,6 +23,7 @@ from gspn_framework_package.execution.event_log import (
     next_sum,
     read_log,
 )
+from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.verifier.logged_team import LoggedRobot
 from gspn_framework_package.execution.verifier.slot_check import SlotCheck
@@ -70,6 +72,18 @@ def test_a_true_story_is_valid(kind: int, partial: bool) -> None:
     verdict = verify(story(kind, partial), settled=True)
     assert verdict.violation is None, verdict.violation
     assert verdict.firings > 5
+
+
+def test_a_log_of_protocol_4_is_read_as_it_was_written() -> None:
+    """In that version, between equals the first to finish went first."""
+    log = read_log(os.path.join(os.path.dirname(__file__), "protocol_4.jsonl"))
+    assert sum(len(step.firings) for step in replay(log)) > 10
+    assert verify([log]).violation is None
+    start = log.records[0]["entries"][0]
+    assert "draws_ties" not in start
+    start["draws_ties"] = True
+    with pytest.raises(LogError, match="other firings"):
+        list(replay(log))
 
 
 def everywhere(lie: Callable[[Any], None]) -> Callable[[List[EventLog]], None]:

@@ -225,7 +225,7 @@ def test_who_speaks_another_version_is_named() -> None:
     world = running(False, 2)
     give(world, {**forged(world, "r1", "hello", **HELLO), "version": 1})
     assert any(
-        "r1" in f and "version 1 of the protocol instead of 4" in f
+        "r1" in f and "version 1 of the protocol instead of %d" % PROTOCOL_VERSION in f
         for f in world.nodes["r2"].faults
     )
 

@@ -11,6 +11,7 @@ from agreement.plans import make_plan
 from agreement.world import SimulatedNode, World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
 from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.verifier import verify
 
@@ -201,7 +202,7 @@ def _sent_by(world: Team, robot: str, **body: Any) -> None:
     """r3 gets a message of the life of a robot before the outage."""
     ledger = world.replica("r3").ledger
     told = {
-        "version": 4,
+        "version": PROTOCOL_VERSION,
         "from": robot,
         "team": world.replica("r3").config.tag,
         "log": world.nodes[robot].disk.header["log"],

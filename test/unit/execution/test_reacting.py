@@ -160,7 +160,7 @@ def shop(robots: int = 1, **fields: Any) -> Run:
         on_evict={"Deliver": {"Orders": 1}},
         **fields,
     )
-    return Run(plan)
+    return Run(plan, in_order=True)
 
 
 def submit(number: int, **data: Any) -> log_entries.Submit:
@@ -288,7 +288,7 @@ def test_a_task_that_is_with_a_robot_that_is_gone_is_named_and_can_come_again():
         plan = make_plan(
             shop_net(), ["Idle"] * 2, ["Orders"], idle=["Idle"], tasks=Tasks(("Orders",), ())
         )
-        run = Run(plan)
+        run = Run(plan, in_order=True)
         run.feed(submit(1))
         assert run.fail("a") == []
         assert "waits for the operator, with task o1" in faults(run)[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from typing import Any, List
 
@@ -11,10 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.execution.firing import (
+    CancelAction,
+    Ended,
+    Fault,
+    StartAction,
+    firing_to_json,
+)
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.execution.verifier.slot_check import SlotCheck
+from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError, SlotCheck
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FailureKind, FailureRule, LostKind, LostRule
@@ -104,12 +111,73 @@ def test_robots_meet_only_when_both_are_done_and_ask_for_it() -> None:
     assert (run.place("a"), run.place("b")) == ("P3", "P4")
 
 
-def test_of_two_done_in_one_place_the_one_done_first_moves_first() -> None:
-    run = Run(make_plan(meeting(), ["P1", "P1", "P2"]))
-    run.done("b", "meet")
-    run.done("a", "meet")
-    assert run.done("c", "meet") == ["meet"]
-    assert (run.place("a"), run.place("b"), run.place("c")) == ("P1", "P3", "P4")
+def test_chance_selects_the_partner_and_who_takes_the_tool() -> None:
+    """Whoever finished first, and whatever each asks for."""
+    net = (
+        NetBuilder()
+        .place("P1")
+        .place("P2")
+        .place("P3")
+        .place("P4")
+        .place("tool")
+        .immediate("meet", inputs=["P1", "P2"], outputs=["P3", "P4"])
+        .exponential("take", inputs=["P3", "tool"], outputs="P1")
+        .exponential("grab", inputs=["P4", "tool"], outputs="P2")
+        .exponential("bring", inputs=[], outputs="tool")
+        .build()
+    )
+    partners, takers = Counter(), Counter()
+    for seed in range(400):
+        run = Run(make_plan(net, ["P1", "P1", "P2"], ["tool"], seed=seed))
+        run.done("b")
+        run.done("a")
+        assert run.done("c") == ["meet"]
+        partner = "a" if run.place("a") == "P3" else "b"
+        run.done(partner, "take")
+        run.done("c", "grab")
+        assert run.feed(log_entries.Fire("bring"))[0] == "bring"
+        partners[partner] += 1
+        takers[run.firings[-1].robot == "c"] += 1
+    assert abs(partners["a"] - 200) < 50 and abs(takers[True] - 200) < 50
+
+
+def test_a_partner_that_chance_did_not_select_is_found() -> None:
+    plan = make_plan(meeting(), ["P1", "P1", "P2"])
+    for in_order, why in (False, "chance selects"), (True, "done earlier"):
+        run, check = Run(plan, in_order=in_order), SlotCheck(plan)
+        run.state = run.game.new_state()
+        entries = [run.game.start_entry()._replace(draws_ties=not in_order)]
+        entries += [log_entries.Done(robot, 0, 1, "meet") for robot in "abc"]
+        for slot, entry in enumerate(entries[:-1]):
+            check.slot({"slot": slot, "entries": [log_entries.to_json(entry)], "firings": []})
+            run.feed(entry)
+        run.feed(entries[-1])
+        record = {
+            "slot": 3,
+            "entries": [log_entries.to_json(entries[-1])],
+            "firings": [firing_to_json(f, run.game.net) for f in run.firings],
+        }
+        lie = copy.deepcopy(record)
+        for move in lie["firings"][0]["moves"]:
+            move[0] = {"a": "b", "b": "a"}.get(move[0], move[0])
+        with pytest.raises(BrokenRuleError, match=why):
+            copy.deepcopy(check).slot(lie)
+        check.slot(record)
+        assert check.robots["c"].place == "P4"
+
+
+def test_in_a_run_of_an_earlier_version_the_first_to_finish_goes_first() -> None:
+    plan = make_plan(meeting(), ["P1", "P1", "P2"])
+    start = log_entries.to_json(TokenGame(plan).start_entry()._replace(draws_ties=False))
+    assert "draws_ties" not in start  # as earlier versions wrote it
+    for seed in range(10):
+        run = Run(plan, in_order=True)
+        run.state = run.game.new_state()
+        run.feed(log_entries.from_json({**start, "seed": seed}))
+        run.done("b", "meet")
+        run.done("a", "meet")
+        assert run.done("c", "meet") == ["meet"]
+        assert (run.place("a"), run.place("b"), run.place("c")) == ("P1", "P3", "P4")
 
 
 def test_routing_decides_where_each_robot_goes() -> None:
@@ -326,7 +394,7 @@ def test_inhibitor_arcs_and_capacities_count_busy_robots_too() -> None:
         .exponential("back", inputs="R", outputs="P", inhibitors="Q")
         .build()
     )
-    run = Run(make_plan(net, ["P", "Q", "R"]))
+    run = Run(make_plan(net, ["P", "Q", "R"]), in_order=True)
     assert run.done("a", "in") == []
     assert "Q is full" in run.why("a")
     assert run.done("c", "back") == []
