@@ -116,7 +116,7 @@ def true_values(plan: Plan) -> Dict[str, float]:
     for chances in plan.outcomes.values():
         values.update({"outcome " + name: chance for name, chance in chances.items()})
     values.update({"failure of " + p: chance for p, chance in plan.failures.items()})
-    values["rate of made"] = plan.net.transition("made").rate
+    values["rate of made"] = plan.net.transition("made").number
     return values
 
 

@@ -351,6 +351,7 @@ class Analysis:
             not self.net.consumers[p]
             and self.net.places[p].capacity is None
             and p not in self._inhibiting
+            and name not in self.net.named_by_functions()
         )
 
     @cached_property

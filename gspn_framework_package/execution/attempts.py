@@ -381,7 +381,7 @@ class AttemptFollower:
                 continue
             if state.paused:
                 continue
-            rate = net.transitions[t].rate
+            rate = net.transitions[t].number
             if rate > 0:
                 busy = net.effective_rate(state.marking, t) / rate
                 self._counted[t] = firings, exposure + busy * seconds

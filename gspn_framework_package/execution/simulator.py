@@ -136,8 +136,9 @@ class Simulator:
     def _weight(self, t: int) -> float:
         if t in self.probabilities:
             return self.probabilities[t]
-        transition = self.net.transitions[t]
-        return self.net.effective_rate(self.marking, t) if transition.timed else transition.weight
+        if self.net.transitions[t].timed:
+            return self.net.effective_rate(self.marking, t)
+        return self.net.value(self.marking, t)
 
     def _delay(self, t: int) -> float:
         """Draw the seconds until ``t`` wins the race of the enabled transitions; 0 for an immediate

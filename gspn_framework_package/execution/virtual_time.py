@@ -307,7 +307,7 @@ class VirtualRun:
         if after is not None:
             self._at(self.now + after, event._replace(cause={"after": after}))
             return
-        rate = self.plan.net.transition(event.transition).rate
+        rate = self.plan.net.transition(event.transition).number
         when = self.now + self._random.exponential(1 / rate)
         if when <= self._latest:  # keeps rare events of many visits from filling the memory
             self._at(when, event)

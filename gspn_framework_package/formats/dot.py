@@ -10,6 +10,7 @@ from typing import Dict, List, Mapping, Optional, Sequence, Union
 
 from gspn_framework_package.formats.routes import Line, NodeBox, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
+from gspn_framework_package.model.marking_function import MarkingFunction, Value
 from gspn_framework_package.model.net import Net, Place, Point, Transition
 from gspn_framework_package.model.subnet import Subnet
 
@@ -239,10 +240,10 @@ def _transition_attributes(transition: Transition) -> Dict[str, Attribute]:
     label = transition.name
     if transition.timed:
         servers = {None: " ∞", 1: ""}.get(transition.servers, " ×%s" % transition.servers)
-        label += "\nλ %g%s" % (transition.rate, servers)
+        label += "\nλ %s%s" % (_value_text(transition.rate), servers)
         return {"shape": "box", "width": 0.16, "height": 0.42, "label": "", "xlabel": label}
     if transition.weight != 1:
-        label += "\nw %g" % transition.weight
+        label += "\nw %s" % _value_text(transition.weight)
     if transition.priority != 1:
         label += "\nπ %d" % transition.priority
     return {
@@ -254,6 +255,10 @@ def _transition_attributes(transition: Transition) -> Dict[str, Attribute]:
         "label": "",
         "xlabel": label,
     }
+
+
+def _value_text(value: Value) -> str:
+    return value.text if isinstance(value, MarkingFunction) else "%g" % value
 
 
 def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:

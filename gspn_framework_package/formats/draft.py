@@ -24,6 +24,7 @@ from typing import (
 from gspn_framework_package.formats.xml_tree import point
 from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError, NoValueError
 from gspn_framework_package.model.expression import as_whole, evaluate, shorten
+from gspn_framework_package.model.marking_function import Value, parse_value
 from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ class NetDraft:
         self,
         identifier: Optional[str],
         name: Optional[str],
-        weight: float = 1.0,
+        weight: Value = 1.0,
         priority: int = 1,
         position: Optional[Point] = None,
         line: Optional[int] = None,
@@ -154,7 +155,7 @@ class NetDraft:
         self,
         identifier: Optional[str],
         name: Optional[str],
-        rate: float = 1.0,
+        rate: Value = 1.0,
         servers: Optional[int] = 1,
         position: Optional[Point] = None,
         line: Optional[int] = None,
@@ -213,6 +214,20 @@ class NetDraft:
                 hint = "%s; give a constant its value with --const NAME=VALUE" % hint
             self.fail("its %s cannot be computed: %s" % (what, error.message), element, line, hint)
 
+    def value(self, text: str, what: str, element: str, line: Optional[int]) -> Value:
+        """Return a rate or weight: a number, or a function of the marking.
+
+        :raises NetError: see :meth:`number`.
+        """
+        if "#" not in text:
+            return self.number(text, what, element, line)
+        try:
+            return parse_value(text, self.constants)
+        except ExpressionError as error:
+            self.fail(
+                "its %s cannot be read: %s" % (what, error.message), element, line, error.hint
+            )
+
     def count(self, text: str, what: str, element: str, line: Optional[int]) -> int:
         """Return the value of a whole number, or of an expression with a whole result; it may be
         negative.
@@ -238,8 +253,19 @@ class NetDraft:
         ends.update(names)  # an id takes precedence over an equal name of another node
         places: List[Place] = []
         transitions: List[Transition] = []
+        renamed = {n.name for i, n in self._nodes.items() if names[i] != n.name}
         for identifier, node in self._nodes.items():
             item = node.item
+            function = item.function if isinstance(item, Transition) else None
+            for place in () if function is None else function.places:
+                if place in renamed:
+                    self.fail(
+                        "'%s', which it names, is the name of several places or transitions"
+                        % place,
+                        "transition '%s'" % item.name,
+                        node.line,
+                        "give each its own name",
+                    )
             if item.name != names[identifier]:
                 item = item._replace(name=names[identifier])
             if isinstance(item, Place):

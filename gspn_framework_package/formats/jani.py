@@ -11,8 +11,9 @@ result does not depend on whether the tool assumes maximal progress."""
 from __future__ import annotations
 
 import json
+import math
 from functools import reduce
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Callable, Dict, List, Mapping, Sequence
 
 from gspn_framework_package.formats.symbolic import (
     concession,
@@ -81,11 +82,11 @@ class _Writer:
         edges = []
         higher: List[_Term] = []  # enabling conditions of the levels above
         for level in self.levels:
-            weighted = [t for t in level if net.transitions[t].weight > 0]
+            weighted = [t for t in level if not net.transitions[t].is_controllable]
             if weighted:
                 edges.append(self._weighted(weighted, higher))
             for t in level:
-                if net.transitions[t].weight == 0:
+                if net.transitions[t].is_controllable:
                     guard = _all([self.enabled[t]] + _none(higher))
                     edges.append(_edge(net.transitions[t].name, guard, [self._target(t)]))
             higher += [self.enabled[t] for t in level]
@@ -115,7 +116,7 @@ class _Writer:
         guard = _all([_any([self.enabled[t] for t in level])] + _none(higher))
         if len(level) == 1:
             return _edge(names, guard, [self._target(level[0])])
-        shares = [_choice(self.enabled[t], self.net.transitions[t].weight) for t in level]
+        shares = [_choice(self.enabled[t], self._value(t)) for t in level]
         total = reduce(lambda a, b: _operation("+", a, b), shares)
         targets = []
         for t, share in zip(level, shares):
@@ -142,10 +143,20 @@ class _Writer:
             assignments.append({"ref": self.names[p], "value": value})
         return {"location": "marking", "assignments": assignments}
 
+    def _value(self, t: int) -> _Term:
+        """The rate of one server, or the weight."""
+        function = self.net.functions.get(t)
+        if function is None:
+            return self.net.value((), t)
+        names = {name: self.names[self.net.place_index[name]] for name in function.places}
+        element = "transition '%s'" % self.net.transitions[t].name
+        return function.write(names, _OPERATIONS, element)
+
     def _rate(self, t: int) -> _Term:
         transition = self.net.transitions[t]
+        rate = self._value(t)
         if transition.servers == 1 or not self.net.inputs[t]:
-            return transition.rate
+            return rate
         degrees: List[_Term] = []
         for p, weight in self.net.inputs[t]:
             name: _Term = self.names[p]
@@ -155,7 +166,7 @@ class _Writer:
         if transition.servers is not None:
             degrees.append(transition.servers)
         degree = reduce(lambda a, b: _operation("min", a, b), degrees)
-        return _operation("*", transition.rate, degree)
+        return _operation("*", rate, degree)
 
 
 def _edge(comment: str, guard: _Term, destinations: List[Dict[str, Any]]) -> Dict[str, Any]:
@@ -174,6 +185,26 @@ def _choice(condition: _Term, value: _Term) -> _Term:
 
 def _operation(operator: str, left: _Term, right: _Term) -> _Term:
     return {"op": operator, "left": left, "right": right}
+
+
+def _of_all(operator: str) -> Callable[..., _Term]:
+    return lambda *terms: reduce(lambda a, b: _operation(operator, a, b), terms)
+
+
+_OPERATIONS: Mapping[str, Callable[..., _Term]] = {
+    **{operator: _of_all(operator) for operator in ("+", "-", "*", "/", "min", "max", "pow")},
+    "^": _of_all("pow"),
+    "negate": lambda a: _operation("-", 0, a),
+    "abs": lambda a: {"op": "abs", "exp": a},
+    "floor": lambda a: {"op": "floor", "exp": a},
+    "ceil": lambda a: {"op": "ceil", "exp": a},
+    "round": lambda a: {"op": "floor", "exp": _operation("+", a, 0.5)},
+    "sqrt": lambda a: _operation("pow", a, 0.5),
+    "exp": lambda a: _operation("pow", math.e, a),
+    "log": lambda a: _operation("log", a, math.e),
+    "ln": lambda a: _operation("log", a, math.e),
+}
+"""The operations of rates and weights; JANI's ``%`` is of whole numbers, unlike ``mod``."""
 
 
 def _all(terms: Sequence[_Term]) -> _Term:

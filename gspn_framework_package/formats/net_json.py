@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Dict, Optional
 
-from gspn_framework_package.model.errors import NetError
+from gspn_framework_package.model.errors import ExpressionError, NetError
+from gspn_framework_package.model.marking_function import Value, parse_value, written
 from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 
 
@@ -21,7 +22,8 @@ def net_to_json(net: Net) -> Dict[str, Any]:
 def net_from_json(data: Dict[str, Any]) -> Net:
     """Return the net of a JSON object that fits the schema.
 
-    :raises NetError: see Net; or a transition has a key that does not apply to its kind.
+    :raises NetError: see Net; or a transition has a key that does not apply to its kind, or a rate
+        or weight that cannot be read.
     """
     for transition in data["transitions"]:
         _check_kind(transition)
@@ -33,8 +35,8 @@ def net_from_json(data: Dict[str, Any]) -> Net:
         Transition(
             t["name"],
             t.get("timed", False),
-            float(t.get("rate", 1.0)),
-            float(t.get("weight", 1.0)),
+            _value(t, "rate"),
+            _value(t, "weight"),
             t.get("priority", 1),
             t.get("servers", 1),
             _position(t),
@@ -45,6 +47,20 @@ def net_from_json(data: Dict[str, Any]) -> Net:
         Arc(a["from"], a["to"], a.get("weight", 1), a.get("inhibitor", False)) for a in data["arcs"]
     ]
     return Net(places, transitions, arcs, data.get("name", ""))
+
+
+def _value(transition: Dict[str, Any], key: str) -> Value:
+    value = transition.get(key, 1.0)
+    if not isinstance(value, str):
+        return float(value)
+    try:
+        return parse_value(value)
+    except ExpressionError as error:
+        raise NetError(
+            "its %s cannot be read: %s" % (key, error.message),
+            element="transition '%s'" % transition["name"],
+            hint=error.hint,
+        ) from None
 
 
 def _check_kind(transition: Dict[str, Any]) -> None:
@@ -80,12 +96,12 @@ def _place(place: Place) -> Dict[str, Any]:
 def _transition(transition: Transition) -> Dict[str, Any]:
     data: Dict[str, Any] = {"name": transition.name}
     if transition.timed:
-        data.update(timed=True, rate=transition.rate)
+        data.update(timed=True, rate=written(transition.rate))
         if transition.servers != 1:
             data["servers"] = transition.servers
     else:
         if transition.weight != 1:
-            data["weight"] = transition.weight
+            data["weight"] = written(transition.weight)
         if transition.priority != 1:
             data["priority"] = transition.priority
     if transition.position is not None:

@@ -45,6 +45,7 @@ from gspn_framework_package.formats.xml_tree import (
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.marking_function import number_or_refuse
 from gspn_framework_package.model.net import Net, Point
 
 _NET_TYPE = "P/T net"
@@ -312,7 +313,13 @@ def to_bytes(net: Net) -> bytes:
             _write_value(
                 node,
                 "rate",
-                number_text(transition.rate if transition.timed else transition.weight),
+                number_text(
+                    number_or_refuse(
+                        transition.rate if transition.timed else transition.weight,
+                        "transition '%s'" % transition.name,
+                        "a PIPE file",
+                    )
+                ),
             )
             _write_value(node, "timed", _boolean(transition.timed))
             if transition.timed and transition.servers not in (None, 1):

@@ -44,8 +44,8 @@ class _PipeNet(XmlNet):
         timing = old._replace(name=new.name, position=new.position)
         if old.timed != new.timed or (timing != new and child_of(element, "timed") is None):
             set_text(element, "timed", "value", "true" if new.timed else "false")
-        value = new.rate if new.timed else new.weight
-        if old.timed != new.timed or value != (old.rate if old.timed else old.weight):
+        value = new.number
+        if old.timed != new.timed or value != old.number:
             set_text(element, "rate", "value", number_text(value))
             for specific in all_of(element, "toolspecific"):
                 if specific.get("rateDefinition"):

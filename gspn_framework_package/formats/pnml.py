@@ -46,6 +46,7 @@ from gspn_framework_package.formats.xml_tree import (
     writing_names,
 )
 from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.marking_function import MarkingFunction, Value
 from gspn_framework_package.model.net import Net, Point
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
@@ -77,7 +78,7 @@ _ENDS = frozenset(("id", "source", "target"))
 _PAGE = known("id", free=_FREE + "text finalmarkings")
 _NET = known("id type name", free=_FREE + "text finalmarkings")
 _ROOT = known("version", free="net name toolspecific comment finalmarkings")
-_OWN_KEYS = ("capacity", "servers", "parameter")
+_OWN_KEYS = ("capacity", "servers", "parameter", "rate", "weight")
 
 
 Data = Dict[str, str]
@@ -265,10 +266,11 @@ class _Reader:
         if not kind and "delay" in parts and self._is_immediate_by_delay(parts["delay"][0], what):
             kind = "IMMEDIATE"
         if kind == "IMMEDIATE":
-            text = data.get("weight")
-            weight = self.options.missing_weight
-            if text:
-                weight = self.draft.number(text, "weight", what, line)
+            weight: Value = self.options.missing_weight
+            if own.get("weight"):
+                weight = self.draft.value(own["weight"], "weight", what, line)
+            elif data.get("weight"):
+                weight = self.draft.number(data["weight"], "weight", what, line)
             text = data.get("priority")
             priority = self.draft.count(text, "priority", what, line) if text else 1
             self.draft.add_immediate(identifier, name, weight, priority, _position(parts), line)
@@ -318,7 +320,9 @@ class _Reader:
             )
         return text == "[0,0]"
 
-    def _rate(self, kind: str, data: Data, own: Data, what: str, line: int) -> float:
+    def _rate(self, kind: str, data: Data, own: Data, what: str, line: int) -> Value:
+        if own.get("rate"):
+            return self.draft.value(own["rate"], "rate", what, line)
         text = data.get("distributionParameters", "").strip("[](){} ")
         if not text:
             return 1.0
@@ -434,32 +438,30 @@ def to_bytes(net: Net) -> bytes:
             node = _write_node(
                 page, "transition", ids[transition.name], transition.name, transition.position
             )
-            if transition.timed:
-                servers = "infinite" if transition.servers is None else str(transition.servers)
-                rate = number_text(transition.rate)
-                _write_properties(
-                    node,
-                    STOCHASTIC,
-                    "0.2",
-                    {
-                        "distributionType": "EXPONENTIAL",
-                        "distributionParameters": rate,
-                        "priority": "0",
-                        "weight": "1.0",
-                    },
-                )
-                _write_properties(node, OWN, "1.0", {"parameter": "rate", "servers": servers})
+            own: Data = {}
+            value = transition.rate if transition.timed else transition.weight
+            text = ""
+            if isinstance(value, MarkingFunction):  # other tools could not read it
+                own["rate" if transition.timed else "weight"] = value.text
             else:
-                _write_properties(
-                    node,
-                    STOCHASTIC,
-                    "0.2",
-                    {
-                        "distributionType": "IMMEDIATE",
-                        "priority": str(transition.priority),
-                        "weight": number_text(transition.weight),
-                    },
-                )
+                text = number_text(value)
+            if transition.timed:
+                timing = {
+                    "distributionType": "EXPONENTIAL",
+                    "distributionParameters": text,
+                    "priority": "0",
+                    "weight": "1.0",
+                }
+                servers = "infinite" if transition.servers is None else str(transition.servers)
+                own.update(parameter="rate", servers=servers)
+            else:
+                timing = {
+                    "distributionType": "IMMEDIATE",
+                    "priority": str(transition.priority),
+                    "weight": text,
+                }
+            _write_properties(node, STOCHASTIC, "0.2", timing)
+            _write_properties(node, OWN, "1.0", own)
         for number, arc in enumerate(net.arcs):
             node = etree.SubElement(
                 page, "arc", id="a%d" % number, source=ids[arc.source], target=ids[arc.target]
@@ -486,9 +488,11 @@ def _write_text(parent: etree._Element, name: str, text: str) -> None:
     etree.SubElement(etree.SubElement(parent, name), "text").text = text
 
 
-def _write_properties(
-    parent: etree._Element, tool: str, version: str, values: Dict[str, str]
-) -> None:
+def _write_properties(parent: etree._Element, tool: str, version: str, values: Data) -> None:
+    """Write the properties that have a text, if any."""
+    shown = {key: value for key, value in values.items() if value}
+    if not shown:
+        return
     node = etree.SubElement(parent, "toolspecific", tool=tool, version=version)
-    for key, value in values.items():
+    for key, value in shown.items():
         etree.SubElement(node, "property", key=key).text = value

@@ -55,6 +55,8 @@ class _PnmlNet(XmlNet):
         assert isinstance(new, Transition) and isinstance(old, Transition)
         if meaning(old)[1:] == meaning(new)[1:]:
             return
+        if old.function is not None or new.function is not None:
+            raise CannotHoldError
         if new.timed:
             self._set_timed(element, old, new)
         else:
@@ -67,10 +69,10 @@ class _PnmlNet(XmlNet):
         stochastic = (STOCHASTIC, "0.2")
         if not old.timed or old.rate != new.rate:
             _set_property(element, *stochastic, "distributionType", "EXPONENTIAL")
-            value = new.rate
+            value = new.number
             if _property(element, OWN, "parameter") != "rate":
                 if old.timed or self._prom():
-                    value = self._parameter(new.rate)
+                    value = self._parameter(new.number)
                 else:
                     _set_property(element, OWN, "1.0", "parameter", "rate")
             _set_property(element, *stochastic, "distributionParameters", number_text(value))
@@ -84,7 +86,7 @@ class _PnmlNet(XmlNet):
         if old.timed:
             _set_property(element, *stochastic, "distributionType", "IMMEDIATE")
         if old.timed or old.weight != new.weight:
-            _set_property(element, *stochastic, "weight", number_text(new.weight))
+            _set_property(element, *stochastic, "weight", number_text(new.number))
         if old.timed or old.priority != new.priority:
             _set_property(element, *stochastic, "priority", str(new.priority))
 

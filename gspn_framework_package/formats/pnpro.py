@@ -36,6 +36,12 @@ from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten, tokenize
+from gspn_framework_package.model.marking_function import (
+    MarkingFunction,
+    Value,
+    quoted_place,
+    text_operations,
+)
 from gspn_framework_package.model.net import Net, Point
 
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
@@ -54,6 +60,15 @@ _FUNCTIONS = {
     "Sqrt": "sqrt",
 }
 """The functions of the editor that can be read -> their names here."""
+
+_OPERATIONS = text_operations(
+    {
+        **{s: "(%%s %s %%s)" % s for s in "+-*/"},
+        "negate": "(-%s)",
+        "^": "Pow[%s, %s]",
+        **{name: "%s[...]" % written for written, name in _FUNCTIONS.items() if name},
+    }
+)
 
 _UNIT = 16.0
 """Drawing units per unit of the editor; a power of two, so that nothing is rounded."""
@@ -257,19 +272,12 @@ class _Reader:
 
     def _value(
         self, element: etree._Element, attribute: str, meaning: str, what: str, default: float
-    ) -> float:
+    ) -> Value:
         text = (element.get(attribute) or "").strip()
         if not text:
             return default
-        if "#" in text:
-            self.draft.fail(
-                "its %s '%s' depends on the marking" % (meaning, shorten(text)),
-                what,
-                line_of(element),
-                "only constant rates and weights are read",
-            )
         line = line_of(element)
-        return self.draft.number(self._expression(text, meaning, what, line), meaning, what, line)
+        return self.draft.value(self._expression(text, meaning, what, line), meaning, what, line)
 
     def _count(self, text: str, meaning: str, what: str, line: int) -> int:
         return self.draft.count(self._expression(text, meaning, what, line), meaning, what, line)
@@ -287,6 +295,8 @@ class _Reader:
         # for each open bracket: the number of commas seen, if it is a fraction
         fractions: List[Optional[int]] = []
         for token, following in zip(tokens, tokens[1:]):
+            before = text[: token.start]
+            words.append(" " * (len(before) - len(before.rstrip())))
             if following.text == "[" and token.kind == "name":
                 if token.text not in _FUNCTIONS:
                     self.draft.fail(
@@ -310,8 +320,8 @@ class _Reader:
                 fractions[-1] += 1
                 words.append(")/(")
             else:
-                words.append(token.text)
-        return " ".join(words)
+                words.append(quoted_place(token.text) if token.kind == "name" else token.text)
+        return "".join(words)
 
     def _servers(self, element: etree._Element, what: str) -> Optional[int]:
         text = (element.get("nservers") or "").strip()
@@ -365,6 +375,14 @@ def losses(net: Net) -> List[str]:
     return capacity_losses(net)
 
 
+def value_text(value: Value, transition: str) -> str:
+    """Return the rate or weight of a transition as the editor writes it."""
+    if not isinstance(value, MarkingFunction):
+        return number_text(value)
+    names = {name: "#" + quoted_place(name) for name in value.places}
+    return str(value.write(names, _OPERATIONS, "transition '%s'" % transition))
+
+
 def to_bytes(net: Net) -> bytes:
     """Return the net as a project file of one net; capacities become equivalent inhibitor arcs.
 
@@ -382,12 +400,12 @@ def to_bytes(net: Net) -> bytes:
             node = etree.SubElement(nodes, "transition", name=transition.name)
             if transition.timed:
                 node.set("type", "EXP")
-                node.set("delay", number_text(transition.rate))
+                node.set("delay", value_text(transition.rate, transition.name))
                 servers = transition.servers
                 node.set("nservers", "Infinite" if servers is None else str(servers))
             else:
                 node.set("type", "IMM")
-                node.set("weight", number_text(transition.weight))
+                node.set("weight", value_text(transition.weight, transition.name))
                 node.set("priority", str(transition.priority))
             write_position(node, transition.position, node.get("type", ""))
         for arc in net.arcs:

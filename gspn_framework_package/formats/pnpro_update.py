@@ -6,8 +6,8 @@ from typing import Any, Optional
 
 from gspn_framework_package.formats.format import CannotHoldError
 from gspn_framework_package.formats.net_equality import Node
-from gspn_framework_package.formats.pnpro import to_bytes, write_position
-from gspn_framework_package.formats.xml_tree import all_of, choose_net, number_text, tag
+from gspn_framework_package.formats.pnpro import to_bytes, value_text, write_position
+from gspn_framework_package.formats.xml_tree import all_of, choose_net, tag
 from gspn_framework_package.formats.xml_update import XmlNet, inner_element, xml_updater
 from gspn_framework_package.model.net import Arc, Place, Transition
 
@@ -40,12 +40,12 @@ class _PnproNet(XmlNet):
             _set_corner(element, new, kind)
         if new.timed:
             if not old.timed or old.rate != new.rate:
-                element.set("delay", number_text(new.rate))
+                element.set("delay", value_text(new.rate, new.name))
             if not old.timed or old.servers != new.servers:
                 element.set("nservers", "Infinite" if new.servers is None else str(new.servers))
             return
         if old.timed or old.weight != new.weight:
-            element.set("weight", number_text(new.weight))
+            element.set("weight", value_text(new.weight, new.name))
         if old.timed or old.priority != new.priority:
             element.set("priority", str(new.priority))
 

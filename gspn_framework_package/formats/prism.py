@@ -8,11 +8,31 @@ written as JANI, or as the chain that remains after its vanishing markings are e
 
 from __future__ import annotations
 
+import math
 from typing import Mapping, Sequence
 
 from gspn_framework_package.formats.symbolic import concession, identifiers, upper_bounds
 from gspn_framework_package.model.errors import NetError
+from gspn_framework_package.model.marking_function import text_operations
 from gspn_framework_package.model.net import Net
+
+_OPERATIONS = text_operations(
+    {
+        **{s: "(%%s %s %%s)" % s for s in "+-*/"},
+        "negate": "(-%s)",
+        "^": "pow(1.0*%s, %s)",
+        "pow": "pow(1.0*%s, %s)",
+        "min": "min(...)",
+        "max": "max(...)",
+        "floor": "floor(%s)",
+        "ceil": "ceil(%s)",
+        "round": "floor(%s + 0.5)",
+        "sqrt": "pow(1.0*%s, 0.5)",
+        "exp": "pow(%r, %%s)" % math.e,
+        "log": "log(%%s, %r)" % math.e,
+        "ln": "log(%%s, %r)" % math.e,
+    }
+)
 
 
 def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
@@ -21,6 +41,7 @@ def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
     :param bounds: the maximum number of tokens of places, where known; PRISM's symbolic engines
         need it.
     :raises NetError: the net has immediate transitions.
+    :raises RefusedError: PRISM lacks a function that a rate uses.
     """
     immediate = [t.name for t in net.transitions if not t.timed]
     if immediate:
@@ -61,7 +82,12 @@ def _update(net: Net, t: int, names: Sequence[str]) -> str:
 
 def _rate(net: Net, t: int, names: Sequence[str]) -> str:
     transition = net.transitions[t]
-    rate = repr(float(transition.rate))
+    function = net.functions.get(t)
+    if function is None:
+        rate = repr(float(net.value((), t)))
+    else:
+        shown = {name: names[net.place_index[name]] for name in function.places}
+        rate = str(function.write(shown, _OPERATIONS, "transition '%s'" % transition.name))
     if transition.servers == 1 or not net.inputs[t]:
         return rate
     degrees = [

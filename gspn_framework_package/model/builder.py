@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
+from gspn_framework_package.model.marking_function import parse_value
 from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 
 ArcEnds = Union[str, Sequence[str], Mapping[str, int]]
@@ -43,21 +44,23 @@ class NetBuilder:
     def immediate(
         self,
         name: str,
-        weight: float = 1.0,
+        weight: Union[float, str] = 1.0,
         priority: int = 1,
         inputs: ArcEnds = (),
         outputs: ArcEnds = (),
         inhibitors: ArcEnds = (),
         position: Optional[Point] = None,
     ) -> NetBuilder:
-        """Add an immediate transition and its arcs; a larger ``priority`` takes precedence."""
-        self._transitions.append(Transition(name, False, 1.0, weight, priority, 1, position))
+        """Add an immediate transition and its arcs; a larger ``priority`` takes precedence. The
+        weight may be an expression over the marking, such as ``"2 * #place"``."""
+        value = parse_value(weight) if isinstance(weight, str) else weight
+        self._transitions.append(Transition(name, False, 1.0, value, priority, 1, position))
         return self._connect(name, inputs, outputs, inhibitors)
 
     def exponential(
         self,
         name: str,
-        rate: float = 1.0,
+        rate: Union[float, str] = 1.0,
         servers: Optional[int] = 1,
         inputs: ArcEnds = (),
         outputs: ArcEnds = (),
@@ -65,8 +68,9 @@ class NetBuilder:
         position: Optional[Point] = None,
     ) -> NetBuilder:
         """Add an exponential transition (``rate`` in 1/s; ``servers`` None for infinitely many) and
-        its arcs."""
-        self._transitions.append(Transition(name, True, float(rate), 1.0, 1, servers, position))
+        its arcs. The rate may be an expression over the marking, such as ``"2 * #place"``."""
+        value = parse_value(rate) if isinstance(rate, str) else float(rate)
+        self._transitions.append(Transition(name, True, value, 1.0, 1, servers, position))
         return self._connect(name, inputs, outputs, inhibitors)
 
     def arc(self, source: str, target: str, weight: int = 1) -> NetBuilder:

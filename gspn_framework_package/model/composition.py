@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Collection, Dict, List, Mapping, Optional
 
 from gspn_framework_package.model.errors import NetError
-from gspn_framework_package.model.net import Arc, Net, Place, Point
+from gspn_framework_package.model.net import Arc, Net, Place, Point, with_places_renamed
 
 
 def expand_place(
@@ -75,7 +75,9 @@ def expand_place(
 
     transitions = list(net.transitions)
     transitions += [
-        inner._replace(name=inner_names[inner.name], position=_moved(inner.position, shift))
+        with_places_renamed(inner, inner_names)._replace(
+            name=inner_names[inner.name], position=_moved(inner.position, shift)
+        )
         for inner in subnet.transitions
     ]
     occupied = [inner_names[p.name] for p in subnet.places if p.name not in resources]

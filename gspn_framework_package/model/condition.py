@@ -103,7 +103,7 @@ class Condition:
     def __init__(self, text: str, tree: Any, place_index: Mapping[str, int]) -> None:
         self.text = text
         self._tree = tree
-        self.program = _compile(tree, place_index)
+        self.program = compile_program(tree, place_index)
         self.places: Tuple[str, ...] = tuple(
             name for name, i in place_index.items() if ("place", i) in set(self.program)
         )
@@ -118,7 +118,7 @@ class Condition:
 
         :param labels: truth values of the labels in this marking, e.g. ``{"deadlock": False}``.
         """
-        return bool(_run(self.program, marking, labels, _SCALAR))
+        return bool(run_program(self.program, marking, labels))
 
     def holds_in_columns(self, columns: Any, rows: int, labels: Mapping[str, Any] = {}) -> Any:
         """In which of many markings the condition holds, as a boolean array.
@@ -129,8 +129,7 @@ class Condition:
         """
         import numpy
 
-        with numpy.errstate(all="ignore"):
-            result = _run(self.program, columns, labels, _vector_functions())
+        result = run_in_columns(self.program, columns, labels)
         return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()
 
     def enough(self) -> List[Tuple[str, int]]:
@@ -332,12 +331,16 @@ class _ConditionParser(Parser):
 
 # -- evaluation: a flat program for a stack machine, so that depth does not matter -----------------
 
-_Step = Tuple[str, Any]
-_Functions = Mapping[str, Callable[..., Any]]
+ProgramStep = Tuple[str, Any]
+Functions = Mapping[str, Callable[..., Any]]
 
 
-def _compile(tree: Any, place_index: Mapping[str, int]) -> Tuple[_Step, ...]:
-    program: List[_Step] = []
+def compile_program(tree: Any, place_index: Mapping[str, Any]) -> Tuple[ProgramStep, ...]:
+    """Compile an expression or a condition into steps of a stack machine: (operation, argument).
+
+    :param place_index: name -> the key of its value when the program is run.
+    """
+    program: List[ProgramStep] = []
     waiting: List[Tuple[Any, bool]] = [(tree, False)]
     while waiting:
         node, ready = waiting.pop()
@@ -363,7 +366,7 @@ def _children(node: Any) -> Tuple[Any, ...]:
     return operands(node)
 
 
-def _step(node: Any) -> _Step:
+def _step(node: Any) -> ProgramStep:
     if isinstance(node, Call):
         return node.function, len(node.arguments)
     if isinstance(node, (Negation, Not)):
@@ -371,10 +374,19 @@ def _step(node: Any) -> _Step:
     return node.operator, 2
 
 
-def _run(
-    program: Sequence[_Step], counts: Any, labels: Mapping[str, Any], functions: _Functions
+def run_program(
+    program: Sequence[ProgramStep],
+    counts: Any,
+    labels: Mapping[str, Any] = {},
+    functions: Optional[Functions] = None,
 ) -> Any:
+    """Run a program and return its result; NaN where arithmetic has none.
+
+    :param counts: place (its key in the program) -> number of tokens.
+    :param functions: operation -> what is done with its operands; None: arithmetic with numbers.
+    """
     stack: List[Any] = []
+    table = _SCALAR if functions is None else functions
     for step, argument in program:
         if step == "value":
             stack.append(argument)
@@ -385,8 +397,18 @@ def _run(
         else:
             values = stack[-argument:]
             del stack[-argument:]
-            stack.append(functions[step](*values))
+            stack.append(table[step](*values))
     return stack[0]
+
+
+def run_in_columns(
+    program: Sequence[ProgramStep], columns: Any, labels: Mapping[str, Any] = {}
+) -> Any:
+    """Run a program in many markings at once; ``columns`` and ``labels`` have arrays."""
+    import numpy
+
+    with numpy.errstate(all="ignore"):
+        return run_program(program, columns, labels, _vector_functions())
 
 
 def _divide(a: float, b: float) -> float:
@@ -442,7 +464,7 @@ _SCALAR: Dict[str, Callable[..., Any]] = {
 _VECTOR: Dict[str, Callable[..., Any]] = {}
 
 
-def _vector_functions() -> _Functions:
+def _vector_functions() -> Functions:
     if not _VECTOR:
         import functools
 

@@ -10,6 +10,8 @@ This module has the only firing rule of the package; everything else calls :meth
 and :meth:`Net.fire`, or is tested to agree with them.
 """
 
+# In one piece: the only firing rule, the values of rates in a marking, and the edits of a net all
+# read the same indices, which nothing else may see half built.
 from __future__ import annotations
 
 import math
@@ -27,7 +29,12 @@ from typing import (
     Union,
 )
 
-from gspn_framework_package.model.errors import NetError, NotEnabledError
+from gspn_framework_package.model.errors import NetError, NotEnabledError, RefusedError
+from gspn_framework_package.model.marking_function import (
+    MarkingFunction,
+    Value,
+    is_valid,
+)
 
 Marking = Tuple[int, ...]
 Point = Tuple[float, float]
@@ -54,17 +61,44 @@ class Transition(NamedTuple):
 
     ``rate`` (1/s, > 0) applies to exponential transitions only. ``weight`` (>= 0) and ``priority``
     (a larger number takes precedence) apply to immediate ones only; weight 0 marks a *controllable*
-    choice, which a policy must make. ``servers`` is the number of servers of an exponential
-    transition, None for infinitely many.
+    choice, which a policy must make. Both may be functions of the marking, which are above 0
+    wherever the transition is enabled; :meth:`Net.value` computes them. ``servers`` is the number
+    of servers of an exponential transition, None for infinitely many.
     """
 
     name: str
     timed: bool = False
-    rate: float = 1.0
-    weight: float = 1.0
+    rate: Value = 1.0
+    weight: Value = 1.0
     priority: int = 1
     servers: Optional[int] = 1
     position: Optional[Point] = None
+
+    @property
+    def function(self) -> Optional[MarkingFunction]:
+        """Its rate, or weight, if that depends on the marking."""
+        value = self.rate if self.timed else self.weight
+        return value if isinstance(value, MarkingFunction) else None
+
+    @property
+    def is_controllable(self) -> bool:
+        """Whether its weight leaves it to a policy."""
+        return not self.timed and self.weight == 0
+
+    @property
+    def number(self) -> float:
+        """Its rate, or weight, where only a number will do.
+
+        :raises RefusedError: it depends on the marking.
+        """
+        value = self.rate if self.timed else self.weight
+        if isinstance(value, MarkingFunction):
+            raise RefusedError(
+                "its %s '%s' depends on the marking, which is not possible here"
+                % (_meaning(self), value.text),
+                element=_node_name(self),
+            )
+        return value
 
 
 _Node = TypeVar("_Node", Place, Transition)
@@ -90,7 +124,9 @@ class Net:
     :param name: name for messages and pictures.
     :raises NetError: duplicate or empty names, arcs to nowhere or between two nodes of one kind,
         weights below 1, negative counts, a marking above capacity, rates that are not positive
-        numbers.
+        numbers, functions of places that the net does not have.
+    :ivar functions: number of a transition -> its rate or weight, of those that depend on the
+        marking.
 
     >>> net = Net([Place("P1", 1), Place("P2")], [Transition("T1", timed=True)],
     ...           [Arc("P1", "T1"), Arc("T1", "P2")])
@@ -131,6 +167,19 @@ class Net:
             _check_place(place)
         for transition in self.transitions:
             _check_transition(transition)
+        self.functions: Mapping[int, MarkingFunction] = {
+            t: transition.function
+            for t, transition in enumerate(self.transitions)
+            if transition.function is not None
+        }
+        for t, function in self.functions.items():
+            for name in function.places:
+                if name not in self.place_index:
+                    raise NetError(
+                        "there is no place '%s', which its %s '%s' names"
+                        % (name, _meaning(self.transitions[t]), function.text),
+                        element=_node_name(self.transitions[t]),
+                    )
 
     def _refuse_names(self) -> None:
         """:raises NetError: names the first node whose name is missing or already taken."""
@@ -273,7 +322,53 @@ class Net:
         degree = self.enabling_degree(marking, t)
         if transition.servers is not None:
             degree = min(degree, transition.servers)
-        return transition.rate * degree
+        return self.value(marking, t) * degree if degree else 0.0
+
+    def require_numbers(self, what: str) -> None:
+        """Require that no rate or weight depends on the marking.
+
+        :param what: what cannot take one that does, for the message.
+        :raises RefusedError: one does.
+        """
+        for t, function in self.functions.items():
+            raise RefusedError(
+                "its %s '%s' depends on the marking, which %s cannot take"
+                % (_meaning(self.transitions[t]), function.text, what),
+                element=_node_name(self.transitions[t]),
+            )
+
+    def value(self, marking: Sequence[int], t: int) -> float:
+        """Return the rate (1/s, of one server) of the exponential transition ``t``, or the weight
+        of an immediate one, in ``marking``, which enables it.
+
+        :raises NetError: it depends on the marking, and is not a number above 0 there.
+        """
+        function = self.functions.get(t)
+        if function is None:
+            return self.transitions[t].number
+        counts = {name: marking[self.place_index[name]] for name in function.places}
+        return self.valid_value(marking, t, function.value(counts))
+
+    def valid_value(self, marking: Sequence[int], t: int, found: float) -> float:
+        """Return the value ``found`` of the function of transition ``t`` in ``marking``, which
+        enables it.
+
+        :raises NetError: it is not a number above 0.
+        """
+        if not is_valid(found):
+            held = ", ".join("%s: %d" % item for item in self.named(marking, zeros=False).items())
+            raise NetError(
+                "its %s '%s' is %s in (%s)"
+                % (
+                    _meaning(self.transitions[t]),
+                    self.functions[t].text,
+                    "%g" % found if math.isfinite(found) else "not a finite number",
+                    held,
+                ),
+                element=_node_name(self.transitions[t]),
+                hint="it must be above 0 wherever the transition is enabled",
+            )
+        return found
 
     def why_disabled(self, marking: Sequence[int], t: int) -> List[str]:
         """Return the reasons, in words, why transition ``t`` is not enabled; empty if it is."""
@@ -314,6 +409,10 @@ class Net:
             and not self.inhibitors[t]
             and all(change <= 0 or self.places[p].capacity is None for p, change in self.effect(t))
         )
+
+    def named_by_functions(self) -> Set[str]:
+        """Return the names of the places that rates and weights depend on."""
+        return {name for function in self.functions.values() for name in function.places}
 
     def inhibited_by(self) -> Dict[int, List[int]]:
         """Return for each place with inhibitor arcs (by index) the numbers of the transitions that
@@ -381,11 +480,11 @@ class Net:
         places = [p._replace(tokens=n) for p, n in zip(self.places, counts)]
         return Net(places, self.transitions, self.arcs, self.name)
 
-    def with_rates(self, rates: Mapping[str, float]) -> Net:
+    def with_rates(self, rates: Mapping[str, Value]) -> Net:
         """Return the net with other rates (1/s): exponential transition -> rate. Other names are
         ignored."""
         transitions = [
-            t._replace(rate=float(rates[t.name])) if t.timed and t.name in rates else t
+            t._replace(rate=_as_value(rates[t.name])) if t.timed and t.name in rates else t
             for t in self.transitions
         ]
         return Net(self.places, transitions, self.arcs, self.name) if rates else self
@@ -400,6 +499,13 @@ class Net:
         gone = set(names)
         for name in gone:
             self.place_number(name)
+        for t, function in self.functions.items():
+            for name in gone.intersection(function.places):
+                raise NetError(
+                    "its %s '%s' names the place '%s', which is taken out"
+                    % (_meaning(self.transitions[t]), function.text, name),
+                    element=_node_name(self.transitions[t]),
+                )
         kept = [p for p, place in enumerate(self.places) if place.name not in gone]
         return self._restricted(kept, gone)
 
@@ -419,6 +525,7 @@ class Net:
         net.name = self.name
         net.places = tuple([self.places[p] for p in kept])
         net.transitions = self.transitions
+        net.functions = self.functions
         net.arcs = tuple([a for a in self.arcs if a[0] not in gone and a[1] not in gone])
         net.place_index = {place.name: p for p, place in enumerate(net.places)}
         net.transition_index = self.transition_index
@@ -469,6 +576,19 @@ class Net:
             len(self.transitions),
             len(self.arcs),
         )
+
+
+def with_places_renamed(transition: Transition, names: Mapping[str, str]) -> Transition:
+    """Return the transition for a net whose places have other names: old -> new."""
+    function = transition.function
+    if function is None:
+        return transition
+    renamed = function.renamed(names)
+    return (
+        transition._replace(rate=renamed)
+        if transition.timed
+        else transition._replace(weight=renamed)
+    )
 
 
 def _put(nodes: Sequence[_Node], node: _Node) -> List[_Node]:
@@ -541,11 +661,15 @@ def _check_place(place: Place) -> None:
 
 def _check_transition(transition: Transition) -> None:
     _, timed, rate, weight, priority, servers, _ = transition
-    if timed and not (math.isfinite(rate) and rate > 0):
+    if timed and not isinstance(rate, MarkingFunction) and not is_valid(rate):
         raise NetError(
             "its rate %r is not a number above 0" % (rate,), element=_node_name(transition)
         )
-    if not timed and not (math.isfinite(weight) and weight >= 0):
+    if (
+        not timed
+        and not isinstance(weight, MarkingFunction)
+        and not (math.isfinite(weight) and weight >= 0)
+    ):
         raise NetError(
             "its weight %r is not a number of at least 0" % (weight,),
             element=_node_name(transition),
@@ -569,6 +693,14 @@ def _check_count(
         )
     if value > MAX_COUNT:
         raise NetError("its %s is larger than 2**53 (%d)" % (what, MAX_COUNT), element=element)
+
+
+def _meaning(transition: Transition) -> str:
+    return "rate" if transition.timed else "weight"
+
+
+def _as_value(value: Value) -> Value:
+    return value if isinstance(value, MarkingFunction) else float(value)
 
 
 def _node_name(node: Union[Place, Transition]) -> str:

@@ -32,6 +32,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.marking_function import Value, written
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import SUM_TOLERANCE, Policy
 from gspn_framework_package.model.subnet import SEPARATOR, Subnet
@@ -198,7 +199,7 @@ class Plan:
     failures: Mapping[str, float] = field(default_factory=dict)
     chance: FrozenSet[str] = frozenset()
     rates: Mapping[str, float] = field(default_factory=dict)
-    own_rates: Mapping[str, float] = field(default_factory=dict)
+    own_rates: Mapping[str, Value] = field(default_factory=dict)
     evidence: Mapping[Tuple[str, str], Evidence] = field(default_factory=dict)
     events: Mapping[str, EventSource] = field(default_factory=dict)
     tasks: Tasks = Tasks()
@@ -275,12 +276,13 @@ class Plan:
 
     @cached_property
     def counters(self) -> Tuple[str, ...]:
-        """Resource places that nothing reads: no transition, inhibitor arc, capacity, policy cell
-        or ``until`` condition. They only count, and cannot affect the behaviour."""
+        """Resource places that nothing reads: no transition, inhibitor arc, capacity, rate, weight,
+        policy cell or ``until`` condition. They only count, and cannot affect the behaviour."""
         net = self.net
         inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
         cells = zip(self.policy.places, zip(*(row.counts for row in self.policy.rows)))
         read = {place for place, counts in cells if any(count is not None for count in counts)}
+        read |= net.named_by_functions()
         if self.until:
             read.update(parse_condition(self.until, [p.name for p in net.places]).places)
         return tuple(
@@ -350,7 +352,14 @@ class Plan:
             ],
             "transitions": [
                 # an exponential transition has no weight; the JSON of a net leaves it out
-                [t.name, t.timed, t.rate, 1.0 if t.timed else t.weight, t.priority, t.servers]
+                [
+                    t.name,
+                    t.timed,
+                    written(t.rate),
+                    1.0 if t.timed else written(t.weight),
+                    t.priority,
+                    t.servers,
+                ]
                 for t in self.net.transitions
             ],
             "arcs": [list(a) for a in self.net.arcs],

@@ -152,7 +152,7 @@ class PlanTiming:
             )
         given = plan.durations.get(name)
         leaving = self._of_action[p]
-        rates = [(t, net.transitions[t].rate) for t in leaving if net.transitions[t].timed]
+        rates = [(t, net.transitions[t].number) for t in leaving if net.transitions[t].timed]
         decides = len(rates) < len(leaving)
         total = sum(rate for _, rate in rates)
         if given is not None:

@@ -437,6 +437,7 @@ class _Compiler:
     def run_net(self) -> RunNet:
         """The run net."""
         plan, net = self._plan, self._net
+        net.require_numbers("the analysis of a plan")
         numbers = range(len(net.transitions))
         immediate = [t for t in numbers if not net.transitions[t].timed]
         begin: List[Tuple[List[int], float]] = [([0] * self._parts[-1][1], 1.0)]
@@ -461,7 +462,7 @@ class _Compiler:
             self._racing,
             self._by_event,
             [
-                EventClock(t, net.transitions[t].rate, tuple(range(*self._parts[p])))
+                EventClock(t, net.transitions[t].number, tuple(range(*self._parts[p])))
                 for t, p in self._by_event.items()
             ],
             [self._race(t) for t in numbers if self._is_race(t)],

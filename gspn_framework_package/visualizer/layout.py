@@ -146,7 +146,12 @@ class _Parts:
             if node is not None and (node == place.name or node not in places):
                 entry = place.name if node == place.name else self._subnets[node].entry
                 places[node] = self._net.place(entry)._replace(name=node)
-        transitions = [t for t in self._net.transitions if self._owner.get(t.name, "") == part]
+        transitions = [
+            # the places that a rate or weight names may be in another drawing
+            t._replace(rate=1.0, weight=1.0)
+            for t in self._net.transitions
+            if self._owner.get(t.name, "") == part
+        ]
         inside = {*places, *(t.name for t in transitions)}
         arcs: Dict[Tuple[str, str, bool], List[int]] = {}
         for a, arc in enumerate(self._net.arcs):

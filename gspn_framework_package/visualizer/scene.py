@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.execution.breakpoints import why_no_breakpoint
+from gspn_framework_package.model.marking_function import written
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
@@ -33,8 +34,8 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
             {
                 "name": t.name,
                 "timed": t.timed,
-                "rate": t.rate,
-                "weight": t.weight,
+                "rate": written(t.rate),
+                "weight": written(t.weight),
                 "priority": t.priority,
                 "servers": t.servers,
                 "environment": plan is not None and _is_environment(net, plan, i),

@@ -248,7 +248,7 @@ class RunSteps:
         for i, robot in enumerate(state.robots):
             for t in self._events[robot.place]:
                 entry = log_entries.Interrupt(str(i), 0, 1, net.transitions[t].name)
-                found += self._turn(state, entry, net.transitions[t].rate)
+                found += self._turn(state, entry, net.transitions[t].number)
             if self.losses:
                 found += self._turn(state, log_entries.Evict(str(i), 0), self.losses)
             if robot.what != DOES:
@@ -264,7 +264,7 @@ class RunSteps:
                 found.append((state._replace(robots=self._ordered(robots)), -1, rate))
         for t in self.game.environment_transitions:
             if net.is_enabled(marking, t):
-                rate = net.transitions[t].rate * self._servers(marking, t)
+                rate = net.transitions[t].number * self._servers(marking, t)
                 found += self._turn(state, log_entries.Fire(net.transitions[t].name), rate)
         return found
 

@@ -20,6 +20,7 @@ from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.decisions.who_decides import Decider
 from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.marking_function import Value
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.model.plan_timing import POLICY
 from gspn_framework_package.run_net.run_net import RunNet
@@ -120,6 +121,7 @@ class DecisionNet:
         self._plan = plan = run_net.plan
         self._deciders = deciders
         self._source = run_net.net
+        self._source.require_numbers("the computation of a policy")
         self._acts = run_net.acts
         self._events = run_net.interrupted
         self._races = {race.transition for race in run_net.races}
@@ -258,9 +260,9 @@ class DecisionNet:
         outputs: Sequence[Tuple[str, int]],
         *,
         inhibitors: Sequence[Tuple[str, int]] = (),
-        rate: float = 1.0,
+        rate: Value = 1.0,
         servers: Optional[int] = None,
-        weight: float = 1.0,
+        weight: Value = 1.0,
         priority: int = 1,
         askers: Tuple[int, ...] = (),
         rated: int = -1,
@@ -353,7 +355,7 @@ class DecisionNet:
             elif t in chance:
                 self._join_group(Stage.NAMED, part, number, chance[t])
             elif self._deciders[name].policy:
-                self._join_group(Stage.DECIDED, part, number, self._source.transitions[t].weight)
+                self._join_group(Stage.DECIDED, part, number, self._source.transitions[t].number)
 
     def _chances(self, name: str) -> Tuple[Tuple[int, float], ...]:
         decider = self._deciders[name]

@@ -332,7 +332,7 @@ class _Exactly:
                 objective.aim,
                 own.rewards,
                 own.grouped.evaluated,
-                np.array([t.rate if t.timed else 0.0 for t in transitions]),
+                np.array([t.number if t.timed else 0.0 for t in transitions]),
                 labels=self._problem.rate_labels(own.team),
             )
         except LimitError:
@@ -342,9 +342,9 @@ class _Exactly:
             return
         for transition, derivative in zip(transitions, found.tolist()):
             if transition.timed and derivative:
-                elasticity = derivative * transition.rate / value if value else None
+                elasticity = derivative * transition.number / value if value else None
                 report.sensitivities.append(
-                    Sensitivity(transition.name, transition.rate, derivative, elasticity)
+                    Sensitivity(transition.name, transition.number, derivative, elasticity)
                 )
 
 

@@ -57,9 +57,9 @@ class Answers:
         The first is that the weights decide."""
         net = self._plan.net
         weights = tuple(
-            (t, net.transitions[t].weight)
+            (t, net.transitions[t].number)
             for t in net.consumers[place]
-            if not net.transitions[t].timed and net.transitions[t].weight > 0
+            if not net.transitions[t].timed and not net.transitions[t].is_controllable
         )
         answers: List[Choices] = [() if self._plan.strict else weights]
         if not self._policy.rows:

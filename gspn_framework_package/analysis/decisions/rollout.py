@@ -485,9 +485,9 @@ class _Search:
                     others.update((self.net.transitions[t].name, v) for t, v in spoken.choices)
             else:  # a row for one place disables the weights of the others
                 others.update(
-                    (self.net.transitions[t].name, self.net.transitions[t].weight)
+                    (self.net.transitions[t].name, self.net.transitions[t].number)
                     for t in leaving
-                    if self.net.transitions[t].weight > 0
+                    if not self.net.transitions[t].is_controllable
                 )
         rows: List[Dict[str, float]] = []
         if choice != WAIT:

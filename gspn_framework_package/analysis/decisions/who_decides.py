@@ -71,7 +71,9 @@ def _decider(
     transitions = plan.net.transitions
     outcomes = plan.outcomes.get(name)
     named = {t: v for t, v in (outcomes or {}).items() if t and v > 0}
-    by_weight = tuple((t, transitions[t].weight) for t in immediate if transitions[t].weight > 0)
+    by_weight = tuple(
+        (t, transitions[t].number) for t in immediate if not transitions[t].is_controllable
+    )
     by_action = tuple(
         (t, named[transitions[t].name]) for t in immediate if transitions[t].name in named
     )

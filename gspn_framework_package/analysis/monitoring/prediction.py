@@ -207,7 +207,7 @@ class Parameters(NamedTuple):
         return replace(
             plan,
             net=plan.net.with_rates(
-                {name: plan.net.transition(name).rate * f for name, f in self.rates.items()}
+                {name: plan.net.transition(name).number * f for name, f in self.rates.items()}
             ),
             durations={
                 place: duration.scaled(self.durations[place])

@@ -167,10 +167,10 @@ class PlanMarkings:
         indefinitely."""
         if self.plan.strict:
             return
-        weights = [t.weight for t in self.net.transitions]
+        controllable = [t.is_controllable for t in self.net.transitions]
         for p, leaving in self._decision_places():
             states = self._deciding(leaving, 1)
-            weighty = [t for t in leaving if weights[t] > 0]
+            weighty = [t for t in leaving if not controllable[t]]
             some = np.zeros(len(self.space), dtype=bool)
             some[self._sources[np.isin(self.space.transitions, weighty)]] = True
             states = states[~some[states]]
@@ -465,7 +465,7 @@ class _Answers:
     def chosen(self, p: int, t: int, states: Indices) -> Booleans:
         """Boolean array: the ``states`` in which a robot in place ``p`` may choose transition
         ``t``."""
-        weighty = self._markings.net.transitions[t].weight > 0
+        weighty = not self._markings.net.transitions[t].is_controllable
 
         def verdict(distribution: Optional[Distribution], matched: bool) -> bool:
             if distribution is not None:

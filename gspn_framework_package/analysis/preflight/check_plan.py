@@ -50,6 +50,19 @@ def check(
     start = time.perf_counter()
     plan.validate()
     checklist = Checklist()
+    for t, function in plan.net.functions.items():
+        name = plan.net.transitions[t].name
+        checklist.add(
+            "rates",
+            Severity.REFUSED,
+            "'%s' of %s depends on the marking: a net may have such rates and weights, a plan "
+            "may not" % (function, name),
+            transition=name,
+        )
+    if plan.net.functions:  # the other checks need numbers
+        return PreflightReport(
+            plan.name, tuple(checklist.items), 0, False, time.perf_counter() - start
+        )
     by_name = NameChecks(plan, checklist)
     by_name.look_at_names()
     ReactingChecks(plan, checklist, standalone).look_at_reactions()

@@ -93,7 +93,7 @@ class NameChecks:
         differing = []
         for name, duration in self.plan.durations.items():
             leaving = self._of_action(name)
-            rate = sum(t.rate for t in leaving if t.timed)
+            rate = sum(t.number for t in leaving if t.timed)
             learned = ("durations", name) in self.plan.evidence
             if learned or not (rate and all(t.timed for t in leaving)):
                 continue

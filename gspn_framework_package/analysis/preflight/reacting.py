@@ -86,12 +86,12 @@ class ReactingChecks:
         for t, _ in interrupting:
             transition = net.transitions[t]
             after = plan.events[transition.name].after
-            if after is not None and not 0.5 < after * transition.rate < 2:
+            if after is not None and not 0.5 < after * transition.number < 2:
                 differing.append(
                     (
                         transition.name,
                         "%s: after %g s, %.4g s by its rate"
-                        % (transition.name, after, 1 / transition.rate),
+                        % (transition.name, after, 1 / transition.number),
                     )
                 )
         if differing:

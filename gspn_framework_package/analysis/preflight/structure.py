@@ -218,7 +218,7 @@ class StructureChecks:
         return (
             not self.plan.policy.bind(self.net).rows_of(p)
             and not self.plan.strict
-            and all(t.weight > 0 for t in leaving)
+            and not any(t.is_controllable for t in leaving)
         )
 
     def _look_at_policy(self) -> None:
@@ -232,7 +232,7 @@ class StructureChecks:
             )
             if len(leaving) > (0 if plan.strict else 1)
         ]
-        weighty = all(t.weight > 0 for t in self.net.transitions if not t.timed)
+        weighty = not any(t.is_controllable for t in self.net.transitions)
         ignored = [name for name in asking if self._cover.never_speaks(self.net.place_number(name))]
         if ignored:
             self._list.add(

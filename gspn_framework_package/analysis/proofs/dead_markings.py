@@ -158,7 +158,7 @@ class _StuckPlan:
         scope = self._plan.policy.bind(self._plan.net).rows_of(original)
         some_row = [program.any_of([self._match(number) for number in scope])] if scope else []
         for t in leaving:
-            if transitions[t].weight > 0:
+            if not transitions[t].is_controllable:
                 program.require_disabled(t, otherwise=some_row)
 
     def _spend(self, steps: int) -> None:

@@ -58,6 +58,7 @@ class PlanTables:
     ) -> None:
         self.plan = plan
         self.net = net = plan.net
+        net.require_numbers("the simulation of a plan")
         self.is_resource = [p.name in plan.resource_places for p in net.places]
         self.arcs: List[Tuple[int, int, int]] = []  # transition, place, weight
         self.arc_of: Dict[Tuple[int, int], int] = {}
@@ -208,7 +209,7 @@ class PlanTables:
             arc_weight=_whole([weight for _, _, weight in self.arcs]),
             immediate=_whole([int(i) for i in immediate]),
             priority=_whole(self.priority),
-            weight=_real([0.0 if t.timed else t.weight for t in net.transitions]),
+            weight=_real([0.0 if t.timed else t.number for t in net.transitions]),
             leaving_from=leaving_from,
             leaving=leaving,
             **self._movers(),
@@ -221,7 +222,7 @@ class PlanTables:
             environment_from=environment_from,
             environment=reads_environment,
             environment_transition=_whole(environment),
-            server_rate=_real([net.transitions[t].rate for t in environment]),
+            server_rate=_real([net.transitions[t].number for t in environment]),
             servers=_whole([net.transitions[t].servers or 0 for t in environment]),
             until_reads=until_reads,
             until_operations=operations,
@@ -255,7 +256,7 @@ class PlanTables:
             "event_transition": _whole(self.events),
             "event_rate": _real(
                 [
-                    net.transitions[t].rate if source.after is None else 0.0
+                    net.transitions[t].number if source.after is None else 0.0
                     for t, source in zip(self.events, sources)
                 ]
             ),

@@ -1,9 +1,12 @@
-"""Runs of a net: its enabled exponential transitions race."""
+"""Runs of a net: its enabled exponential transitions race.
+
+Rates and weights that depend on the marking are computed here, before each firing. The kernel then
+runs as plain Python, one firing at a time."""
 
 from __future__ import annotations
 
 import math
-from typing import List, Optional
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -30,10 +33,49 @@ class RaceRun(KernelRun):
     def __init__(self, net: Net, until: Optional[Condition] = None) -> None:
         arrays = _arrays(net, until)
         super().__init__(net, (arrays,), _new_state(net, arrays))
+        self._known: Dict[Tuple[int, Tuple[int, ...]], float] = {}
+
+    def compile(self) -> None:
+        """Switch to the compiled kernel, unless rates or weights depend on the marking."""
+        if not self.net.functions:
+            super().compile()
 
     def step(self, stop: float, budget: int) -> int:
-        """Let the transitions race; see :meth:`KernelRun.step`."""
-        return int(self.functions["race"](tuple(self.arrays[0]), tuple(self.state), stop, budget))
+        """Let the transitions race; see :meth:`KernelRun.step`.
+
+        :raises NetError: a rate or weight that depends on the marking is not above 0.
+        """
+        race = self.functions["race"]
+        if not self.net.functions:
+            return int(race(tuple(self.arrays[0]), tuple(self.state), stop, budget))
+        for _ in range(budget):
+            self._set_values()
+            status = int(race(tuple(self.arrays[0]), tuple(self.state), stop, 1))
+            if status != kernel.MORE:
+                return status
+        return kernel.MORE
+
+    def _set_values(self) -> None:
+        """Set the rates and weights that depend on the marking."""
+        net, state, arrays = self.net, self.state, self.arrays[0]
+        marking = state.level[: len(net.places)]
+        leaves = len(state.tree) // 2
+        for t, function in net.functions.items():
+            if not net.is_enabled(marking, t):
+                continue
+            key = (t, tuple([marking[net.place_index[name]] for name in function.places]))
+            value = self._known.get(key)
+            if value is None:
+                value = self._known[key] = net.value(marking, t)
+            if not net.transitions[t].timed:
+                arrays.weight[t] = value
+                continue
+            arrays.rate[t] = value
+            degree = net.enabling_degree(marking, t)
+            servers = net.transitions[t].servers
+            rate = value * (degree if servers is None else min(degree, servers))
+            if state.tree[leaves + t] != rate:
+                kernel.set_leaf(state.tree, leaves, t, rate)
 
     def after(self, status: int) -> int:
         """Refuse a choice without weights; see :meth:`KernelRun.after`.
@@ -91,9 +133,15 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
         touched_from=touched_from,
         touched=flat_touched,
         timed=np.array([int(t.timed) for t in transitions], dtype=np.int64),
-        rate=np.array([t.rate for t in transitions], dtype=np.float64),
+        rate=np.array(
+            [t.number if t.timed and t.function is None else 1.0 for t in transitions],
+            dtype=np.float64,
+        ),
         servers=np.array([t.servers or 0 for t in transitions], dtype=np.int64),
-        weight=np.array([t.weight for t in transitions], dtype=np.float64),
+        weight=np.array(
+            [1.0 if t.timed or t.function is not None else t.number for t in transitions],
+            dtype=np.float64,
+        ),
         priority=np.array([t.priority for t in transitions], dtype=np.int64),
         until_reads=reads,
         until_operations=operations,

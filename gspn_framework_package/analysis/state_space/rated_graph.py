@@ -86,6 +86,7 @@ def rate(space: StateSpace) -> RatedGraph:
     :raises LimitError: the state space is not complete.
     :raises UsageError: it was explored untimed.
     :raises RefusedError: a choice has no weights (weight 0 leaves it to a policy).
+    :raises NetError: a rate or weight that depends on the marking is not above 0 in some state.
     """
     space.require_complete("its Markov chain")
     if space.untimed:
@@ -98,7 +99,7 @@ def rate(space: StateSpace) -> RatedGraph:
     for t, arcs in _arcs_by_transition(space.transitions):
         transition = space.net.transitions[t]
         if not transition.timed:
-            values[arcs] = transition.weight
+            values[arcs] = rate_or_weight(space.net, t, space.store, sources[arcs])
         else:
             values[arcs] = firing_rate(space.net, t, space.store, sources[arcs])
     _normalise(space, vanishing, sources, values)
@@ -129,12 +130,34 @@ def firing_rate(
     """The rate (1/s) at which exponential transition number ``t``, which is enabled, fires in each
     of some ``states`` (numbers)."""
     transition = net.transitions[t]
+    value = rate_or_weight(net, t, store, states)
     if transition.servers == 1:
-        return transition.rate
+        return value
     degree = enabling_degree(net, t, store, states)
     if transition.servers is not None:
         degree = np.minimum(degree, transition.servers)
-    return transition.rate * degree
+    return value * degree
+
+
+def rate_or_weight(
+    net: Net, t: int, store: Union[PackedStore, SparseStore], states: Indices
+) -> Union[float, Floats]:
+    """The rate (1/s, of one server) or the weight of transition number ``t``, which is enabled, in
+    each of some ``states`` (numbers).
+
+    :raises NetError: it depends on the marking, and is not above 0 in one of them.
+    """
+    function = net.functions.get(t)
+    if function is None:
+        return net.value((), t)
+    columns = {n: store.column(net.place_index[n], states) for n in function.places}
+    values = function.values({n: c.astype(np.float64) for n, c in columns.items()})
+    wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
+    if len(wrong):
+        marking = store.rows(np.asarray(states)[wrong[:1]])[0].tolist()
+        net.valid_value(marking, t, float(values[wrong[0]]))
+    found: Floats = values
+    return found
 
 
 def enabling_degree(

@@ -37,7 +37,12 @@ def automorphisms(
     """
     places = len(net.places)
     nodes = places + len(net.transitions)
-    colours: List[Hashable] = [("place", place.tokens, place.capacity) for place in net.places]
+    # a place that a rate or weight names is exchanged with no other
+    named = net.named_by_functions()
+    colours: List[Hashable] = [
+        ("place", place.tokens, place.capacity, place.name if place.name in named else None)
+        for place in net.places
+    ]
     for t, transition in enumerate(net.transitions):
         behaviour: Tuple[Hashable, ...] = (
             ("timed", transition.rate, transition.servers)

@@ -43,7 +43,7 @@ class LocalTransitions:
             immediate = [t for t in leaving if not net.transitions[t].timed]
             if not leaving or (immediate and (len(leaving) > 1 or policy_decides)):
                 continue
-            if any(net.transitions[t].weight <= 0 for t in immediate):
+            if any(net.transitions[t].is_controllable for t in immediate):
                 continue
             targets = {}
             for t in leaving:

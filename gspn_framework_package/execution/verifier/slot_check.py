@@ -359,7 +359,7 @@ class SlotCheck(LoggedTeam):
             return self._first_priority([(t, p / total) for t, p in best[2]])
         if matches or self.plan.strict:
             return []
-        open_ones = [(t, self.kind[t].weight) for t in leaving if self._may_fire(t)]
+        open_ones = [(t, self.kind[t].number) for t in leaving if self._may_fire(t)]
         kept = self._first_priority(open_ones)
         return kept if any(w > 0 for _, w in kept) else []
 

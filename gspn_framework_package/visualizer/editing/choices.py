@@ -109,7 +109,7 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
         return "rows of the policy match, but none applies to this place: robots wait here"
     if plan.strict:
         return "no row of the policy matches and the plan is strict: robots wait here"
-    if not any(net.transitions[t].weight for t in leaving if net.is_enabled(full, t)):
+    if all(net.transitions[t].is_controllable for t in leaving if net.is_enabled(full, t)):
         enabled = any(net.is_enabled(full, t) for t in leaving)
         return (
             "no row of the policy matches, and the weights are 0: robots wait here"

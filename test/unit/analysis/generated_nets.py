@@ -16,9 +16,11 @@ def split(draw, total, places):
 
 
 @st.composite
-def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=True):
+def bounded_nets(
+    draw, max_places=4, max_transitions=6, max_tokens=4, immediate=True, dependent=False
+):
     """A net in which every firing keeps the number of tokens, but for a place with a capacity that
-    may come on top."""
+    may come on top; ``dependent``: some rates and weights depend on the marking."""
     builder = NetBuilder("generated")
     places = ["p%d" % i for i in range(draw(st.integers(2, max_places)))]
     tokens = split(draw, draw(st.integers(1, max_tokens)), places)
@@ -38,10 +40,14 @@ def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=
             side = draw(st.sampled_from([None, None, inputs, outputs]))
             if side is not None:
                 side["limited"] = 1
+        function = None
+        if dependent and draw(st.booleans()):
+            shape = draw(st.sampled_from(["0.5 + #%s * #%s", "2 / (1 + #%s) + min(#%s, 2) / 4"]))
+            function = shape % (draw(st.sampled_from(places)), draw(st.sampled_from(places)))
         if immediate and draw(st.integers(0, 2)) == 0:
             builder.immediate(
                 "i%d" % i,
-                weight=draw(st.sampled_from([0.5, 1.0, 2.0, 3.0])),
+                weight=function or draw(st.sampled_from([0.5, 1.0, 2.0, 3.0])),
                 priority=draw(st.integers(1, 3)),
                 inputs=inputs,
                 outputs=outputs,
@@ -50,7 +56,7 @@ def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=
         else:
             builder.exponential(
                 "e%d" % i,
-                rate=draw(st.sampled_from([0.25, 0.5, 1.0, 2.0, 4.0])),
+                rate=function or draw(st.sampled_from([0.25, 0.5, 1.0, 2.0, 4.0])),
                 servers=draw(st.sampled_from([1, 1, 2, None])),
                 inputs=inputs,
                 outputs=outputs,

@@ -392,6 +392,32 @@ def test_counters_that_are_left_out_tell_what_feeds_them_apart():
     assert len(analysis.space) == 4
 
 
+def depending(rate):
+    """Two equal robots, and a machine whose rate is ``rate``."""
+    net = NetBuilder("depending").place("up", tokens=1).place("down")
+    for i in range(2):
+        net.place("a%d" % i, tokens=1).place("b%d" % i)
+        net.exponential("go%d" % i, inputs="a%d" % i, outputs="b%d" % i)
+        net.exponential("back%d" % i, inputs="b%d" % i, outputs="a%d" % i)
+    net.exponential("fails", inputs="up", outputs="down")
+    return net.exponential("mended", rate, inputs="down", outputs="up").build()
+
+
+def test_places_that_a_rate_names_are_told_apart():
+    assert Symmetry(depending(2.0)).factors
+    for rate in ("1 + #a0", "1 + #a0 + 2 * #a1", "1 + #b1"):
+        assert not Symmetry(depending(rate)).factors
+        check_measures_of(depending(rate))
+    assert Symmetry(depending("1 + #down")).factors
+    check_measures_of(depending("1 + #down"))
+
+
+def test_a_counter_that_a_rate_names_is_not_left_out():
+    net = NetBuilder("slower").place("a", tokens=3).place("made")
+    net.exponential("make", "1 / (1 + #made)", inputs="a", outputs="made")
+    assert Analysis(net.build()).left_out == ()
+
+
 def test_a_net_without_equal_parts_is_visited_as_a_whole():
     net = robots(2, rates={"0_1": 2.5})
     space = lumped(net)

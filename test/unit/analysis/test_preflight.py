@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions.aims import Objective, Request
+from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.analysis.simulation import simulate
@@ -15,6 +18,7 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import CancelledError, PlanError, RefusedError
+from gspn_framework_package.model.marking_function import parse_value, quoted_place
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
@@ -642,3 +646,19 @@ def test_what_an_action_may_name_can_fire_although_the_policy_never_chooses_it()
     assert not check(named).of("never_fire")
     rule = {"d": FailureRule(FailureKind.FIRE, transition="meet")}
     assert not check(replace(plan, on_failure=rule)).of("never_fire")
+
+
+@pytest.mark.parametrize("timing", ["run", "net"])
+def test_a_rate_that_depends_on_the_marking_is_refused(timing):
+    plan = read_plan(PLANS / "patrol")
+    timed = next(t for t in plan.net.transitions if t.timed)
+    rate = parse_value("1 + #" + quoted_place(plan.net.places[0].name))
+    plan = replace(plan, net=plan.net.with_transition(timed._replace(rate=rate)))
+    assert severities(check(plan), "rates") == [Severity.REFUSED]
+    for ask in (
+        lambda: Analysis(plan, timing=timing).chain,
+        lambda: simulate(plan, time=1.0, replications=1, timing=timing),
+        lambda: optimise(plan, Request(Objective.long_run({timed.name: 1}), reading=timing)),
+    ):
+        with pytest.raises(RefusedError, match="depends on the marking"):
+            ask()

@@ -24,6 +24,7 @@ from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import (
     CancelledError,
     ExpressionError,
+    NetError,
     RefusedError,
     UsageError,
 )
@@ -223,7 +224,7 @@ def gillespie(net, time, until, source):
         enabled = net.enabled(marking)
         timed = [t for t in enabled if net.transitions[t].timed]
         weights = [
-            net.effective_rate(marking, t) if timed else net.transitions[t].weight for t in enabled
+            net.effective_rate(marking, t) if timed else net.value(marking, t) for t in enabled
         ]
         timeless = 0 if timed else timeless + 1
         if timeless > 1000:
@@ -244,6 +245,29 @@ def gillespie(net, time, until, source):
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(bounded_nets(), st.sampled_from(["deadlock", "p0 >= 3", "p0 == 9"]))
 def test_generated_nets(net, until):
+    assert_played_by_the_firing_rule(net, until)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(bounded_nets(dependent=True), st.sampled_from(["deadlock", "p0 >= 3", "p0 == 9"]))
+def test_generated_nets_whose_rates_depend_on_the_marking(net, until):
+    assert_played_by_the_firing_rule(net, until)
+
+
+def test_a_rate_that_is_not_above_0_ends_the_simulation():
+    net = (
+        NetBuilder()
+        .place("a", 3)
+        .place("b")
+        .exponential("t", "2 - #b", inputs="a", outputs="b")
+        .build()
+    )
+    with pytest.raises(NetError, match=r"'t': its rate '2 - #b' is 0 in \(a: 1, b: 2\)"):
+        simulate(net, time=1e9, replications=2)
+
+
+def assert_played_by_the_firing_rule(net, until):
+    """Compare runs in both forms of the kernel with those that the firing rule alone makes."""
     names = [p.name for p in net.places]
     condition = parse_condition(until, names, ["deadlock"])
     forms = []

@@ -2,6 +2,7 @@
 
 from hypothesis import strategies as st
 
+from gspn_framework_package.model.marking_function import parse_value, quoted_place
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
 AWKWARD = "ab1_ .:<>&\"'{}\\#[]()äλ∞|-*?/\t"
@@ -18,8 +19,23 @@ COUNTS = st.one_of(st.integers(0, 5), st.integers(0, 2**53))
 
 
 @st.composite
-def nets(draw, capacities=True, servers=(1, None, 3)):
-    """A net of up to 5 places and 5 transitions."""
+def functions(draw, places):
+    """A rate or weight that depends on the marking; the name of a place may be in quotes."""
+    named = [p.name for p in places if not ("'" in p.name and '"' in p.name)]
+    if not named:
+        return draw(RATES)
+    terms = st.sampled_from(named).map(lambda name: "#" + quoted_place(name))
+    a, b = draw(terms), draw(terms)
+    shape = draw(
+        st.sampled_from(["1 + %s", "min(%s, 3) / 2 - -%s", "max(1, %s) + 1e-3 * (%s + 2)"])
+    )
+    return parse_value(shape % ((a, b)[: shape.count("%s")]))
+
+
+@st.composite
+def nets(draw, capacities=True, servers=(1, None, 3), dependent=False):
+    """A net of up to 5 places and 5 transitions; ``dependent``: some rates and weights depend on
+    the marking."""
     names = draw(st.lists(NAMES, min_size=2, max_size=10, unique=True))
     split = draw(st.integers(1, len(names) - 1))
     places = []
@@ -35,7 +51,11 @@ def nets(draw, capacities=True, servers=(1, None, 3)):
             timed = (True, draw(RATES), 1.0, 1, draw(st.sampled_from(servers)))
         else:
             timed = (False, 1.0, draw(WEIGHTS), draw(st.integers(0, 4)), 1)
-        transitions.append(Transition(name, *timed, draw(POSITIONS)))
+        transition = Transition(name, *timed, draw(POSITIONS))
+        if dependent and draw(st.booleans()):
+            key = "rate" if transition.timed else "weight"
+            transition = transition._replace(**{key: draw(functions(places))})
+        transitions.append(transition)
     arcs = []
     for _ in range(draw(st.integers(0, 8))):
         place = draw(st.sampled_from(places)).name

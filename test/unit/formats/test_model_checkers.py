@@ -18,6 +18,7 @@ from gspn_framework_package.formats.markov_chain import ExplicitChain, drn, pris
 from gspn_framework_package.formats.symbolic import identifiers
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import NetError
+from gspn_framework_package.model.marking_function import parse_value, quoted_place
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
 stormpy = pytest.importorskip("stormpy")
@@ -33,6 +34,15 @@ RELAXED = settings(
     ],
 )
 NAMES = ["p", "p 1", "p:1", "min", "é", "1st"]
+FUNCTIONS = [
+    "1 + #%s + #%s / 4 - -0.5",
+    "min(#%s, 2) + max(0.25, #%s, 1)",
+    "2 * exp(-#%s) + ln(2 + #%s)",
+    "sqrt(1 + #%s) + pow(2, -#%s)",
+    "(1 + #%s) ^ 2 / (1 + #%s)",
+    "ceil((1 + #%s) / 2) + floor(#%s / 2) + round(0.5)",
+]
+"""Rates and weights that depend on the marking; above 0 everywhere."""
 
 
 @st.composite
@@ -62,6 +72,11 @@ def small_nets(draw, immediate=True):
                     servers=draw(st.sampled_from([1, 2, None])),
                 )
             )
+        if draw(st.integers(0, 2)) == 0:
+            names = [quoted_place(draw(st.sampled_from(places)).name) for _ in range(2)]
+            function = parse_value(draw(st.sampled_from(FUNCTIONS)) % tuple(names))
+            key = "rate" if transitions[-1].timed else "weight"
+            transitions[-1] = transitions[-1]._replace(**{key: function})
         weight = draw(st.sampled_from([1, 1, 1, 2]))
         ends = draw(st.lists(st.sampled_from(places), min_size=2, max_size=2, unique=True))
         arcs += [Arc(ends[0].name, name, weight), Arc(name, ends[1].name, weight)]
@@ -87,7 +102,7 @@ class Chain:
                     index[after] = len(self.markings)
                     self.markings.append(after)
                 transition = net.transitions[t]
-                speed = net.effective_rate(marking, t) if transition.timed else transition.weight
+                speed = (net.effective_rate if transition.timed else net.value)(marking, t)
                 moves.append((number, index[after], speed, transition.timed))
         size = len(self.markings)
         self.timed = [True] * size

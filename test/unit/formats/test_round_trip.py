@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from random_nets import nets
 
 from gspn_framework_package.formats import FORMATS, read_net, read_net_with_notes, write_net
+from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import NetError, UsageError
 from gspn_framework_package.model.net import Net
@@ -51,6 +52,14 @@ def test_pipe_holds_capacities(tmp_path, net):
 @given(net=nets(capacities=False))
 def test_pnpro_holds_numbers_of_servers(tmp_path, net):
     assert through(net, ["pnpro"], tmp_path) == net
+
+
+@pytest.mark.parametrize("name", ["pnml", "pnpro"])
+@RELAXED
+@given(net=nets(capacities=False, dependent=True))
+def test_rates_and_weights_that_depend_on_the_marking(tmp_path, name, net):
+    assert through(net, [name], tmp_path) == net
+    assert net_from_json(net_to_json(net)) == net
 
 
 @pytest.mark.parametrize("chain", list(itertools.permutations(EXACT)), ids="-".join)
