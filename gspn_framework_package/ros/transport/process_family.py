@@ -65,7 +65,7 @@ def _look_up_in_all_classes() -> None:
     does. Otherwise each process writes these numbers into pages that it could share."""
     for found in gc.get_objects():
         if isinstance(found, type):
-            getattr(found, "__doc__", None)
+            type.__getattribute__(found, "__init__")  # "__doc__" is found without a look-up
 
 
 class _Parent:

@@ -10,6 +10,7 @@ import threading
 import pytest
 from waiting import wait_for
 
+from gspn_framework_package.ros.transport import process_family
 from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 
 PROGRAM = """
@@ -157,3 +158,13 @@ def test_threads_are_in_the_way():
     finally:
         release.set()
         thread.join()
+
+
+def test_python_has_numbered_every_class_before_the_fork():
+    class New:
+        """It has what is looked up first in a class elsewhere."""
+
+    has_number = 1 << 19  # Py_TPFLAGS_VALID_VERSION_TAG
+    assert not New.__flags__ & has_number
+    process_family._look_up_in_all_classes()
+    assert New.__flags__ & has_number
