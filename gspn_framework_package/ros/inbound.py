@@ -7,6 +7,7 @@ from typing import List, Mapping, Optional, Tuple
 
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.ros.transport.shared_reader import hold_up
 from gspn_framework_package.team.carrier import NotTaken, Operator, OperatorRequest, sender_of
 from gspn_framework_package.team.message_filter import LARGEST_MESSAGE, MessageFilter, json_object
 from gspn_framework_package.team.orders import is_question
@@ -69,7 +70,7 @@ class InboundMessages:
                 return self._open(text, purpose, claimed)
             except NotSealedError as error:
                 self._filter.refuse(who, error.why)
-        time.sleep(BRAKE)
+        hold_up(BRAKE)
         return None
 
     def pass_by(self, text: str, connection: _Header) -> None:
@@ -80,7 +81,7 @@ class InboundMessages:
         """
         who = _named("others", connection)
         if not self._filter.admits(who, len(text), time.monotonic(), "others"):
-            time.sleep(BRAKE)
+            hold_up(BRAKE)
 
     def _open(self, text: str, purpose: str, claimed: str) -> Message:
         """:raises NotSealedError: it is refused."""

@@ -20,7 +20,9 @@ from gspn_framework_package.ros.facts import RosFacts
 from gspn_framework_package.ros.inbound import ANSWERED, ASKED, InboundMessages, said
 from gspn_framework_package.ros.messages import stamped_message
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
+from gspn_framework_package.ros.transport.registration import registered_together
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
+from gspn_framework_package.ros.transport.shared_reader import read_on_one_thread
 from gspn_framework_package.srv import (
     GetPlace,
     GetPlaceRequest,
@@ -178,9 +180,12 @@ class Link(RosFacts):
         )
 
     def _subscribe(self, topic: str) -> rospy.Subscriber:
-        return rospy.Subscriber(
-            topic, Agreement, self._on_message, buff_size=RECEIVE_BUFFER, tcp_nodelay=True
-        )
+        with registered_together():  # no publisher is connected before the end of the block
+            subscriber = rospy.Subscriber(
+                topic, Agreement, self._on_message, buff_size=RECEIVE_BUFFER, tcp_nodelay=True
+            )
+            read_on_one_thread(subscriber)
+        return subscriber
 
     def _on_message(self, news: Agreement) -> None:
         if news._connection_header.get("callerid") == self._node:

@@ -23,6 +23,13 @@ no longer needed. To remove a module, restore rospy's own code and run the named
     counters.
     *No longer needed when* ``test/unit/ros/test_eager_publisher.py`` passes with
     ``rospy.Publisher``.
+``shared_reader``
+    *Fault:* a subscriber has a thread for each publisher: in a team of 30, about 30 for each robot,
+    which took a tenth of its memory.
+    *Touches:* ``rospy.topics._SubscriberImpl``: wraps the argument of ``add_connection``;
+    ``rospy.impl.tcpros_base.TCPROSTransport``: replaces ``receive_loop`` of a connection, and does
+    the work of ``receive_once``.
+    *No longer needed when* the memory and the threads of a large team do not matter.
 ``service_calls``
     *Fault:* ``ServiceProxy`` queries the master at every call, and waits indefinitely for a stopped
     process.
