@@ -98,7 +98,12 @@ class AttemptFollower:
         self._came: Set[Tuple[object, ...]] = set()
         """The tasks and events that were counted."""
         self._counted: Dict[int, Tuple[int, float]] = dict.fromkeys(
-            [*self._game.environment_transitions, *self._interrupts], (0, 0.0)
+            [
+                t
+                for t in (*self._game.environment_transitions, *self._interrupts)
+                if t not in self.plan.net.functions
+            ],
+            (0, 0.0),
         )
 
     @property

@@ -72,7 +72,7 @@ class ChoiceReader:
             return ()
         else:
             row = [
-                (t, net.transitions[t].number)
+                (t, net.value(marking, t))
                 for t in net.consumers[place]
                 if not net.transitions[t].timed and net.is_enabled(marking, t)
             ]

@@ -94,7 +94,7 @@ class Turn:
             return False
         top = max(self.net.transitions[t].priority for t in enabled)
         choices = [
-            (t, self.net.transitions[t].number)
+            (t, self.net.value(self.state.marking, t))
             for t in enabled
             if self.net.transitions[t].priority == top
         ]
@@ -186,7 +186,7 @@ class Turn:
         else:
             choices = self._of_top_priority(
                 [
-                    (t, self.net.transitions[t].number)
+                    (t, self.net.value(self.state.marking, t))
                     for t in leaving
                     if self.rules.may_fire(self.state, t)
                 ]

@@ -574,7 +574,7 @@ class Plan:
                     "it moves several robots, but an event interrupts one",
                     "let the event move one robot, and synchronise afterwards",
                 )
-            source, outside = self.events[name], not self._moves_robots(t)
+            source, outside = self.events[name], not self.moves_robots(t)
             if outside and (
                 source.when or source.edge or source.resume or source.after is not None
             ):
@@ -597,7 +597,8 @@ class Plan:
         for name in self.tasks.done:
             self._known_transition(name, "tasks.done")
 
-    def _moves_robots(self, t: int) -> bool:
+    def moves_robots(self, t: int) -> bool:
+        """Return whether transition number ``t`` takes or puts robots."""
         arcs = (*self.net.inputs[t], *self.net.outputs[t])
         return any(self._holds_robots(p) for p, _ in arcs)
 

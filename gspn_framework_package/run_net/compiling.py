@@ -437,7 +437,6 @@ class _Compiler:
     def run_net(self) -> RunNet:
         """The run net."""
         plan, net = self._plan, self._net
-        net.require_numbers("the analysis of a plan")
         numbers = range(len(net.transitions))
         immediate = [t for t in numbers if not net.transitions[t].timed]
         begin: List[Tuple[List[int], float]] = [([0] * self._parts[-1][1], 1.0)]

@@ -45,19 +45,19 @@ class PolicyDraws:
         elif self._table.matches(full, place) or self._plan.strict:
             return []
         else:
-            choices = [(t, transitions[t].number) for t in self._leaving[p] if t in ready]
+            choices = [(t, self._net.value(marking, t)) for t in self._leaving[p] if t in ready]
         floor = max([transitions[t].priority for t, _ in choices if t in ready], default=0)
         choices = [(t, v) for t, v in choices if transitions[t].priority >= floor]
         total = sum(v for _, v in choices)
         return [(t, v / total) for t, v in choices if v] if total else []
 
 
-def by_weight(net: Net, candidates: Sequence[int]) -> List[Tuple[int, float]]:
-    """Which of these transitions, which take resources only, fires: pairs (transition,
-    probability)."""
+def by_weight(net: Net, marking: Marking, candidates: Sequence[int]) -> List[Tuple[int, float]]:
+    """Which of these transitions, which take resources only and are enabled in ``marking``, fires:
+    pairs (transition, probability)."""
     transitions = net.transitions
     top = max(transitions[t].priority for t in candidates)
-    weights = [(t, transitions[t].number) for t in candidates if transitions[t].priority == top]
+    weights = [(t, net.value(marking, t)) for t in candidates if transitions[t].priority == top]
     total = sum(weight for _, weight in weights)
     if total == 0:
         return [(weights[0][0], 1.0)]  # file order, as in the token game

@@ -264,7 +264,7 @@ class Steps:
         if spontaneous:
             return [
                 step
-                for t, chance in by_weight(net, spontaneous)
+                for t, chance in by_weight(net, marking, spontaneous)
                 for step in self._fires(state, t, (), chance)
             ]
         asked = self._requests(state, marking)

@@ -200,7 +200,7 @@ _TABLE: Sequence[Any] = (
         "run",
         "of resources: all alike",
         ["spontaneous_first"],
-        (T._fire_spontaneous, "(t, self.net.transitions[t].number)", "(t, 1.0)"),
+        (T._fire_spontaneous, "(t, self.net.value(self.state.marking, t))", "(t, 1.0)"),
     ),
     (
         "weights",
@@ -214,14 +214,14 @@ _TABLE: Sequence[Any] = (
         "run",
         "of robots: all alike",
         ["policy_rows", "inhibitors"],
-        (T._policy_choice, "(t, self.net.transitions[t].number)\n", "(t, 1.0)\n"),
+        (T._policy_choice, "(t, self.net.value(self.state.marking, t))\n", "(t, 1.0)\n"),
     ),
     (
         "weights",
         "shared",
         "of resources: all alike",
         ["spontaneous_first"],
-        (requests.by_weight, "(t, transitions[t].number)", "(t, 1.0)"),
+        (requests.by_weight, "(t, net.value(marking, t))", "(t, 1.0)"),
     ),
     (
         "weights",
@@ -235,7 +235,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "of robots: all alike",
         ["policy_rows", "inhibitors"],
-        (P.of, "(t, transitions[t].number)", "(t, 1.0)"),
+        (P.of, "(t, self._net.value(marking, t))", "(t, 1.0)"),
     ),
     (
         "weights",

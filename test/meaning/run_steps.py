@@ -264,9 +264,16 @@ class RunSteps:
                 found.append((state._replace(robots=self._ordered(robots)), -1, rate))
         for t in self.game.environment_transitions:
             if net.is_enabled(marking, t):
-                rate = net.transitions[t].number * self._servers(marking, t)
+                rate = self._rate(marking, t) * self._servers(marking, t)
                 found += self._turn(state, log_entries.Fire(net.transitions[t].name), rate)
         return found
+
+    def _rate(self, marking: Sequence[int], t: int) -> float:
+        """The rate of one server."""
+        transition = self.net.transitions[t]
+        if transition.function is None:
+            return transition.number
+        return transition.function.value(self.net.named(marking))
 
     def _servers(self, marking: Sequence[int], t: int) -> int:
         """How many servers of a transition of the environment are busy."""
@@ -452,12 +459,12 @@ class NetRunSteps(RunSteps):
             if not transition.timed or not self.net.is_enabled(marking, t):
                 continue
             if t in events:
-                yield t, transition.rate * marking[events[t]]
+                yield t, transition.number * marking[events[t]]
             elif self.game.has_robots[t]:  # each robot has its own server
                 degree = min(marking[p] // weight for p, weight in self.net.inputs[t])
-                yield t, transition.rate * degree
+                yield t, transition.number * degree
             else:
-                yield t, transition.rate * self._servers(marking, t)
+                yield t, self._rate(marking, t) * self._servers(marking, t)
 
     def _without_counters(self, marking: Sequence[int]) -> Marking:
         return tuple(0 if p in self._counters else n for p, n in enumerate(marking))

@@ -51,15 +51,16 @@ def check(
     plan.validate()
     checklist = Checklist()
     for t, function in plan.net.functions.items():
-        name = plan.net.transitions[t].name
-        checklist.add(
-            "rates",
-            Severity.REFUSED,
-            "'%s' of %s depends on the marking: a net may have such rates and weights, a plan "
-            "may not" % (function, name),
-            transition=name,
-        )
-    if plan.net.functions:  # the other checks need numbers
+        transition = plan.net.transitions[t]
+        if transition.timed and plan.moves_robots(t):
+            checklist.add(
+                "rates",
+                Severity.REFUSED,
+                "'%s' of %s depends on the marking: in a plan, the rate of a transition that moves "
+                "robots may not" % (function, transition.name),
+                transition=transition.name,
+            )
+    if checklist.items:  # the other checks need numbers
         return PreflightReport(
             plan.name, tuple(checklist.items), 0, False, time.perf_counter() - start
         )

@@ -6,6 +6,8 @@ import itertools
 from dataclasses import replace
 from typing import Any, Dict, Iterable, List, Optional, Sequence
 
+import numpy as np
+
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan.structure import (
     idle_places,
@@ -21,8 +23,10 @@ from gspn_framework_package.analysis.preflight.report import (
 )
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
+from gspn_framework_package.analysis.state_space.rated_graph import rate_or_weight
 from gspn_framework_package.analysis.watch import Cancel, Progress
-from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.formats.symbolic import concession
+from gspn_framework_package.model.errors import LimitError, NetError
 
 PROOF_SECONDS = 5.0
 """Longest time that a proof may take (s)."""
@@ -88,6 +92,7 @@ class MarkingChecks:
             "resource_bounds": self._decide_bounds,
             "dead_markings": self._decide_dead,
             "policy": self._decide_policy,
+            "rates": self._decide_rates,
         }
         for question in left:
             answers[question](markings)
@@ -232,6 +237,26 @@ class MarkingChecks:
             if listed
             else ""
         )
+
+    def _decide_rates(self, markings: PlanMarkings) -> None:
+        """Compute the rates and weights that depend on the marking wherever they may be used."""
+        space = markings.space
+        for t, function in self.net.functions.items():
+            able = np.ones(len(space), dtype=bool)
+            for p, operator, bound in concession(self.net, t):
+                counts = space.column(space.net.place_number(self.net.places[p].name))
+                compare: Any = {">=": np.greater_equal, "<": np.less, "<=": np.less_equal}[operator]
+                able &= compare(counts, bound)
+            name = self.net.transitions[t].name
+            try:
+                rate_or_weight(
+                    space.net, space.net.transition_number(name), space.store, np.flatnonzero(able)
+                )
+            except NetError as error:
+                self._list.add("rates", Severity.REFUSED, str(error), transition=name)
+            else:
+                if markings.complete:
+                    self._list.add("rates", Severity.OK, "'%s' of %s is above 0" % (function, name))
 
     def _decide_bounds(self, markings: PlanMarkings) -> None:
         if markings.complete:

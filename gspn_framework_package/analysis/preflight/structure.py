@@ -46,6 +46,8 @@ class StructureChecks:
 
     def look_at_structure(self) -> None:
         """Answer the questions that the structure decides, and record the open ones."""
+        if self.net.functions:
+            self.open.append("rates")
         self._look_at_flows()
         self._look_at_cycles()
         self._look_at_predictions()

@@ -58,7 +58,7 @@ class PlanTables:
     ) -> None:
         self.plan = plan
         self.net = net = plan.net
-        net.require_numbers("the simulation of a plan")
+        net.require_numbers("the simulation of a plan as it runs")
         self.is_resource = [p.name in plan.resource_places for p in net.places]
         self.arcs: List[Tuple[int, int, int]] = []  # transition, place, weight
         self.arc_of: Dict[Tuple[int, int], int] = {}

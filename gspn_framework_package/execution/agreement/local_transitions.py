@@ -21,10 +21,10 @@ from gspn_framework_package.model.condition import parse_condition
 class LocalTransitions:
     """The private places of a plan, for one robot of it.
 
-    A transition is not local if the rest of the run could notice it: if ``until``, an inhibitor arc
-    or a capacity refers to one of its places, if a task may be completed there, if the robot would
-    be done as soon as it arrives (and ask for more within the same step), or if the policy could
-    withhold an immediate transition.
+    A transition is not local if the rest of the run could notice it: if ``until``, an inhibitor
+    arc, a capacity, a rate or a weight refers to one of its places, if a task may be completed
+    there, if the robot would be done as soon as it arrives (and ask for more within the same step),
+    or if the policy could withhold an immediate transition.
     """
 
     def __init__(self, game: TokenGame, robot: str) -> None:
@@ -34,6 +34,7 @@ class LocalTransitions:
         if plan.until:
             names = parse_condition(plan.until, [p.name for p in net.places]).places
             watched |= {net.place_number(name) for name in names}
+        watched |= {net.place_number(name) for name in net.named_by_functions()}
         watched |= {p for t in plan.tasks.done for p, _ in net.inputs[net.transition_number(t)]}
         policy_decides = bool(plan.policy.rows) or plan.strict
         self._net = net

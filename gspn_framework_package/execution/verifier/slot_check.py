@@ -359,9 +359,13 @@ class SlotCheck(LoggedTeam):
             return self._first_priority([(t, p / total) for t, p in best[2]])
         if matches or self.plan.strict:
             return []
-        open_ones = [(t, self.kind[t].number) for t in leaving if self._may_fire(t)]
+        open_ones = [(t, self._weight(t)) for t in leaving if self._may_fire(t)]
         kept = self._first_priority(open_ones)
         return kept if any(w > 0 for _, w in kept) else []
+
+    def _weight(self, t: str) -> float:
+        function = self.kind[t].function
+        return self.kind[t].number if function is None else function.value(self.marking)
 
     def _matching_rows(self) -> Iterator[int]:
         """The numbers of the policy's rows that match the marking."""

@@ -648,17 +648,42 @@ def test_what_an_action_may_name_can_fire_although_the_policy_never_chooses_it()
     assert not check(replace(plan, on_failure=rule)).of("never_fire")
 
 
-@pytest.mark.parametrize("timing", ["run", "net"])
-def test_a_rate_that_depends_on_the_marking_is_refused(timing):
+def test_a_rate_of_robots_that_depends_on_the_marking_is_refused():
     plan = read_plan(PLANS / "patrol")
     timed = next(t for t in plan.net.transitions if t.timed)
     rate = parse_value("1 + #" + quoted_place(plan.net.places[0].name))
     plan = replace(plan, net=plan.net.with_transition(timed._replace(rate=rate)))
     assert severities(check(plan), "rates") == [Severity.REFUSED]
     for ask in (
-        lambda: Analysis(plan, timing=timing).chain,
-        lambda: simulate(plan, time=1.0, replications=1, timing=timing),
-        lambda: optimise(plan, Request(Objective.long_run({timed.name: 1}), reading=timing)),
+        lambda: Analysis(plan).chain,
+        lambda: simulate(plan, time=1.0, replications=1),
+        lambda: optimise(plan, Request(Objective.long_run({timed.name: 1}))),
+        lambda: optimise(plan, Request(Objective.long_run({timed.name: 1}), reading="net")),
     ):
         with pytest.raises(RefusedError, match="depends on the marking"):
             ask()
+    by_net = Analysis(plan, timing="net").measures.throughput[timed.name]
+    simulated = simulate(plan, time=2000.0, replications=20, timing="net")
+    assert simulated.throughput[timed.name].mean == pytest.approx(by_net, rel=0.05)
+
+
+def choosing(weight):
+    return make_plan(
+        NetBuilder()
+        .place("a", 1)
+        .place("b")
+        .place("left", 2)
+        .exponential("back", inputs="b", outputs="a")
+        .exponential("more", "1 / (1 + #left)", inputs="left")
+        .immediate("go", weight=weight, inputs="a", outputs="b")
+        .immediate("stay", inputs="a", outputs="b"),
+        resources=["left"],
+    )
+
+
+def test_weights_are_computed_in_all_markings():
+    assert severities(check(choosing("1 + #left")), "rates") == [Severity.OK, Severity.OK]
+    (item,) = [i for i in check(choosing("#left")).of("rates") if i.severity is Severity.REFUSED]
+    assert item.text.startswith("transition 'go': its weight '#left' is 0 in (a: 1)")
+    with pytest.raises(RefusedError, match="which the simulation of a plan as it runs cannot take"):
+        simulate(choosing("1 + #left"), time=1.0, replications=1)

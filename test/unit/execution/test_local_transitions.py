@@ -13,11 +13,15 @@ import pytest
 from agreement.world import World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import consensus, interface, proposals
+from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.marking_function import parse_value
+from gspn_framework_package.model.net import Arc, Place, Transition
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation, Timing
 
 
@@ -118,3 +122,15 @@ def test_an_order_waits_until_more_are_told_than_a_message_holds(
     world.move_alone()
     world.pause()
     world.check()
+
+
+def test_a_place_that_a_rate_names_is_not_private():
+    plan = _ring()
+    assert LocalTransitions(TokenGame(plan), "r1").places == {"A", "B", "C"}
+    net = (
+        plan.net.with_place(Place("stock", 1))
+        .with_transition(Transition("sell", timed=True, rate=parse_value("1 + #B")))
+        .with_arc(Arc("stock", "sell"))
+    )
+    named = dataclasses.replace(plan, net=net, resource_places=frozenset({"stock"}))
+    assert LocalTransitions(TokenGame(named), "r1").places == {"C"}
