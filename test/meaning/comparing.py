@@ -187,10 +187,7 @@ def optimum_and_run(case: Case) -> List[str]:
     request = Request(Objective.discounted({name: 1.0}, rate), limits=Limits(states=MOST_STATES))
     report = optimise(exponential(case.plan), request, simulated=0.0)
     value = report.teams[0].value
-    # where the present policy stays, its value is reported, but the rows may do something else in
-    # markings in which a strict plan has none (policy_rows 1 1)
-    stays = any("the present policy stays" in note for note in report.undecided)
-    if not report.exact or value is None or stays:
+    if not report.exact or value is None:
         return []
     worth = case.numbers(RunSteps(exponential(report.plan))).fired[rate][number]
     found = []
@@ -198,9 +195,7 @@ def optimum_and_run(case: Case) -> List[str]:
         found.append(
             "%s is worth %.12g, says the optimiser; %.12g in the run" % (name, value, worth)
         )
-    # the optimiser never passes over what can fire with a higher priority; rows may
-    alike = len({t.priority for t in case.plan.net.transitions if not t.timed}) == 1
-    if alike and worth < present[number] * (1.0 - 1e-9) and not report.undecided:
+    if worth < present[number] * (1.0 - 1e-9) and not report.undecided:
         found.append("%s: %.12g before, %.12g after" % (name, present[number], worth))
     return found
 

@@ -182,9 +182,12 @@ class _Exactly:
                 "worst rates; at the rates of the plan the policy found is worth %.9g"
                 % own.grouped.evaluated.value
             )
+        report.add("the cost of the rule", lambda: self._add_price_of_never(report, solution))
+        report.add("the value of the present policy", lambda: self._add_present(report, own))
+        if own.grouped.kept or self._is_worse(report):
+            self._keep_present(report)
+            return report
         for what, compute in (
-            ("the cost of the rule", lambda: self._add_price_of_never(report, solution)),
-            ("the value of the present policy", lambda: self._add_present(report, own)),
             ("where the policies differ", lambda: self._add_choices(report, own)),
             (
                 "how the value depends on the rates",
@@ -280,6 +283,25 @@ class _Exactly:
             report.present_why = str(error)
             if isinstance(error, LimitError):
                 raise
+
+    def _is_worse(self, report: Report) -> bool:
+        """Whether the present policy is better than the one found, although nothing forbids it."""
+        request, gain = self._request, report.gain
+        bound = request.never or request.at_least or request.uncertain
+        return not bound and gain is not None and gain < -2 * request.width
+
+    def _keep_present(self, report: Report) -> None:
+        """Let the present policy stay."""
+        report.plan, report.teams = self._plan, report.teams[:1]
+        report.rows, report.silent = len(self._plan.policy.rows), 0
+        if not self._is_worse(report):
+            return  # a remark says so, and how far from the optimum that is
+        report.teams[0] = report.teams[0]._replace(value=report.present, lower=None, upper=None)
+        report.undecided.append(
+            "whether another policy is better: the present one stays, since it is worth more than "
+            "the best one found. The search lets robots that chance moves, and transitions of a "
+            "higher priority, go before those for which the policy decides; a run does not always"
+        )
 
     def _add_choices(self, report: Report, own: TeamSolution) -> None:
         """The decisions of robots under the present policy and the new one, those that differ

@@ -103,12 +103,16 @@ def _decider(
         return Decider(True, "a transition that leaves it has the weight 0")
     if spoken:
         return Decider(True, "the present policy has rows for it")
+    if plan.strict:
+        return Decider(True, "the plan is strict, so no weights decide")
     return Decider(False, "only the weights decide there", by_weight)
 
 
 def _spoken_of(plan: Plan) -> Dict[str, None]:
-    """The places to which rows of the policy apply."""
+    """The places to which rows of the policy apply; a row that lets robots wait applies to all."""
     net = plan.net
+    if any(not row.choices for row in plan.policy.rows):
+        return dict.fromkeys(plan.action_places)
     chosen = {t for row in plan.policy.rows for t, v in row.choices if v > 0}
     return {
         net.places[p].name: None for t in chosen for p, _ in net.inputs[net.transition_number(t)]

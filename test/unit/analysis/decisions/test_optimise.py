@@ -126,6 +126,39 @@ def test_the_present_policy_stays_where_no_decisions_are_found_that_are_better(m
     assert any("the present policy stays" in sentence for sentence in report.undecided)
 
 
+def test_a_present_policy_that_is_worth_more_stays():
+    """The search lets the robot that chance moves take the tool first; in a run each may."""
+    net = (
+        NetBuilder("tool")
+        .place("a", 2)
+        .place("b", 1)
+        .place("away_a")
+        .place("away_b")
+        .place("tool")
+        .place("out", 1)
+        .immediate("take_a", inputs=["a", "tool"], outputs="away_a")
+        .immediate("take_b", inputs=["b", "tool"], outputs="away_b")
+        .exponential("back_a", rate=2.0, inputs="away_a", outputs=["a", "out"])
+        .exponential("back_b", rate=1.5, inputs="away_b", outputs=["b", "out"])
+        .exponential("give", rate=2.0, inputs="out", outputs="tool")
+        .build()
+    )
+    work = FunctionAction("actions.work", "work")
+    plan = Plan(
+        net,
+        actions={"a": None, "b": work, "away_a": work, "away_b": work},
+        resource_places=frozenset(["tool", "out"]),
+        simulate_environment=True,
+    )
+    robots = [RobotSpec("a1", "a"), RobotSpec("a2", "a"), RobotSpec("b1", "b")]
+    plan = plan.with_robots(robots).validate()
+    report = optimise(plan, Request(Objective.discounted({"give": 1}, 0.7)), simulated=0)
+    assert report.plan.policy == plan.policy
+    assert report.present > 1.3 and report.teams[0].value == report.present
+    assert report.teams[0].lower is report.teams[0].upper is None
+    assert any("the present one stays" in sentence for sentence in report.undecided)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("reading", "robots", "present", "best"),

@@ -110,6 +110,13 @@ def test_a_place_that_both_kinds_leave_is_refused():
 
 
 @pytest.mark.parametrize("reading", [NET, RUN])
+def test_no_weights_decide_in_a_strict_plan(reading):
+    strict = replace(plan_of(), strict=True).validate()
+    decider = who_decides(strict, reading, frozenset())["choose"]
+    assert decider.policy and "strict" in decider.reason
+
+
+@pytest.mark.parametrize("reading", [NET, RUN])
 def test_assumptions_name_the_place_and_the_reason(reading):
     decisions = DecisionProblem(plan_of(), reading=reading)
     assert decisions.chance == {"choose": "only the weights decide there"}
