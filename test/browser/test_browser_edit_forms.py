@@ -289,6 +289,16 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     page.click("#ed-undo")
     control(page, "net.transition:fetched.servers.endless").check()
     assert state(page)["net"]["transitions"][0]["servers"] is None
+    # a rate may depend on the marking, and follows the names of places
+    before = state(page)
+    enter(page, "net.transition:fetched.rate", "0.5 * #Sort")
+    assert state(page)["net"]["transitions"][0]["rate"] == "0.5 * #Sort"
+    choose(page, "place:Sort")
+    enter(page, "net.place:Sort.name", "Sort it")
+    assert state(page)["net"]["transitions"][0]["rate"] == "0.5 * #'Sort it'"
+    page.click("#ed-undo")
+    page.click("#ed-undo")
+    assert state(page) == before
     # several at once: what they have in common
     choose(page, "transition:sorted", "transition:plug_in")
     priority = control(page, "net.transition.priority")

@@ -359,14 +359,19 @@ export class FormPanel {
   }
 
   /** A number. `blank`: the value of an empty field; if absent, the field must not be empty. */
-  number(lens, label, { check = () => "", whole = false, blank, ...options } = {}) {
+  number(
+    lens,
+    label,
+    { check = () => "", whole = false, formula = false, blank, ...options } = {},
+  ) {
     return this.text(lens, label, {
-      inputmode: whole ? "numeric" : "decimal",
+      inputmode: formula ? "text" : whole ? "numeric" : "decimal",
       class: "number",
       ...options,
       parse: (text) => {
         if (!text.trim()) return blank === undefined ? "a number is needed" : [blank.value];
         const value = Number(text);
+        if (formula && text.includes("#")) return check(text.trim()) || [text.trim()];
         if (!Number.isFinite(value)) return `'${text.trim()}' is not a number`;
         if (whole && !Number.isSafeInteger(value)) return "a whole number is needed";
         return check(value) || [value];

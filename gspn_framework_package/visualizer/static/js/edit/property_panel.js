@@ -179,6 +179,7 @@ export class PropertyPanel extends PlanForm {
       title,
       this.number(this.net(kind, list, key, absent), `${title.toLowerCase()}${who}`, {
         whole: [part.type].flat().includes("integer"),
+        formula: [part.type].flat().includes("string"),
         check: (value) => problemOf(part, value, this.schema),
         blank,
         placeholder: blank.value === null ? "unlimited" : undefined,

@@ -3,6 +3,7 @@
 
 const NAME = /^[\p{L}_][\p{L}\p{N}_.:]*$/u; // a name that needs no quotes in a condition; as in model/expression.py
 const TOKEN = /"[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*/gu;
+const COUNT = /#\s*("[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*)/gu; // the tokens of a place in a rate or weight
 const WORDS = new Set(
   "and or not true false min max floor ceil round abs sqrt exp log ln pow mod".split(" "),
 );
@@ -42,6 +43,22 @@ export function changedCondition(text, place) {
     return now.includes("'") ? `"${now}"` : `'${now}'`;
   });
   return gone ? null : result;
+}
+
+/** A transition whose rate and weight name places by their new names. A removed place stays, and the check names it. */
+function withPlaces(transition, place) {
+  const changed = (text) =>
+    text.replace(COUNT, (whole, token) => {
+      const name = /^["']/.test(token) ? token.slice(1, -1) : token;
+      const now = place(name) ?? name;
+      if (now === name) return whole;
+      return NAME.test(now) ? `#${now}` : now.includes("'") ? `#"${now}"` : `#'${now}'`;
+    });
+  let now = transition;
+  for (const key of ["rate", "weight"])
+    if (typeof now[key] === "string" && changed(now[key]) !== now[key])
+      now = { ...now, [key]: changed(now[key]) };
+  return now;
 }
 
 const same = (a, b) => a.length === b.length && a.every((item, i) => item === b[i]);
@@ -117,7 +134,7 @@ function changedNames(state, place, transition, said) {
   let arcs = 0;
   const newNet = with_(net, {
     places: mappedList(net.places, named(place)),
-    transitions: mappedList(net.transitions, named(transition)),
+    transitions: mappedList(net.transitions, (it) => named(transition)(withPlaces(it, place))),
     arcs: mappedList(
       net.arcs,
       (arc) => {
