@@ -60,14 +60,16 @@ def test_a_robot_whose_battery_is_low_gives_its_order_back_and_charges(
     run = start(coverage)
     run.action("Fetch", seconds=20.0)
     run.submit("order", {"pose": POSE})
-    run.event("low_on_the_way", "robot_1", at=1.0, cause={"percentage": 0.2})
+    run.until("Fetch >= 1")
+    robot = run.attempts_in("Fetch")[0].robot
+    run.event("low_on_the_way", robot, at=run.now + 1.0, cause={"percentage": 0.2})
     assert run.until_fired("low_on_the_way").tasks == (
-        ("order-1", "robot robot_1", "place Orders"),
+        ("order-1", "robot " + robot, "place Orders"),
     )
     run.until_fired("delivered", within=9_000.0)
     assert run.tasks_done == ["order-1"]
     run.until(lambda: run.count("charged") == 1)
-    run.event("low", "robot_4")
+    run.event("low", next(r.name for r in run.plan.robots if run.place(r.name) == "Parked"))
     run.until_fired("charged")
     run.check_no_faults()
 

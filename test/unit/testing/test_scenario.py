@@ -159,13 +159,15 @@ def test_an_action_of_the_test_may_fail_or_never_end() -> None:
 def test_robots_are_lost_and_join() -> None:
     run = Scenario(shop(2, on_evict={"Deliver": {"Orders": 1}}), agents=False)
     run.submit("order")
-    run.lose("a", at=3.0)
+    run.advance(0.0)
+    lost, other = sorted("ab", key=lambda robot: run.place(robot) != "Deliver")
+    run.lose(lost, at=3.0)
     run.join("c", "Idle", at=8.0)
     run.until_fired("delivered")
-    assert [(a.robot, a.at) for a in run.attempts_in("Deliver")] == [("a", 0.0), ("b", 3.0)]
+    assert [(a.robot, a.at) for a in run.attempts_in("Deliver")] == [(lost, 0.0), (other, 3.0)]
     assert run.tasks_done == ["order-1"]
     assert run.marking == {"Idle": 2}
-    run.join("a", "Idle")
+    run.join(lost, "Idle")
     run.advance()
     assert run.marking == {"Idle": 3}
 

@@ -32,6 +32,11 @@ from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 
+def start_of(game: TokenGame) -> Any:
+    """The first to finish goes first, so that it is known who takes which task."""
+    return game.start_entry()._replace(draws_ties=False)
+
+
 def played(plan: Plan) -> Any:
     """The board, all events, and the ledger after the slots above."""
     game = TokenGame(plan)
@@ -39,7 +44,7 @@ def played(plan: Plan) -> Any:
     events = TeamEvents(game)
     board = events.board(True)
     told: List[Dict[str, Any]] = []
-    for number, entries in enumerate([[game.start_entry()], *SLOTS]):
+    for number, entries in enumerate([[start_of(game)], *SLOTS]):
         step = game.reduce(ledger.state, number, entries)
         for event in events.step(entries, step.firings, ledger.state, float(number)):
             event["n"] = board.n + 1
@@ -78,7 +83,7 @@ def test_a_replay_shows_them_at_any_moment(tmp_path, monkeypatch):
     path = str(tmp_path / "run.jsonl")
     ledger = Ledger(TokenGame(plan))
     with contextlib.closing(EventLogWriter(path, header(plan, "run", "", "log"))) as log:
-        for slot, entries in enumerate([[ledger.game.start_entry()], *SLOTS]):
+        for slot, entries in enumerate([[start_of(ledger.game)], *SLOTS]):
             step = ledger.game.reduce(ledger.state, slot, entries)
             log.append(ledger.record(slot, entries, [], step))
     live, told, _ = played(plan)
