@@ -297,7 +297,7 @@ class _Reader:
         for token, following in zip(tokens, tokens[1:]):
             before = text[: token.start]
             words.append(" " * (len(before) - len(before.rstrip())))
-            if following.text == "[" and token.kind == "name":
+            if token.kind == "name" and following.text == "[" and following.kind != "name":
                 if token.text not in _FUNCTIONS:
                     self.draft.fail(
                         "its %s uses %s[...], which is not read" % (meaning, shorten(token.text)),
@@ -307,6 +307,8 @@ class _Reader:
                     )
                 words.append(_FUNCTIONS[token.text])
                 fractions.append(0 if token.text == "Fract" else None)
+            elif token.kind == "name":
+                words.append(quoted_place(token.text))
             elif token.text == "[":
                 words.append("((" if fractions and fractions[-1] is not None else "(")
             elif token.text == "]" and fractions:
@@ -320,7 +322,7 @@ class _Reader:
                 fractions[-1] += 1
                 words.append(")/(")
             else:
-                words.append(quoted_place(token.text) if token.kind == "name" else token.text)
+                words.append(token.text)
         return "".join(words)
 
     def _servers(self, element: etree._Element, what: str) -> Optional[int]:

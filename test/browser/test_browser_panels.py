@@ -79,7 +79,6 @@ def test_a_plan_is_analysed_as_it_runs_or_as_its_net(show_net, open_page):
     analysed(page)
     text = page.inner_text("#answers")
     assert "as the plan runs" in text and "At_Dock, Docked" in text
-    assert "equally likely to be first" in text
     page.click("summary:has-text('Settings')")
     page.select_option("#an-reading", "net")
     page.click("text=State space")

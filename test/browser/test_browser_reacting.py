@@ -40,7 +40,8 @@ def _run(show_net):
     plan = shop()
     run = Shop(plan)
     run.site = show_net(plan.net, plan, run)
-    run.feed(run.game.start_entry())
+    # the first to finish goes first, so that it is known who takes which task
+    run.feed(run.game.start_entry()._replace(draws_ties=False))
     return run
 
 

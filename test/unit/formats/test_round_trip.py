@@ -3,13 +3,14 @@
 import itertools
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from random_nets import nets
 
 from gspn_framework_package.formats import FORMATS, read_net, read_net_with_notes, write_net
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import NetError, UsageError
+from gspn_framework_package.model.marking_function import parse_value
 from gspn_framework_package.model.net import Net
 
 RELAXED = settings(
@@ -56,6 +57,13 @@ def test_pnpro_holds_numbers_of_servers(tmp_path, net):
 
 @pytest.mark.parametrize("name", ["pnml", "pnpro"])
 @RELAXED
+@example(
+    net=NetBuilder("net")
+    .place("[")
+    .place("], 2")
+    .immediate("t", weight=parse_value("min(#'[', #'], 2') + 1"))
+    .build()
+)
 @given(net=nets(capacities=False, dependent=True))
 def test_rates_and_weights_that_depend_on_the_marking(tmp_path, name, net):
     assert through(net, [name], tmp_path) == net
