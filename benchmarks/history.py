@@ -142,7 +142,8 @@ def _record(r: Any, b: Any, s: Any, stop: float, now: Any, rows: Any) -> int:
     at, phase, failures, visit, began, waits_since, arrived = now
     counts, robots, places, targets, visits, begins, acts, ends, arrivals = rows[:9]
     failed_robot, failed_place, failed_at = rows[9:]
-    clocks, s_at, s_phase, s_failures = s[1], s[9], s[10], s[12]
+    clocks = s[1]
+    s_at, s_phase, _, s_failures, _, _, _ = s[5]
     n = counts[0]
     failed = counts[1]
     status = 0
@@ -204,7 +205,7 @@ class Year:
         count = len(plan.robots)
         state = self._run.state
         self._now = _Now(
-            state.at[:count].copy(),
+            state.robots.at[:count].copy(),
             np.full(count, kernel.DOING),
             np.zeros(count, dtype=np.int64),
             np.ones(count, dtype=np.int64),
@@ -223,17 +224,13 @@ class Year:
 
     def day(self, number: int) -> Tuple[Dict[str, Any], Dict[str, Any]]:
         """Play a day; its stays and failures as columns. Stays that go on are cut at its end."""
-        rows, now, state = self._rows, self._now, self._run.state
+        rows, now = self._rows, self._now
         rows.counts[:] = 0
         end = float((number + 1) * DAY_SECONDS)
-        rules, book = self._run.arrays
-        status = self._play(tuple(rules), tuple(book), tuple(state), end, tuple(now), tuple(rows))
+        status = self._play(*self._run.arguments, end, tuple(now), tuple(rows))
         while status == kernel.GROW:
             self._run.go(end, 1)  # makes room
-            rules, book = self._run.arrays
-            status = self._play(
-                tuple(rules), tuple(book), tuple(self._run.state), end, tuple(now), tuple(rows)
-            )
+            status = self._play(*self._run.arguments, end, tuple(now), tuple(rows))
         assert status == kernel.AT_STOP, status
         n, failed = (int(count) for count in rows.counts)
         open_ones = np.arange(len(now.at))

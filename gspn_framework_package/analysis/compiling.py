@@ -12,7 +12,7 @@ os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 from numba import config, njit
 
-__all__ = ["Function", "compiled", "config"]
+__all__ = ["Function", "compiled", "compiled_part", "config"]
 
 Function = Callable[..., Any]
 
@@ -33,3 +33,19 @@ def compiled(function: Function, allocates: bool = True) -> Any:
         return njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no writable cache directory
         return njit(**options)(function)
+
+
+def compiled_part(function: Function, inserted: bool) -> Any:
+    """``function``, compiled as a part of the compiled functions that call it; it creates no
+    arrays.
+
+    :param inserted: whether it is inserted where it is called, which pays at one or two places:
+        handing over many arrays takes longer than most of these functions.
+    """
+    options: Dict[str, Any] = {
+        "_nrt": False,
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+        "forceinline": inserted,
+    }
+    return njit(**options)(function)

@@ -77,9 +77,9 @@ _TABLE: Sequence[Any] = (
         "each class of robots is equally likely",
         ["unequal_classes", "draw_again"],
         (
-            K.play,
-            "waits[group] + (rivals if urgency == best_urgency else 0)",
-            "waits[group] * (2 if urgency == best_urgency and rivals else 1)",
+            K.ask_named,
+            "numbers[RIVALS] += waits[t]",
+            "numbers[RIVALS] = waits[t] * (2 if numbers[RIVALS] else 1)",
         ),
     ),
     (
@@ -87,7 +87,11 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "the first that asks goes first",
         ["unequal_classes", "draw_again"],
-        (K.play, "any_of_these(rivals, random) == 0", "rivals == 1"),
+        (
+            K.ask_policy,
+            "any_of_these(numbers[RIVALS], random) == 0",
+            "numbers[RIVALS] == 1",
+        ),
     ),
     (
         "urgency",
@@ -137,17 +141,24 @@ _TABLE: Sequence[Any] = (
         "the lowest priority goes first",
         ["unequal_classes"],
         (
-            K.play,
-            "if urgency >= best_urgency:",
-            "if best_urgency < -1 or urgency <= best_urgency:",
+            K.ask_named,
+            "urgency >= numbers[URGENCY]",
+            "numbers[URGENCY] < -1 or urgency <= numbers[URGENCY]",
         ),
+        (K.ask_named, "urgency > numbers[URGENCY]", "urgency != numbers[URGENCY]"),
+        (
+            K.ask_policy,
+            "urgency >= numbers[URGENCY]",
+            "numbers[URGENCY] < -1 or urgency <= numbers[URGENCY]",
+        ),
+        (K.ask_policy, "urgency > numbers[URGENCY]", "urgency != numbers[URGENCY]"),
     ),
     (
         "urgency",
         "simulation",
         "exponential ones are as urgent",
         ["spontaneous_first"],
-        (K.play, "priority[group] if immediate[group] > 0 else -1", "priority[group]"),
+        (K.ask_named, "priority[t] if immediate[t] > 0 else -1", "priority[t]"),
     ),
     # -- stages
     (
@@ -175,7 +186,11 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "resources wait while requests do",
         ["spontaneous_first"],
-        (K.play, "if n_spontaneous > 0:\n", "if n_spontaneous > 0 and n_dirty == 0:\n"),
+        (
+            K.next_ready,
+            "if numbers[READY] > 0:\n",
+            "if numbers[READY] > 0 and numbers[DIRTY] == 0:\n",
+        ),
     ),
     (
         "stages",
@@ -242,21 +257,21 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "of resources: the first one",
         ["spontaneous_first"],
-        (K.play, "u -= weight[t]", "u -= total"),
+        (K.choose_ready, "u -= weight[t]", "u -= total"),
     ),
     (
         "weights",
         "simulation",
         "without any: the last of the file",
         ["spontaneous_first"],
-        (K.play, "if t < first:", "if t > first or first == transitions:"),
+        (K.choose_ready, "if t < first:", "if t > first or first == len(priority):"),
     ),
     (
         "weights",
         "simulation",
         "of robots: all alike",
         ["policy_rows", "inhibitors"],
-        (K.weigh, "candidate_weight[k] = weight[t]", "candidate_weight[k] = 1.0"),
+        (K.weigh, "weights[k] = weight[t] if", "weights[k] = 1.0 if"),
     ),
     (
         "weights",
@@ -314,9 +329,9 @@ _TABLE: Sequence[Any] = (
         "that of the first found",
         ["spontaneous_first"],
         (
-            K.play,
-            "if priority[may_spontaneous[i]] > top:",
-            "if i == 0 or priority[may_spontaneous[i]] < top:",
+            K.choose_ready,
+            "if priority[ready[i]] > top:",
+            "if i == 0 or priority[ready[i]] < top:",
         ),
     ),
     (
@@ -411,8 +426,8 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "weights decide as well",
         ["policy_rows"],
-        (K.weigh, "        < 0\n", "        < numbers[0] + 10**9\n"),
-        (K.weigh, "always == 0", "always < 2"),
+        (K.weigh, "level, rows) < 0", "level, rows) < 10**9"),
+        (K.weigh, "sizes[SOME_ROW_ALWAYS] == 0", "sizes[SOME_ROW_ALWAYS] < 2"),
     ),
     (
         "rows of others",
@@ -451,7 +466,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "weights decide",
         ["policy_rows"],
-        (K.weigh, "strict == 0\n", "strict < 2\n"),
+        (K.weigh, "sizes[STRICT] == 0", "sizes[STRICT] < 2"),
         (B._book, "need_all = not plan.strict", "need_all = True"),
     ),
     (
@@ -487,7 +502,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "does not count",
         ["policy_rows"],
-        (K.weigh, "if priority[candidate[k]] < floor:", "if priority[candidate[k]] < 0:"),
+        (K.weigh, "if priority[transitions[k]] < floor:", "if priority[transitions[k]] < 0:"),
     ),
     (
         "priority of candidates",
@@ -524,7 +539,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "they never end",
         ["held_draws"],
-        (K.weigh, "group_version[place] != version or", ""),
+        (K.weigh, "version[place] != numbers[MARKING_VERSION] or", ""),
     ),
     (
         "draws end with candidates",
@@ -549,7 +564,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "they do not",
         ["candidates"],
-        (K.weigh, " or group_signature[place] != signature", ""),
+        (K.weigh, " or signatures[place] != signature", ""),
     ),
     (
         "draws are kept",
@@ -595,18 +610,14 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "robots draw whenever they are asked",
         ["held_draws"],
-        (K.play, "if draw_stamp[robot] != group_stamp[place]:", "if draw_stamp[robot] > -2:"),
+        (K.ask_policy, "if draw_stamp[robot] != stamp[place]:", "if draw_stamp[robot] > -2:"),
     ),
     (
         "draws are kept",
         "simulation",
         "every firing is a new marking",
         ["held_draws"],
-        (
-            K.play,
-            "        if begin < end:\n            version += 1",
-            "        if begin <= end:\n            version += 1",
-        ),
+        (K.change_counts, "if begin == end:", "if begin > end:"),
     ),
     (
         "counters",
@@ -704,7 +715,7 @@ _TABLE: Sequence[Any] = (
         "robots that ask do not come along",
         ["mixed_partners"],
         (
-            K.play,
+            K.take_movers,
             "level[places + wish] if immediate[firing] > 0 else 0",
             "level[places + wish] if named == 0 else 0",
         ),
@@ -714,7 +725,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "those that ask before those that named",
         ["who_stays"],
-        (K.play, "if k < named:", "if level[places + wish] == 0:"),
+        (K.take_movers, "if k < named:", "if level[places + wish] == 0:"),
     ),
     (
         "partners",
@@ -722,7 +733,7 @@ _TABLE: Sequence[Any] = (
         "not who asked for it",
         ["who_asked"],
         (
-            K.play,
+            K.take_movers,
             "if i == 0 and requester >= 0 and",
             "if arc_weight[arc] == 1 and requester >= 0 and",
         ),
@@ -973,7 +984,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "the first one",
         ["mixed_partners", "degrees"],
-        (K.play, "wish = outcome_list[i]", "wish = outcome_list[outcome_from[timing]]"),
+        (K.result, "return outcome_list[i]", "return outcome_list[outcome_from[timing]]"),
     ),
     (
         "outcomes",
@@ -1020,14 +1031,15 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "twice as often",
         ["events"],
-        (K.play, "now + exponential(random) / total,", "now + exponential(random) / total / 2,"),
+        (K.expect_events, "exponential(random) / total", "exponential(random) / total / 2"),
+        (K.draw_event, "exponential(random) / total", "exponential(random) / total / 2"),
     ),
     (
         "events",
         "simulation",
         "a robot that is done stays in its list",
         ["events"],
-        (K.play, "if phase[requester] == WAITING:", "if phase[requester] == GONE:"),
+        (K.interrupt, "if phase[robot] == WAITING:", "if phase[robot] == GONE:"),
     ),
     (
         "events",
@@ -1059,7 +1071,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "they are lost",
         ["held_events"],
-        (K.play, "if event_hold[event] > 0:", "if event_hold[event] > 5:"),
+        (K.interruption, "if event_hold[event] > 0:", "if event_hold[event] > 5:"),
     ),
     # -- ends
     (
@@ -1090,7 +1102,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "never",
         ["ends"],
-        (K.play, "if with_until > 0 and numbers[CHECK_UNTIL] > 0:", "if with_until < 0:"),
+        (K.until_holds, "len(operations) > 0 and", "len(operations) < 0 and"),
     ),
     (
         "until",
@@ -1118,7 +1130,11 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "the run goes on",
         ["at_rest"],
-        (K.play, "if n_active > 0 and inactives == n_active:", "if n_active < 0:"),
+        (
+            K.play,
+            "if numbers[ACTIVE] > 0 and numbers[INACTIVES] == numbers[ACTIVE]:",
+            "if numbers[ACTIVE] < 0:",
+        ),
     ),
     (
         "all at rest",
@@ -1191,9 +1207,9 @@ _TABLE: Sequence[Any] = (
         "one more try",
         ["failures"],
         (
-            K.play,
-            "failures[robot] < rule_times[timing]",
-            "failures[robot] <= rule_times[timing]",
+            K.after_failure,
+            "tried < rule_times[timing]",
+            "tried <= rule_times[timing]",
         ),
     ),
     (
@@ -1201,7 +1217,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "no one stops the team",
         ["failures"],
-        (K.play, "elif rule[timing] == ON_FAILURE_STOP:", "elif rule[timing] == 77:"),
+        (K.after_failure, "if rule[timing] == ON_FAILURE_STOP:", "if rule[timing] == 77:"),
     ),
     (
         "failures",
@@ -1209,9 +1225,9 @@ _TABLE: Sequence[Any] = (
         "they are retried instead of fired",
         ["failures"],
         (
-            K.play,
-            "elif rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:",
-            "elif rule[timing] == 77:",
+            K.after_failure,
+            "if rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:",
+            "if rule[timing] == 77:",
         ),
     ),
     (
@@ -1219,7 +1235,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "they add up over visits",
         ["failures"],
-        (K.play, "failures[robot] = 0", "pass"),
+        (K.serve_pending, "tried[robot] = 0", "pass"),
     ),
     (
         "failures",
@@ -1255,7 +1271,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "nothing comes back",
         ["losses"],
-        (plan_run.PlanRun._lose, "changes += [", "["),
+        (plan_run.PlanRun._free_resources, "[(place, -1), *freed]", "[(place, -1)]"),
     ),
     (
         "losses",
@@ -1269,7 +1285,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "nobody stops",
         ["losses"],
-        (plan_run.PlanRun._lose, "if stuck and rules.sizes[7] == 1:", "if False:"),
+        (plan_run.PlanRun._lose, "if stuck and lost_rule == 1:", "if False:"),
     ),
     (
         "losses",
@@ -1348,7 +1364,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "there are none",
         ["identities"],
-        (K.play, "timing_of[kind[robot] * places + at[robot]]", "timing_of[at[robot]]"),
+        (K.serve_pending, "kind[robot] * sizes[PLACE_COUNT] + at[robot]", "at[robot]"),
     ),
     (
         "environment",

@@ -9,7 +9,6 @@ from typing import Any, Dict, List, NamedTuple, Sequence
 import numpy as np
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
-from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.analysis.simulation.aimed_run import AimedRun
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.plan import Plan
@@ -101,31 +100,20 @@ def roll_out(roller: Roller, piece: Rollouts, watch: Watch) -> List[float]:
     return roller.gains(piece, watch)
 
 
-_OWN = ("candidate", "candidate_ok", "candidate_weight")
-"""Parts of a state that are scratch, with lengths that depend on the policy."""
-
-
 def copied(state: Any) -> Any:
     """A copy of the state of a run."""
-    return type(state)(*(part.copy() for part in state))
+    return type(state)(*map(copied, state)) if isinstance(state, tuple) else state.copy()
 
 
 def _resume(run: AimedRun, state: Any, words: List[int]) -> None:
     """Continue from a state of another run of the same plan under any policy, with new random
     numbers. Choices that robots have drawn from the policy but not carried out are drawn again."""
-    mine = run.run.state
-    run.run.state = type(state)(
-        *(
-            getattr(mine, name) if name in _OWN else part.copy()
-            for name, part in zip(state._fields, state)
-        )
-    )
+    own = run.run.state.choices.candidates  # the lengths of these depend on the policy
+    s = copied(state)
+    s = s._replace(choices=s.choices._replace(candidates=own))
+    run.run.continue_from(s)
     run.ended = None
-    s = run.run.state
     s.random[:] = words
-    s.group_version[:] = [-1] * len(s.group_version)
-    for group in range(len(s.waits)):
-        if s.waits[group] > 0 and s.is_dirty[group] == 0:
-            s.is_dirty[group] = 1
-            s.dirty[s.numbers[kernel.DIRTY]] = group
-            s.numbers[kernel.DIRTY] += 1
+    version = s.choices.stamps.version
+    version[:] = [-1] * len(version)
+    run.run.look_at_all()

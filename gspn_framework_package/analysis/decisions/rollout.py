@@ -396,7 +396,7 @@ class _Search:
         if not chosen and run.ended is None:
             arcs = len(run.tables.arcs)
             for p in self._deciding:
-                if state.head[arcs + p] >= 0 and any(
+                if state.lists.head[arcs + p] >= 0 and any(
                     self.net.is_enabled(after, t) for t in self._immediate[p]
                 ):
                     found.append(_Visit(after, p, WAIT, before))

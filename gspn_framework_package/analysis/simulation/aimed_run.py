@@ -118,7 +118,7 @@ class AimedRun:
 
     def marking(self) -> Tuple[int, ...]:
         """The present marking."""
-        return tuple(int(n) for n in self.run.state.level[: len(self.run.net.places)])
+        return tuple(int(n) for n in self.run.state.counts.level[: len(self.run.net.places)])
 
     def earned(self, at: float) -> float:
         """The reward of the run up to the time ``at`` (s), at which it stopped or before which it
@@ -127,7 +127,7 @@ class AimedRun:
         whole = sum(reward * float(state.firings[t]) for t, reward in self._transitions)
         left = max(at - self.now, 0.0)
         for p, reward in self._places:
-            whole += reward * (float(state.area[p]) + left * float(state.level[p]))
+            whole += reward * (float(state.counts.area[p]) + left * float(state.counts.level[p]))
         return whole
 
     def compile(self) -> None:

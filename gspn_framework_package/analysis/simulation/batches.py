@@ -218,7 +218,7 @@ class KernelPlayer:
                     self._compile()
                     self._compile = None
             if status == kernel.STUCK:
-                marking = run.state.level[: len(self.net.places)]
+                marking = run.state.counts.level[: len(self.net.places)]
                 raise RefusedError(
                     "a run stays in (%s) forever, which does not satisfy the end condition"
                     % ", ".join(
@@ -237,12 +237,12 @@ class KernelPlayer:
                 self._run.now,
                 seconds,
                 np.array(state.firings, dtype=np.float64),
-                np.array(state.area),
+                np.array(state.counts.area),
                 status == kernel.UNTIL,
             )
         )
-        spent = np.array(state.spent)
-        starts = np.array(state.spent_from)
+        spent = np.array(state.counts.spent)
+        starts = np.array(state.counts.spent_from)
         there = np.flatnonzero(spent)
         places = np.searchsorted(starts, there, side="right") - 1
         counts = there - starts[places]

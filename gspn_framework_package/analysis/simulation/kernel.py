@@ -18,7 +18,7 @@ are what is looked at again: group ``t`` are all robots that named transition ``
 transitions test: the marking, then the length of every list, then a zero.
 """
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
+# In one piece: numba notices a change in this file, but not in files whose functions it calls
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ from typing import Any, NamedTuple
 from gspn_framework_package.analysis.arrays import Floats, Indices
 
 # Why a loop returned.
+GOING = -1
+"""It has not."""
 MORE = 0
 """The budget of events is used up; call again."""
 AT_STOP = 1
@@ -68,6 +70,7 @@ HYPER_ERLANG = 8
 # What a robot asks for when it is done, where that is not a list.
 BAD_RESULT = -1
 NOWHERE = -2
+FAILED_ACTION = -3
 
 # What to do when an action fails.
 ON_FAILURE_WAIT = 0
@@ -83,6 +86,7 @@ FAILS = 3
 IS_DONE = 4
 ASKS = 5
 NO_MORE = 6
+STOPS = 7
 
 # Where a robot is in its visit.
 GONE = 0
@@ -105,8 +109,8 @@ INACTIVES = 11
 EVENTS = 12
 TIMELESS_EVENTS = 13
 CHECK_UNTIL = 14
-SPONTANEOUS = 15
-SPONTANEOUS_DIRTY = 16
+READY = 15
+CHANGED = 16
 ENVIRONMENT_DIRTY = 17
 GROWN = 18
 LOST = 19
@@ -116,20 +120,52 @@ FREE = 22
 KINDS = 23
 ABLE = 24
 LOST_ROBOT = 25
-READY = 26
+ENABLED = 26
 ARRIVALS = 27
 HELD = 28
 HELD_AT = 29
-NUMBERS = 30
+FIRING = 30
+REQUESTER = 31
+URGENCY = 32
+INTERRUPTS = 33
+SOURCE = 34
+RIVALS = 35
+NUMBERS = 36
 
 NO_VISIT = 1 << 62
 """The first event of a visit in which none comes: later than all."""
+
+# Positions in ``sizes`` of a plan.
+PLACE_COUNT = 0
+TRANSITION_COUNT = 1
+ARC_COUNT = 2
+"""ArcArrays of robots."""
+ROBOT_ROOM = 3
+"""Most robots."""
+STRICT = 4
+"""Whether no row of the policy means waiting."""
+SOME_ROW_ALWAYS = 5
+"""Whether some row always matches."""
+LOST_RULE = 6
+"""What to do when a robot is lost and others wait for it."""
+LOST_TRANSITION = 7
+"""What they request then."""
+ALL_EVENTS = 8
+"""Events that interrupt robots."""
+
+# Where the next event comes from.
+HEAP_OF_ACTIONS = 0
+QUEUE_OF_ACTIONS = 1
+ENVIRONMENT = 2
+LOSS_OF_ROBOT = 3
+INTERRUPTION = 4
 
 # Positions in ``clocks`` of the state.
 NOW = 0
 ENVIRONMENT_AT = 1
 LOSS_AT = 2
-CLOCKS = 3
+NEXT = 3
+CLOCKS = 4
 
 # Steps of a condition's program: an operation and its argument.
 OPERATIONS = (
@@ -280,31 +316,39 @@ def draw_duration(
 # -- heap, tree, tests, conditions ---------------------------------------------------------------
 
 
-def push(
-    time: float, sequence: int, robot: int, size: int, times: Floats, tags: Indices, who: Indices
-) -> None:
-    """Enter an event into the heap of ``size`` events, which is ordered by time, then sequence."""
+class Heap(NamedTuple):
+    """Events in order of time, then tag."""
+
+    time: Any
+    tag: Any
+    who: Any
+
+
+def push(time: float, tag: int, what: int, size: int, heap: Heap) -> None:
+    """Enter an event into the heap, which has ``size`` events."""
+    times, tags, who = heap
     i = size
     while i > 0:
         up = (i - 1) >> 1
         above = times[up]
-        if above < time or (above == time and tags[up] < sequence):
+        if above < time or (above == time and tags[up] < tag):
             break
         times[i] = above
         tags[i] = tags[up]
         who[i] = who[up]
         i = up
     times[i] = time
-    tags[i] = sequence
-    who[i] = robot
+    tags[i] = tag
+    who[i] = what
 
 
-def drop_first(size: int, times: Floats, tags: Indices, who: Indices) -> None:
+def drop_first(size: int, heap: Heap) -> None:
     """Remove the first of ``size`` events from the heap."""
+    times, tags, who = heap
     size -= 1
     time = times[size]
     tag = tags[size]
-    robot = who[size]
+    what = who[size]
     i = 0
     while True:
         below = 2 * i + 1
@@ -323,21 +367,14 @@ def drop_first(size: int, times: Floats, tags: Indices, who: Indices) -> None:
         i = below
     times[i] = time
     tags[i] = tag
-    who[i] = robot
+    who[i] = what
 
 
-def only_current(
-    size: int,
-    times: Floats,
-    tags: Indices,
-    who: Indices,
-    divisor: int,
-    since: Indices,
-    exactly: bool,
-) -> int:
+def only_current(size: int, heap: Heap, divisor: int, since: Indices, exactly: bool) -> int:
     """Remove the events of a heap that no longer count; returns the size that is left. The robot of
     an event is ``who // divisor``; its tag must be ``since`` of the robot, or also a later one
     unless ``exactly`` is set."""
+    times, tags, who = heap
     left = 0
     for i in range(size):
         time = times[i]
@@ -345,28 +382,9 @@ def only_current(
         what = who[i]
         first = since[what // divisor]
         if tag == first or (tag > first and not exactly):
-            push(time, tag, what, left, times, tags, who)
+            push(time, tag, what, left, heap)
             left += 1
     return left
-
-
-def put(
-    time: float,
-    tag: int,
-    what: int,
-    size: int,
-    times: Floats,
-    tags: Indices,
-    who: Indices,
-    divisor: int,
-    since: Indices,
-) -> int:
-    """Enter an event that interrupts into a heap of ``size`` events, from which those of visits
-    that are over are removed if it is full (see :func:`only_current`); returns the new size."""
-    if size >= len(who):
-        size = only_current(size, times, tags, who, divisor, since, False)
-    push(time, tag, what, size, times, tags, who)
-    return size + 1
 
 
 def set_leaf(tree: Floats, leaves: int, i: int, value: float) -> None:
@@ -402,7 +420,6 @@ def fits(t: int, level: Indices, test_from: Indices, tests: Indices) -> bool:
     return True
 
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
 def holds(
     operations: Indices, arguments: Floats, level: Indices, label: float, stack: Floats
 ) -> bool:
@@ -422,28 +439,7 @@ def holds(
             stack[top] = label
             top += 1
         elif what in (14, 15) or 20 <= what <= 27:
-            a = stack[top - 1]
-            stack[top - 1] = math.nan
-            if what == 14:
-                stack[top - 1] = -a
-            elif what == 15:
-                stack[top - 1] = 1.0 if a == 0.0 else 0.0
-            elif what == 20:
-                stack[top - 1] = abs(a)
-            elif math.isnan(a) or math.isinf(a):
-                stack[top - 1] = math.nan
-            elif what == 21:
-                stack[top - 1] = float(math.floor(a))
-            elif what == 22:
-                stack[top - 1] = float(math.ceil(a))
-            elif what == 23:
-                stack[top - 1] = float(math.floor(a + 0.5))
-            elif what == 24 and a >= 0.0:
-                stack[top - 1] = math.sqrt(a)
-            elif what == 25 and a < 709.0:
-                stack[top - 1] = math.exp(a)
-            elif what in (26, 27) and a > 0.0:
-                stack[top - 1] = math.log(a)
+            stack[top - 1] = of_one(what, stack[top - 1])
         elif what in (18, 19):
             count = int(argument)
             best = stack[top - count]
@@ -456,41 +452,70 @@ def holds(
             top -= count - 1
             stack[top - 1] = best
         else:
-            a = stack[top - 2]
-            b = stack[top - 1]
             top -= 1
-            value = math.nan
-            if what == 3:
-                value = a + b
-            elif what == 4:
-                value = a - b
-            elif what == 5:
-                value = a * b
-            elif what == 6:
-                if b != 0.0:
-                    value = a / b
-            elif what in (7, 28):
-                value = power(a, b)
-            elif what == 8:
-                value = 1.0 if a == b else 0.0
-            elif what == 9:
-                value = 1.0 if a < b or a > b else 0.0
-            elif what == 10:
-                value = 1.0 if a < b else 0.0
-            elif what == 11:
-                value = 1.0 if a <= b else 0.0
-            elif what == 12:
-                value = 1.0 if a > b else 0.0
-            elif what == 13:
-                value = 1.0 if a >= b else 0.0
-            elif what == 16:
-                value = 1.0 if a != 0.0 and b != 0.0 else 0.0
-            elif what == 17:
-                value = 1.0 if a != 0.0 or b != 0.0 else 0.0
-            elif what == 29 and b != 0.0 and not math.isinf(a):
-                value = math.copysign(abs(a) % abs(b), a)
-            stack[top - 1] = value
+            stack[top - 1] = of_two(what, stack[top - 1], stack[top])
     return stack[0] != 0.0
+
+
+def of_one(what: int, a: float) -> float:
+    """The value of an operation on one number; NaN where it has none."""
+    value = math.nan
+    if what == 14:
+        value = -a
+    elif what == 15:
+        value = 1.0 if a == 0.0 else 0.0
+    elif what == 20:
+        value = abs(a)
+    elif math.isnan(a) or math.isinf(a):
+        value = math.nan
+    elif what == 21:
+        value = float(math.floor(a))
+    elif what == 22:
+        value = float(math.ceil(a))
+    elif what == 23:
+        value = float(math.floor(a + 0.5))
+    elif what == 24 and a >= 0.0:
+        value = math.sqrt(a)
+    elif what == 25 and a < 709.0:
+        value = math.exp(a)
+    elif what in (26, 27) and a > 0.0:
+        value = math.log(a)
+    return value
+
+
+def of_two(what: int, a: float, b: float) -> float:
+    """The value of an operation on two numbers; NaN where it has none."""
+    value = math.nan
+    if what == 3:
+        value = a + b
+    elif what == 4:
+        value = a - b
+    elif what == 5:
+        value = a * b
+    elif what == 6:
+        if b != 0.0:
+            value = a / b
+    elif what in (7, 28):
+        value = power(a, b)
+    elif what == 8:
+        value = 1.0 if a == b else 0.0
+    elif what == 9:
+        value = 1.0 if a < b or a > b else 0.0
+    elif what == 10:
+        value = 1.0 if a < b else 0.0
+    elif what == 11:
+        value = 1.0 if a <= b else 0.0
+    elif what == 12:
+        value = 1.0 if a > b else 0.0
+    elif what == 13:
+        value = 1.0 if a >= b else 0.0
+    elif what == 16:
+        value = 1.0 if a != 0.0 and b != 0.0 else 0.0
+    elif what == 17:
+        value = 1.0 if a != 0.0 or b != 0.0 else 0.0
+    elif what == 29 and b != 0.0 and not math.isinf(a):
+        value = math.copysign(abs(a) % abs(b), a)
+    return value
 
 
 def power(a: float, b: float) -> float:
@@ -511,9 +536,8 @@ def power(a: float, b: float) -> float:
 # -- the policy ----------------------------------------------------------------------------------
 
 
-class Book(NamedTuple):
-    """The rows of a policy, by the place that they apply to. Further "places" stand for all rows of
-    a scope, whatever they apply to; ``any_of`` has that of each place.
+class RowArrays(NamedTuple):
+    """The rows of a policy, by the place that they apply to.
 
     An *entry* is a row for one place. Few entries of a place are a list in order of precedence
     (``listed``); many are in hash tables, one per set of cells that are not wildcards (*mask*),
@@ -529,31 +553,37 @@ class Book(NamedTuple):
     mask_size: Any
     tables: Any
     entry_row: Any
+    cell_from: Any
+    cells: Any
+
+
+class Book(NamedTuple):
+    """A policy. Further "places" of ``rows`` stand for all rows of a scope, whatever they apply to;
+    ``any_of`` has that of each place."""
+
+    rows: Any
+    any_of: Any
     entry_mixed: Any
     choice_from: Any
     choice: Any
     chance: Any
-    cell_from: Any
-    cells: Any
-    any_of: Any
 
 
-def find_entry(
-    place: int,
-    level: Indices,
-    listed_from: Indices,
-    listed: Indices,
-    mask_from: Indices,
-    mask_cells_from: Indices,
-    mask_cells: Indices,
-    mask_table: Indices,
-    mask_size: Indices,
-    tables: Indices,
-    entry_row: Indices,
-    cell_from: Indices,
-    cells: Indices,
-) -> int:
+def find_entry(place: int, level: Indices, rows: RowArrays) -> int:
     """The entry that takes precedence among those of ``place`` that match; -1 if none does."""
+    (
+        listed_from,
+        listed,
+        mask_from,
+        mask_cells_from,
+        mask_cells,
+        mask_table,
+        mask_size,
+        tables,
+        entry_row,
+        cell_from,
+        cells,
+    ) = rows
     for k in range(listed_from[place], listed_from[place + 1]):
         entry = listed[k]
         row = entry_row[entry]
@@ -593,139 +623,102 @@ def find_entry(
     return best
 
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
+class Candidates(NamedTuple):
+    """The choice of a robot: transitions, whether each can fire, and weights (0: not a
+    candidate)."""
+
+    transition: Any
+    able: Any
+    weight: Any
+
+
+class Stamps(NamedTuple):
+    """By place: the marking and the candidates of the last choice there, and its stamp. The draw of
+    a robot holds as long as it has the stamp of the place."""
+
+    version: Any
+    signature: Any
+    stamp: Any
+
+
 def weigh(
     place: int,
-    version: int,
-    strict: int,
-    always: int,
-    any_of: Indices,
-    level: Indices,
-    test_from: Indices,
-    tests: Indices,
-    priority: Indices,
-    weight: Floats,
+    sizes: Indices,
+    net: NetArrays,
+    book: Book,
     leaving_from: Indices,
     leaving: Indices,
-    listed_from: Indices,
-    listed: Indices,
-    mask_from: Indices,
-    mask_cells_from: Indices,
-    mask_cells: Indices,
-    mask_table: Indices,
-    mask_size: Indices,
-    tables: Indices,
-    entry_row: Indices,
-    entry_mixed: Indices,
-    choice_from: Indices,
-    choice: Indices,
-    chance: Floats,
-    cell_from: Indices,
-    cells: Indices,
-    candidate: Indices,
-    candidate_ok: Indices,
-    candidate_weight: Floats,
-    group_version: Indices,
-    group_signature: Indices,
-    group_stamp: Indices,
+    level: Indices,
+    candidates: Candidates,
+    stamps: Stamps,
     numbers: Indices,
 ) -> int:
-    """Fill the ``candidate`` arrays with the choice of a robot in ``place`` that lets the policy
-    decide: transitions, whether each can fire, and weights (0: not a candidate).
+    """Find the candidates of a robot in ``place`` that lets the policy decide.
 
-    Returns their number. ``numbers[READY]`` says how many can fire, ``numbers[KINDS]`` how many
+    Returns their number. ``numbers[ENABLED]`` says how many can fire, ``numbers[KINDS]`` how many
     have a weight, ``numbers[ABLE]`` how many have both. If the marking or the candidates differ
     from the last time, the place gets a new stamp, so that the draws of its robots no longer hold.
     """
+    test_from, tests, _, priority, weight = net
+    rows, any_of, entry_mixed, choice_from, choice, chance = book
+    transitions, able, weights = candidates
+    version, signatures, stamp = stamps
+    begin = 0
     count = 0
     floor = 0
     signature = -1
-    entry = find_entry(
-        place,
-        level,
-        listed_from,
-        listed,
-        mask_from,
-        mask_cells_from,
-        mask_cells,
-        mask_table,
-        mask_size,
-        tables,
-        entry_row,
-        cell_from,
-        cells,
-    )
+    entry = find_entry(place, level, rows)
     if entry >= 0:
         begin = choice_from[entry]
         count = choice_from[entry + 1] - begin
-        for k in range(count):
-            t = choice[begin + k]
-            candidate[k] = t
-            candidate_weight[k] = chance[begin + k]
-            candidate_ok[k] = 0
-            if fits(t, level, test_from, tests):
-                candidate_ok[k] = 1
-                if priority[t] > floor:
-                    floor = priority[t]
-        if entry_mixed[entry] == 0:
-            floor = 0
-        signature = entry
     elif (
-        strict == 0
-        and always == 0
-        and find_entry(
-            any_of[place],
-            level,
-            listed_from,
-            listed,
-            mask_from,
-            mask_cells_from,
-            mask_cells,
-            mask_table,
-            mask_size,
-            tables,
-            entry_row,
-            cell_from,
-            cells,
-        )
-        < 0
+        sizes[STRICT] == 0
+        and sizes[SOME_ROW_ALWAYS] == 0
+        and find_entry(any_of[place], level, rows) < 0
     ):
         begin = leaving_from[place]
         count = leaving_from[place + 1] - begin
         signature = 0
-        for k in range(count):
-            t = leaving[begin + k]
-            candidate[k] = t
-            candidate_weight[k] = 0.0
-            candidate_ok[k] = 0
-            if fits(t, level, test_from, tests):
-                candidate_weight[k] = weight[t]
-                candidate_ok[k] = 1
-                signature = (signature * 1000003 + k + 1) & 0x7FFFFFFF
-                if priority[t] > floor:
-                    floor = priority[t]
-        signature = -2 - signature
-    ready = 0
-    kinds = 0
-    able = 0
+    enabled = 0
     for k in range(count):
-        ready += candidate_ok[k]
-        if priority[candidate[k]] < floor:
-            candidate_weight[k] = 0.0
-        if candidate_weight[k] > 0.0:
-            kinds += 1
-            able += candidate_ok[k]
+        t = choice[begin + k] if entry >= 0 else leaving[begin + k]
+        can = 1 if fits(t, level, test_from, tests) else 0
+        enabled += can
+        transitions[k] = t
+        able[k] = can
+        if entry >= 0:
+            weights[k] = chance[begin + k]
         else:
-            candidate_ok[k] = 0
+            weights[k] = weight[t] if can > 0 else 0.0
+            if can > 0:
+                signature = (signature * 1000003 + k + 1) & 0x7FFFFFFF
+        if can > 0 and priority[t] > floor:
+            floor = priority[t]
+    if entry >= 0:
+        signature = entry
+        if entry_mixed[entry] == 0:
+            floor = 0
+    elif signature >= 0:
+        signature = -2 - signature
+    numbers[ENABLED] = enabled
+    kinds = 0
+    both = 0
+    for k in range(count):
+        if priority[transitions[k]] < floor:
+            weights[k] = 0.0
+        if weights[k] > 0.0:
+            kinds += 1
+            both += able[k]
+        else:
+            able[k] = 0
     numbers[KINDS] = kinds
-    numbers[ABLE] = able
-    numbers[READY] = ready
+    numbers[ABLE] = both
     signature = signature * 4096 + floor
-    if group_version[place] != version or group_signature[place] != signature:
-        group_version[place] = version
-        group_signature[place] = signature
+    if version[place] != numbers[MARKING_VERSION] or signatures[place] != signature:
+        version[place] = numbers[MARKING_VERSION]
+        signatures[place] = signature
         numbers[STAMP] += 1
-        group_stamp[place] = numbers[STAMP]
+        stamp[place] = numbers[STAMP]
     return count
 
 
@@ -747,21 +740,54 @@ def pick(count: int, kinds: int, weights: Floats, random: Indices) -> int:
     return drawn
 
 
-# -- counts --------------------------------------------------------------------------------------
+# -- what plans and nets have in common ------------------------------------------------------------
 
 
-def shift(
-    place: int,
-    amount: int,
-    now: float,
-    level: Indices,
-    since: Floats,
-    area: Floats,
-    spent: Floats,
-    spent_from: Indices,
-    numbers: Indices,
-) -> int:
+class NetArrays(NamedTuple):
+    """The transitions of a net."""
+
+    test_from: Any
+    tests: Any
+    immediate: Any
+    priority: Any
+    weight: Any
+
+
+class Until(NamedTuple):
+    """The condition that ends a run."""
+
+    operations: Any
+    arguments: Any
+
+
+class Rates(NamedTuple):
+    """The exponential transitions that race."""
+
+    transition: Any
+    rate: Any
+    servers: Any
+
+
+class CountArrays(NamedTuple):
+    """The counts of places, and the times that they had them."""
+
+    level: Any
+    since: Any
+    area: Any
+    spent: Any
+    spent_from: Any
+
+
+class Ready(NamedTuple):
+    """The immediate transitions that are enabled, whatever their priority."""
+
+    ready: Any
+    ready_at: Any
+
+
+def shift(place: int, amount: int, now: float, counts: CountArrays, numbers: Indices) -> None:
     """Change the count of a place, after booking the time that it had the old one."""
+    level, since, area, spent, spent_from = counts
     count = level[place]
     passed = now - since[place]
     if passed > 0.0:
@@ -774,19 +800,11 @@ def shift(
     level[place] = count
     if spent_from[place] + count >= spent_from[place + 1]:
         numbers[GROWN] = 1
-    return count
 
 
-def book_times(
-    now: float,
-    places: int,
-    level: Indices,
-    since: Floats,
-    area: Floats,
-    spent: Floats,
-    spent_from: Indices,
-) -> None:
+def book_times(now: float, places: int, counts: CountArrays) -> None:
     """Book the time that all places had their counts."""
+    level, since, area, spent, spent_from = counts
     for place in range(places):
         passed = now - since[place]
         if passed > 0.0:
@@ -796,100 +814,6 @@ def book_times(
             if at < spent_from[place + 1]:
                 spent[at] += passed
         since[place] = now
-
-
-def mark(
-    begin: int, end: int, listed: Indices, waits: Indices, dirty: Indices, is_dirty: Indices, n: int
-) -> int:
-    """Put the groups ``listed[begin:end]`` that have robots among the ``n`` dirty ones; returns how
-    many there are then."""
-    for k in range(begin, end):
-        group = listed[k]
-        if waits[group] > 0 and is_dirty[group] == 0:
-            is_dirty[group] = 1
-            dirty[n] = group
-            n += 1
-    return n
-
-
-def any_of_these(count: int, random: Indices) -> int:
-    """One of so many things, by chance; its number, from 0."""
-    return int(draw_uniform(random) * count) if count > 1 else 0
-
-
-def waiting_at(k: int, robot: int, following: Indices) -> int:
-    """The robot that is ``k`` places behind ``robot`` in its list."""
-    for _ in range(k):
-        robot = following[robot]
-    return robot
-
-
-def only_due(count: int, tags: Indices, robots: Indices, due_tag: Indices) -> int:
-    """Keep the entries of a list of actions that are still running; how many they are."""
-    kept = 0
-    for i in range(count):
-        if due_tag[robots[i]] == tags[i]:
-            tags[kept] = tags[i]
-            robots[kept] = robots[i]
-            kept += 1
-    return kept
-
-
-def unlink(
-    robot: int,
-    in_list: Indices,
-    following: Indices,
-    preceding: Indices,
-    head: Indices,
-    tail: Indices,
-) -> None:
-    """Take a robot out of the list in which it waits."""
-    before = preceding[robot]
-    after = following[robot]
-    if before < 0:
-        head[in_list[robot]] = after
-    else:
-        following[before] = after
-    if after < 0:
-        tail[in_list[robot]] = before
-    else:
-        preceding[after] = before
-
-
-def touch(
-    place: int,
-    level: Indices,
-    spontaneous_from: Indices,
-    spontaneous: Indices,
-    spontaneous_dirty: Indices,
-    is_spontaneous_dirty: Indices,
-    environment_from: Indices,
-    environment: Indices,
-    environment_transition: Indices,
-    server_rate: Floats,
-    servers: Indices,
-    test_from: Indices,
-    tests: Indices,
-    tree: Floats,
-    until_reads: Indices,
-    numbers: Indices,
-) -> None:
-    """Note what else depends on the count of ``place``, which has changed: transitions that only
-    take resources, and the condition that ends the run."""
-    for k in range(spontaneous_from[place], spontaneous_from[place + 1]):
-        t = spontaneous[k]
-        if is_spontaneous_dirty[t] == 0:
-            is_spontaneous_dirty[t] = 1
-            spontaneous_dirty[numbers[SPONTANEOUS_DIRTY]] = t
-            numbers[SPONTANEOUS_DIRTY] += 1
-    for k in range(environment_from[place], environment_from[place + 1]):
-        i = environment[k]
-        t = environment_transition[i]
-        degree = busy(t, servers[i], level, test_from, tests)
-        set_leaf(tree, len(tree) // 2, i, server_rate[i] * degree)
-        numbers[ENVIRONMENT_DIRTY] = 1
-    if until_reads[place] > 0:
-        numbers[CHECK_UNTIL] = 1
 
 
 def busy(t: int, servers: int, level: Indices, test_from: Indices, tests: Indices) -> int:
@@ -908,7 +832,205 @@ def busy(t: int, servers: int, level: Indices, test_from: Indices, tests: Indice
     return servers if 0 < servers < degree else degree
 
 
-# -- the token game of a plan --------------------------------------------------------------------
+def set_rate(i: int, net: NetArrays, rates: Rates, level: Indices, tree: Floats) -> None:
+    """Enter the rate of an exponential transition in this marking into the tree."""
+    test_from, tests, _, _, _ = net
+    transition, rate, servers = rates
+    leaves = len(tree) // 2
+    value = rate[i] * busy(transition[i], servers[i], level, test_from, tests)
+    if tree[leaves + i] != value:
+        set_leaf(tree, leaves, i, value)
+
+
+def time_of_race(now: float, tree: Floats, random: Indices) -> float:
+    """Draw when the next of the exponential transitions fires; infinite if none is enabled."""
+    if tree[1] > 0.0:
+        return now + exponential(random) / tree[1]
+    return math.inf
+
+
+def winner(tree: Floats, random: Indices) -> int:
+    """Draw which of the exponential transitions fires."""
+    return find_leaf(tree, len(tree) // 2, draw_uniform(random) * tree[1])
+
+
+def set_ready(t: int, net: NetArrays, level: Indices, ready_ones: Ready, numbers: Indices) -> None:
+    """Note whether an immediate transition is enabled in this marking."""
+    test_from, tests, _, _, _ = net
+    ready, ready_at = ready_ones
+    i = ready_at[t]
+    if fits(t, level, test_from, tests):
+        if i < 0:
+            ready_at[t] = numbers[READY]
+            ready[numbers[READY]] = t
+            numbers[READY] += 1
+    elif i >= 0:
+        numbers[READY] -= 1
+        last = ready[numbers[READY]]
+        ready[i] = last
+        ready_at[last] = i
+        ready_at[t] = -1
+
+
+def choose_ready(
+    net: NetArrays, ready_ones: Ready, decided: bool, random: Indices, numbers: Indices
+) -> int:
+    """Draw one of the immediate transitions that are enabled, of those with the highest priority.
+
+    Without weights, it is the first one of the file, unless weights must have ``decided``: then it
+    is -1.
+    """
+    _, _, _, priority, weight = net
+    ready, _ = ready_ones
+    n_ready = numbers[READY]
+    top = -1
+    for i in range(n_ready):
+        if priority[ready[i]] > top:
+            top = priority[ready[i]]
+    count = 0
+    total = 0.0
+    least = math.inf
+    first = len(priority)
+    for i in range(n_ready):
+        t = ready[i]
+        if priority[t] == top:
+            count += 1
+            total += weight[t]
+            least = min(least, weight[t])
+            if t < first:
+                first = t
+    if decided and count > 1 and least <= 0.0:
+        return -1
+    firing = first
+    if total > 0.0 and not (decided and count == 1):
+        u = draw_uniform(random) * total
+        for i in range(n_ready):
+            t = ready[i]
+            if priority[t] == top and weight[t] > 0.0:
+                firing = t
+                u -= weight[t]
+                if u < 0.0:
+                    break
+    return firing
+
+
+# -- the token game of a plan: rules and state -----------------------------------------------------
+
+
+class Durations(NamedTuple):
+    """How long actions take. ``timing_of`` has, by kind of robot and place, the number by which
+    what a robot does there is listed, here and in OutcomeArrays and Failures."""
+
+    timing_of: Any
+    timing_kind: Any
+    timing_mean: Any
+    timing_from: Any
+    timing_table: Any
+    timeout: Any
+
+
+class OutcomeArrays(NamedTuple):
+    """What robots ask for when they are done, as lists."""
+
+    outcome_from: Any
+    outcome_list: Any
+    outcome_chance: Any
+    null_list: Any
+
+
+class Failures(NamedTuple):
+    """How often actions fail, and what to do then."""
+
+    failure: Any
+    rule: Any
+    rule_times: Any
+    rule_delay: Any
+    rule_list: Any
+
+
+class InterruptArrays(NamedTuple):
+    """The events that interrupt robots: ``event_from`` by place. An event comes so long
+    (``event_after``, s) after a robot has entered the place; 0: at its rate."""
+
+    event_from: Any
+    event_transition: Any
+    event_rate: Any
+    event_after: Any
+    event_hold: Any
+    event_test_from: Any
+    event_tests: Any
+
+
+class Visits(NamedTuple):
+    """What robots do in places."""
+
+    durations: Any
+    outcomes: Any
+    failures: Any
+    interrupts: Any
+
+
+class ArcArrays(NamedTuple):
+    """The arcs of robots by transition, the immediate transitions by place, the group of each list,
+    and the groups that a robot concerns when it joins a list."""
+
+    arc_from: Any
+    arc_place: Any
+    arc_weight: Any
+    leaving_from: Any
+    leaving: Any
+    list_group: Any
+    joins_from: Any
+    joins: Any
+
+
+class Moves(NamedTuple):
+    """Where the robots go that a transition moves."""
+
+    mover_from: Any
+    mover_target: Any
+    mover_wants: Any
+    slot_from: Any
+    slots: Any
+    surplus: Any
+
+
+class Readers(NamedTuple):
+    """By place, the groups that a rising or falling count concerns."""
+
+    rising_from: Any
+    rising: Any
+    falling_from: Any
+    falling: Any
+
+
+class Watchers(NamedTuple):
+    """By place, what a change of its count concerns beside robots: immediate transitions that only
+    take resources, exponential ones of the environment, and the condition that ends the run."""
+
+    spontaneous_from: Any
+    spontaneous: Any
+    environment_from: Any
+    environment: Any
+    until_reads: Any
+
+
+class ChangeArrays(NamedTuple):
+    """By transition, the changes of counts, and what they concern."""
+
+    effect_from: Any
+    effects: Any
+    readers: Any
+    watchers: Any
+    rates: Any
+
+
+class Losses(NamedTuple):
+    """How often robots are lost, and what their eviction changes, by place."""
+
+    rate: Any
+    evicted_from: Any
+    evicted: Any
 
 
 class PlanArrays(NamedTuple):
@@ -916,71 +1038,99 @@ class PlanArrays(NamedTuple):
     ``i``."""
 
     sizes: Any
-    """Places, transitions, arcs of robots, whether the environment fires, most robots, whether
-    no row means waiting (strict), whether some row always matches, what to do when a robot is lost
-    and others wait for it, transition that they request then, events that interrupt."""
-    test_from: Any
-    tests: Any
-    effect_from: Any
-    effects: Any
-    rising_from: Any
-    rising: Any
-    falling_from: Any
-    falling: Any
-    joins_from: Any
-    joins: Any
-    arc_from: Any
-    arc_place: Any
-    arc_weight: Any
-    immediate: Any
-    priority: Any
-    weight: Any
-    leaving_from: Any
-    leaving: Any
-    mover_from: Any
-    mover_target: Any
-    mover_wants: Any
-    slot_from: Any
-    slots: Any
-    surplus: Any
-    timing_of: Any
-    timing_kind: Any
-    timing_mean: Any
-    timing_from: Any
-    timing_table: Any
-    outcome_from: Any
-    outcome_list: Any
-    outcome_chance: Any
-    null_list: Any
-    failure: Any
-    timeout: Any
-    rule: Any
-    rule_times: Any
-    rule_delay: Any
-    rule_list: Any
-    list_group: Any
-    spontaneous_from: Any
-    spontaneous: Any
-    environment_from: Any
-    environment: Any
-    environment_transition: Any
-    server_rate: Any
-    servers: Any
-    until_reads: Any
-    until_operations: Any
-    until_arguments: Any
-    evicted_from: Any
-    evicted: Any
-    loss_rate: Any
-    event_from: Any
-    """By place: the events that interrupt robots there."""
-    event_transition: Any
-    event_rate: Any
-    event_after: Any
-    """How long after a robot has entered the place the event comes (s); 0: at its rate."""
-    event_hold: Any
-    event_test_from: Any
-    event_tests: Any
+    net: Any
+    visits: Any
+    arcs: Any
+    changes: Any
+    moves: Any
+    until: Any
+    losses: Any
+
+
+class Robots(NamedTuple):
+    """By robot: where it is and what it does. ``visit_from`` is the tag of the first event of its
+    visit; NO_VISIT: none comes."""
+
+    at: Any
+    phase: Any
+    kind: Any
+    failures: Any
+    due_tag: Any
+    due_what: Any
+    visit_from: Any
+
+
+class Members(NamedTuple):
+    """The robots that take part, where each is among them, and the numbers that are free."""
+
+    active: Any
+    active_at: Any
+    free: Any
+
+
+class Lists(NamedTuple):
+    """The robots that wait: their lists, their neighbours there, and what the policy has drawn for
+    them; by list, the first and the last one; by group, how many there are."""
+
+    in_list: Any
+    following: Any
+    preceding: Any
+    draw: Any
+    draw_stamp: Any
+    head: Any
+    tail: Any
+    waits: Any
+
+
+class Marks(NamedTuple):
+    """The groups to look at again: now, and when the marking has changed."""
+
+    dirty: Any
+    is_dirty: Any
+    volatile: Any
+    is_volatile: Any
+
+
+class ChoiceArrays(NamedTuple):
+    """The choices of robots that let the policy decide."""
+
+    candidates: Any
+    stamps: Any
+
+
+class Held(NamedTuple):
+    """Events that fire as soon as they can, if the visit is still the one with that tag."""
+
+    robot: Any
+    tag: Any
+    event: Any
+
+
+class Calendar(NamedTuple):
+    """What happens next: the robots that enter, end, fail or start now; the ends of actions, and of
+    those without duration; the events that interrupt robots.
+
+    What comes in ``arrivals`` is ``robot * (events + 1)``, plus the number of an event that comes
+    after a fixed time, or plus the number of all events for the next one that comes at a rate.
+    """
+
+    pending_robot: Any
+    pending_what: Any
+    heap: Any
+    queue_tag: Any
+    queue_robot: Any
+    arrivals: Any
+    held: Any
+
+
+class Chance(NamedTuple):
+    """What fires without robots: the immediate transitions that only take resources, with those to
+    look at again, and the rates of the environment."""
+
+    ready_ones: Any
+    changed: Any
+    is_changed: Any
+    tree: Any
 
 
 class PlanState(NamedTuple):
@@ -989,885 +1139,1104 @@ class PlanState(NamedTuple):
     numbers: Any
     clocks: Any
     random: Any
-    level: Any
-    since: Any
-    area: Any
-    spent: Any
-    spent_from: Any
+    counts: Any
     firings: Any
-    at: Any
-    phase: Any
-    kind: Any
-    failures: Any
-    in_list: Any
-    following: Any
-    preceding: Any
-    due_tag: Any
-    due_what: Any
-    draw: Any
-    draw_stamp: Any
-    active: Any
-    active_at: Any
-    free: Any
-    head: Any
-    tail: Any
-    waits: Any
-    dirty: Any
-    is_dirty: Any
-    volatile: Any
-    is_volatile: Any
-    group_version: Any
-    group_signature: Any
-    group_stamp: Any
-    heap_time: Any
-    heap_tag: Any
-    heap_robot: Any
-    queue_tag: Any
-    queue_robot: Any
-    pending_robot: Any
-    pending_what: Any
+    robots: Any
+    members: Any
+    lists: Any
+    marks: Any
+    choices: Any
+    calendar: Any
+    chance: Any
     movers: Any
     targets: Any
-    candidate: Any
-    candidate_ok: Any
-    candidate_weight: Any
-    may_spontaneous: Any
-    spontaneous_at: Any
-    spontaneous_dirty: Any
-    is_spontaneous_dirty: Any
-    tree: Any
     stack: Any
-    visit_from: Any
-    """Of each robot: the tag of the first event of its visit; NO_VISIT: none comes."""
-    arrival_time: Any
-    arrival_tag: Any
-    arrival_who: Any
-    """The heap of events: ``robot * (events + 1)``, plus the number of an event that comes after a
-    fixed time, or plus the number of all events for the next one that comes at a rate."""
-    held_robot: Any
-    held_tag: Any
-    held_event: Any
-    """Events that fire as soon as they can, if the visit is still the one with that tag."""
 
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
+# -- what a robot does in a place ------------------------------------------------------------------
+
+
+# In one piece: a call costs plain Python as much as many of the steps
+def serve_pending(
+    sizes: Indices,
+    visits: Visits,
+    arcs: ArcArrays,
+    robots: Robots,
+    lists: Lists,
+    marks: Marks,
+    calendar: Calendar,
+    level: Indices,
+    clocks: Floats,
+    random: Indices,
+    numbers: Indices,
+) -> int:
+    """Let the robots that enter, end, fail or start now do so; returns STOPPED if a failure stops
+    the team, else GOING."""
+    durations, outcomes, failures, interrupts = visits
+    _, _, _, _, _, list_group, joins_from, joins = arcs
+    _, _, _, _, _, _, _, waits = lists
+    timing_of, timing_kind, _, _, _, _ = durations
+    _, _, _, null_list = outcomes
+    at, phase, kind, tried, _, _, visit_from = robots
+    pending_robot, pending_what, heap, queue_tag, queue_robot, arrivals, _ = calendar
+    status = GOING
+    for k in range(numbers[PENDING]):
+        robot = pending_robot[k]
+        what = pending_what[k]
+        timing = timing_of[kind[robot] * sizes[PLACE_COUNT] + at[robot]]
+        wish = BAD_RESULT
+        if what == ENTERS:
+            tried[robot] = 0
+            if sizes[ALL_EVENTS] > 0:
+                expect_events(
+                    robot,
+                    at[robot],
+                    sizes[ALL_EVENTS],
+                    interrupts,
+                    visit_from,
+                    arrivals,
+                    clocks,
+                    random,
+                    numbers,
+                )
+            what = STARTS
+            if timing_kind[timing] == NULL_ACTION:
+                what = IS_DONE
+                wish = null_list[timing]
+        elif what == ENDS:
+            wish = result(timing, outcomes, failures, random)
+            what = FAILS if wish == FAILED_ACTION else IS_DONE
+        if what == IS_DONE:
+            what = ASKS
+            if wish == NOWHERE:
+                phase[robot] = INACTIVE
+                numbers[INACTIVES] += 1
+                what = NO_MORE
+            elif wish == BAD_RESULT:
+                what = FAILS
+        delay = 0.0
+        if what == FAILS:
+            what = after_failure(timing, tried[robot], failures)
+            if what == STOPS:
+                status = STOPPED
+                break
+            if what == STARTS:
+                tried[robot] += 1
+                _, _, _, rule_delay, _ = failures
+                delay = rule_delay[timing]
+            elif what == ASKS:
+                _, _, _, _, rule_list = failures
+                wish = rule_list[timing]
+            else:
+                phase[robot] = FAILED
+        if what == STARTS:
+            start(
+                robot,
+                timing,
+                delay,
+                durations,
+                robots,
+                heap,
+                queue_tag,
+                queue_robot,
+                clocks,
+                random,
+                numbers,
+            )
+        elif what == ASKS:
+            tried[robot] = 0
+            phase[robot] = WAITING
+            join_list(robot, wish, sizes[PLACE_COUNT], list_group, lists, level)
+            mark(joins_from[wish], joins_from[wish + 1], joins, waits, marks, numbers)
+    numbers[PENDING] = 0
+    return status
+
+
+def result(timing: int, outcomes: OutcomeArrays, failures: Failures, random: Indices) -> int:
+    """The list that a robot asks for at the end of its action, or FAILED_ACTION."""
+    outcome_from, outcome_list, outcome_chance, _ = outcomes
+    failure, _, _, _, _ = failures
+    if failure[timing] > 0.0 and draw_uniform(random) < failure[timing]:
+        return FAILED_ACTION
+    i = outcome_from[timing]
+    end = outcome_from[timing + 1] - 1
+    if i < end:
+        u = draw_uniform(random)
+        while i < end and u >= outcome_chance[i]:
+            i += 1
+    return outcome_list[i]
+
+
+def after_failure(timing: int, tried: int, failures: Failures) -> int:
+    """What a robot does after its action has failed: STARTS, ASKS, STOPS, or NO_MORE."""
+    _, rule, rule_times, _, rule_list = failures
+    if rule[timing] == ON_FAILURE_RETRY and tried < rule_times[timing]:
+        return STARTS
+    if rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:
+        return ASKS
+    if rule[timing] == ON_FAILURE_STOP:
+        return STOPS
+    return NO_MORE
+
+
+def only_due(count: int, tags: Indices, robots: Indices, due_tag: Indices) -> int:
+    """Keep the entries of a list of actions that are still running; how many they are."""
+    kept = 0
+    for i in range(count):
+        if due_tag[robots[i]] == tags[i]:
+            tags[kept] = tags[i]
+            robots[kept] = robots[i]
+            kept += 1
+    return kept
+
+
+def start(
+    robot: int,
+    timing: int,
+    delay: float,
+    durations: Durations,
+    robots: Robots,
+    heap: Heap,
+    queue_tag: Indices,
+    queue_robot: Indices,
+    clocks: Floats,
+    random: Indices,
+    numbers: Indices,
+) -> None:
+    """Start the action of a robot after a delay (s)."""
+    _, timing_kind, timing_mean, timing_from, timing_table, timeout = durations
+    _, phase, _, _, due_tag, due_what, _ = robots
+    _, _, heap_robot = heap
+    phase[robot] = DOING
+    length = draw_duration(
+        timing_kind[timing],
+        timing_mean[timing],
+        timing_from[timing],
+        timing_from[timing + 1],
+        timing_table,
+        random,
+    )
+    numbers[SEQUENCE] += 1
+    sequence = numbers[SEQUENCE]
+    due_tag[robot] = sequence
+    due_what[robot] = ENDS
+    if length > timeout[timing]:
+        length = timeout[timing]
+        due_what[robot] = FAILS
+    length += delay
+    if length > 0.0:
+        if numbers[HEAP] >= len(heap_robot):
+            numbers[HEAP] = only_current(numbers[HEAP], heap, 1, due_tag, True)
+        push(clocks[NOW] + length, sequence, robot, numbers[HEAP], heap)
+        numbers[HEAP] += 1
+    else:
+        if numbers[QUEUE] >= len(queue_robot):
+            numbers[QUEUE] = only_due(numbers[QUEUE], queue_tag, queue_robot, due_tag)
+        i = numbers[QUEUE]
+        queue_tag[i] = sequence
+        queue_robot[i] = robot
+        numbers[QUEUE] += 1
+
+
+# -- events that interrupt robots ------------------------------------------------------------------
+
+
+def expect(
+    time: float,
+    what: int,
+    divisor: int,
+    visit_from: Indices,
+    arrivals: Heap,
+    numbers: Indices,
+) -> None:
+    """Enter an event that interrupts into its heap, from which those of visits that are over are
+    removed if it is full (see :func:`only_current`)."""
+    _, _, who = arrivals
+    numbers[SEQUENCE] += 1
+    if numbers[ARRIVALS] >= len(who):
+        numbers[ARRIVALS] = only_current(numbers[ARRIVALS], arrivals, divisor, visit_from, False)
+    push(time, numbers[SEQUENCE], what, numbers[ARRIVALS], arrivals)
+    numbers[ARRIVALS] += 1
+
+
+def expect_events(
+    robot: int,
+    place: int,
+    all_events: int,
+    interrupts: InterruptArrays,
+    visit_from: Indices,
+    arrivals: Heap,
+    clocks: Floats,
+    random: Indices,
+    numbers: Indices,
+) -> None:
+    """Enter the first events of a robot's visit to a place."""
+    event_from, _, event_rate, event_after, _, _, _ = interrupts
+    visit_from[robot] = NO_VISIT
+    begin = event_from[place]
+    end = event_from[place + 1]
+    if begin == end:
+        return
+    visit_from[robot] = numbers[SEQUENCE] + 1
+    first = robot * (all_events + 1)
+    total = 0.0
+    for i in range(begin, end):
+        if event_after[i] > 0.0:
+            time = clocks[NOW] + event_after[i]
+            expect(time, first + i, all_events + 1, visit_from, arrivals, numbers)
+        else:
+            total += event_rate[i]
+    if total > 0.0:
+        time = clocks[NOW] + exponential(random) / total
+        expect(time, first + all_events, all_events + 1, visit_from, arrivals, numbers)
+
+
+def draw_event(
+    robot: int,
+    place: int,
+    all_events: int,
+    interrupts: InterruptArrays,
+    visit_from: Indices,
+    arrivals: Heap,
+    clocks: Floats,
+    random: Indices,
+    numbers: Indices,
+) -> int:
+    """Draw which of the events of a place that come at a rate has come, and when the next does."""
+    event_from, _, event_rate, _, _, _, _ = interrupts
+    begin = event_from[place]
+    end = event_from[place + 1]
+    total = 0.0
+    for i in range(begin, end):
+        total += event_rate[i]
+    event = all_events
+    u = draw_uniform(random) * total
+    for i in range(begin, end):
+        if event_rate[i] > 0.0:
+            event = i
+            u -= event_rate[i]
+            if u < 0.0:
+                break
+    time = clocks[NOW] + exponential(random) / total
+    what = robot * (all_events + 1) + all_events
+    expect(time, what, all_events + 1, visit_from, arrivals, numbers)
+    return event
+
+
+def hold(robot: int, tag: int, event: int, held: Held, numbers: Indices) -> None:
+    """Note an event that cannot fire yet."""
+    held_robot, held_tag, held_event = held
+    count = numbers[HELD]
+    i = 0
+    while i < count and not (
+        held_robot[i] == robot and held_tag[i] == tag and held_event[i] == event
+    ):
+        i += 1
+    if i == count:
+        held_robot[i] = robot
+        held_tag[i] = tag
+        held_event[i] = event
+        numbers[HELD] += 1
+        numbers[HELD_AT] = -1
+
+
+def find_held(
+    interrupts: InterruptArrays, held: Held, visit_from: Indices, level: Indices, numbers: Indices
+) -> int:
+    """The transition of an event that is held and can fire now, of the first robot that has one,
+    which becomes the requester; -1: none."""
+    _, event_transition, _, _, _, event_test_from, event_tests = interrupts
+    held_robot, held_tag, held_event = held
+    firing = -1
+    i = 0
+    while i < numbers[HELD]:
+        robot = held_robot[i]
+        if visit_from[robot] != held_tag[i]:
+            numbers[HELD] -= 1
+            for j in range(i, numbers[HELD]):
+                held_robot[j] = held_robot[j + 1]
+                held_tag[j] = held_tag[j + 1]
+                held_event[j] = held_event[j + 1]
+            continue
+        if (firing < 0 or robot < numbers[REQUESTER]) and fits(
+            held_event[i], level, event_test_from, event_tests
+        ):
+            firing = event_transition[held_event[i]]
+            numbers[REQUESTER] = robot
+            numbers[INTERRUPTS] = 1
+        i += 1
+    if firing < 0:
+        numbers[HELD_AT] = numbers[MARKING_VERSION]
+    return firing
+
+
+# -- what robots ask for ---------------------------------------------------------------------------
+
+
+def any_of_these(count: int, random: Indices) -> int:
+    """One of so many things, by chance; its number, from 0."""
+    return int(draw_uniform(random) * count) if count > 1 else 0
+
+
+def waiting_at(k: int, robot: int, following: Indices) -> int:
+    """The robot that is ``k`` places behind ``robot`` in its list."""
+    for _ in range(k):
+        robot = following[robot]
+    return robot
+
+
+def mark(
+    begin: int, end: int, listed: Indices, waits: Indices, marks: Marks, numbers: Indices
+) -> None:
+    """Put the groups ``listed[begin:end]`` that have robots among the dirty ones."""
+    dirty, is_dirty, _, _ = marks
+    for k in range(begin, end):
+        group = listed[k]
+        if waits[group] > 0 and is_dirty[group] == 0:
+            is_dirty[group] = 1
+            dirty[numbers[DIRTY]] = group
+            numbers[DIRTY] += 1
+
+
+def join_list(
+    robot: int, wish: int, places: int, list_group: Indices, lists: Lists, level: Indices
+) -> None:
+    """Let a robot wait in the list ``wish``, as the last one."""
+    in_list, following, preceding, _, draw_stamp, head, tail, waits = lists
+    in_list[robot] = wish
+    draw_stamp[robot] = 0
+    following[robot] = -1
+    last = tail[wish]
+    preceding[robot] = last
+    if last < 0:
+        head[wish] = robot
+    else:
+        following[last] = robot
+    tail[wish] = robot
+    level[places + wish] += 1
+    waits[list_group[wish]] += 1
+
+
+def leave_list(robot: int, places: int, list_group: Indices, lists: Lists, level: Indices) -> None:
+    """Take a robot out of the list in which it waits."""
+    in_list, following, preceding, _, _, head, tail, waits = lists
+    wish = in_list[robot]
+    before = preceding[robot]
+    after = following[robot]
+    if before < 0:
+        head[wish] = after
+    else:
+        following[before] = after
+    if after < 0:
+        tail[wish] = before
+    else:
+        preceding[after] = before
+    level[places + wish] -= 1
+    waits[list_group[wish]] -= 1
+
+
+def next_request(
+    sizes: Indices,
+    net: NetArrays,
+    book: Book,
+    arcs: ArcArrays,
+    lists: Lists,
+    marks: Marks,
+    choices: ChoiceArrays,
+    level: Indices,
+    random: Indices,
+    numbers: Indices,
+) -> int:
+    """The transition that fires by the requests of robots, and ``numbers[REQUESTER]`` the robot
+    that asks for it; -1: none. Chance decides between requests that are as urgent
+    (``numbers[RIVALS]`` of them so far). Groups in which nobody can fire are dirty no longer."""
+    dirty, is_dirty, _, _ = marks
+    _, _, _, _, _, _, _, waits = lists
+    transitions = sizes[TRANSITION_COUNT]
+    numbers[FIRING] = -1
+    numbers[URGENCY] = -2
+    numbers[RIVALS] = 0
+    i = 0
+    while i < numbers[DIRTY]:
+        group = dirty[i]
+        can = False
+        if waits[group] > 0:
+            if group < transitions:
+                can = ask_named(group, sizes[PLACE_COUNT], net, arcs, lists, level, random, numbers)
+            else:
+                can = ask_policy(
+                    group - transitions,
+                    sizes,
+                    net,
+                    book,
+                    arcs,
+                    lists,
+                    marks,
+                    choices,
+                    level,
+                    random,
+                    numbers,
+                )
+        if can:
+            i += 1
+        else:
+            is_dirty[group] = 0
+            numbers[DIRTY] -= 1
+            dirty[i] = dirty[numbers[DIRTY]]
+    return numbers[FIRING]
+
+
+def ask_named(
+    t: int,
+    places: int,
+    net: NetArrays,
+    arcs: ArcArrays,
+    lists: Lists,
+    level: Indices,
+    random: Indices,
+    numbers: Indices,
+) -> bool:
+    """Consider the robots that have named a transition; returns whether it can fire."""
+    test_from, tests, immediate, priority, _ = net
+    if not fits(t, level, test_from, tests):
+        return False
+    _, following, _, _, _, head, _, waits = lists
+    urgency = priority[t] if immediate[t] > 0 else -1
+    if urgency >= numbers[URGENCY]:
+        if urgency > numbers[URGENCY]:
+            numbers[RIVALS] = 0
+            numbers[URGENCY] = urgency
+        numbers[RIVALS] += waits[t]
+        k = any_of_these(numbers[RIVALS], random)
+        if k < waits[t]:
+            arc_from, _, _, _, _, _, _, _ = arcs
+            arc = arc_from[t]
+            while k >= level[places + arc]:
+                k -= level[places + arc]
+                arc += 1
+            numbers[FIRING] = t
+            numbers[REQUESTER] = waiting_at(k, head[arc], following)
+    return True
+
+
+def ask_policy(
+    place: int,
+    sizes: Indices,
+    net: NetArrays,
+    book: Book,
+    arcs: ArcArrays,
+    lists: Lists,
+    marks: Marks,
+    choices: ChoiceArrays,
+    level: Indices,
+    random: Indices,
+    numbers: Indices,
+) -> bool:
+    """Consider the robots in a place that let the policy decide; returns whether one can fire."""
+    _, _, _, priority, _ = net
+    _, _, _, leaving_from, leaving, _, _, _ = arcs
+    _, following, _, draw, draw_stamp, head, _, _ = lists
+    candidates, stamps = choices
+    transitions, able, weights = candidates
+    _, _, stamp = stamps
+    count = weigh(
+        place, sizes, net, book, leaving_from, leaving, level, candidates, stamps, numbers
+    )
+    kinds = numbers[KINDS]
+    can = False
+    if numbers[ABLE] > 0:
+        robot = head[sizes[ARC_COUNT] + place]
+        while robot >= 0:
+            if draw_stamp[robot] != stamp[place]:
+                draw_stamp[robot] = stamp[place]
+                draw[robot] = pick(count, kinds, weights, random)
+            k = draw[robot]
+            if able[k] > 0:
+                can = True
+                urgency = priority[transitions[k]]
+                if urgency >= numbers[URGENCY]:
+                    if urgency > numbers[URGENCY]:
+                        numbers[RIVALS] = 0
+                        numbers[URGENCY] = urgency
+                    numbers[RIVALS] += 1
+                    if any_of_these(numbers[RIVALS], random) == 0:
+                        numbers[FIRING] = transitions[k]
+                        numbers[REQUESTER] = robot
+            elif kinds == 1:
+                break
+            robot = following[robot]
+    if not can and numbers[ENABLED] > 0:
+        # another draw, or other candidates, in the next marking may be able to fire
+        _, _, volatile, is_volatile = marks
+        group = sizes[TRANSITION_COUNT] + place
+        if is_volatile[group] == 0:
+            is_volatile[group] = 1
+            volatile[numbers[VOLATILE]] = group
+            numbers[VOLATILE] += 1
+    return can
+
+
+# -- a firing --------------------------------------------------------------------------------------
+
+
+def take_movers(
+    firing: int,
+    sizes: Indices,
+    net: NetArrays,
+    arcs: ArcArrays,
+    at: Indices,
+    lists: Lists,
+    movers: Indices,
+    level: Indices,
+    random: Indices,
+    numbers: Indices,
+) -> int:
+    """Enter the robots that a transition moves into ``movers``, and take them out of their lists:
+    of each place any of those that wait for it, but the requester in any case. Returns their
+    number."""
+    _, _, immediate, _, _ = net
+    arc_from, arc_place, arc_weight, _, _, list_group, _, _ = arcs
+    _, following, _, _, _, head, _, _ = lists
+    places = sizes[PLACE_COUNT]
+    requester = numbers[REQUESTER]
+    n_movers = 0
+    for arc in range(arc_from[firing], arc_from[firing + 1]):
+        place = arc_place[arc]
+        wish = sizes[ARC_COUNT] + place
+        for i in range(arc_weight[arc]):
+            if i == 0 and requester >= 0 and at[requester] == place:
+                robot = requester
+            else:
+                named = level[places + arc]
+                k = any_of_these(
+                    named + (level[places + wish] if immediate[firing] > 0 else 0), random
+                )
+                if k < named:
+                    robot = waiting_at(k, head[arc], following)
+                else:
+                    robot = waiting_at(k - named, head[wish], following)
+            movers[n_movers] = robot
+            n_movers += 1
+            leave_list(robot, places, list_group, lists, level)
+    return n_movers
+
+
+def interrupt(
+    places: int,
+    arcs: ArcArrays,
+    robots: Robots,
+    lists: Lists,
+    marks: Marks,
+    movers: Indices,
+    level: Indices,
+    numbers: Indices,
+) -> None:
+    """Let the requester, which is interrupted, leave whatever it is doing, its action or a list in
+    which it waits, to be the only mover."""
+    _, _, _, _, _, list_group, joins_from, joins = arcs
+    _, phase, _, _, due_tag, _, visit_from = robots
+    in_list, _, _, _, _, _, _, waits = lists
+    robot = numbers[REQUESTER]
+    movers[0] = robot
+    visit_from[robot] = NO_VISIT
+    due_tag[robot] = 0
+    if phase[robot] == WAITING:
+        wish = in_list[robot]
+        leave_list(robot, places, list_group, lists, level)
+        # without it, others may have other candidates
+        mark(joins_from[wish], joins_from[wish + 1], joins, waits, marks, numbers)
+    in_list[robot] = -1
+
+
+def touch(
+    place: int,
+    net: NetArrays,
+    watchers: Watchers,
+    rates: Rates,
+    chance: Chance,
+    level: Indices,
+    numbers: Indices,
+) -> None:
+    """Note what else depends on the count of ``place``, which has changed: transitions that only
+    take resources, and the condition that ends the run."""
+    spontaneous_from, spontaneous, environment_from, environment, until_reads = watchers
+    _, changed, is_changed, tree = chance
+    for k in range(spontaneous_from[place], spontaneous_from[place + 1]):
+        t = spontaneous[k]
+        if is_changed[t] == 0:
+            is_changed[t] = 1
+            changed[numbers[CHANGED]] = t
+            numbers[CHANGED] += 1
+    for k in range(environment_from[place], environment_from[place + 1]):
+        set_rate(environment[k], net, rates, level, tree)
+        numbers[ENVIRONMENT_DIRTY] = 1
+    if until_reads[place] > 0:
+        numbers[CHECK_UNTIL] = 1
+
+
+def change_counts(
+    firing: int,
+    net: NetArrays,
+    changes: ChangeArrays,
+    waits: Indices,
+    marks: Marks,
+    chance: Chance,
+    counts: CountArrays,
+    clocks: Floats,
+    numbers: Indices,
+) -> None:
+    """Change the counts of places by a firing, and note what must be looked at again."""
+    effect_from, effects, readers, watchers, rates = changes
+    rising_from, rising, falling_from, falling = readers
+    _, _, volatile, is_volatile = marks
+    level, _, _, _, _ = counts
+    begin = effect_from[firing]
+    end = effect_from[firing + 1]
+    if begin == end:
+        return
+    numbers[MARKING_VERSION] += 1
+    while numbers[VOLATILE] > 0:
+        numbers[VOLATILE] -= 1
+        last = numbers[VOLATILE]
+        is_volatile[volatile[last]] = 0
+        mark(last, last + 1, volatile, waits, marks, numbers)
+    for k in range(begin, end, 2):
+        place = effects[k]
+        shift(place, effects[k + 1], clocks[NOW], counts, numbers)
+        if effects[k + 1] > 0:
+            mark(rising_from[place], rising_from[place + 1], rising, waits, marks, numbers)
+        else:
+            mark(falling_from[place], falling_from[place + 1], falling, waits, marks, numbers)
+        touch(place, net, watchers, rates, chance, level, numbers)
+
+
+def choose_targets(
+    firing: int,
+    n_movers: int,
+    moves: Moves,
+    targets: Indices,
+    slots_left: Indices,
+    random: Indices,
+) -> None:
+    """Draw which movers become void, those with a target of -1; the others take the slots, routes
+    first."""
+    mover_from, _, mover_wants, slot_from, slots, surplus = moves
+    first = mover_from[firing]
+    for i in range(n_movers):
+        targets[i] = 0
+    for k in range(surplus[firing]):
+        left = int(draw_uniform(random) * (n_movers - k))
+        for i in range(n_movers):
+            if targets[i] >= 0:
+                if left == 0:
+                    targets[i] = -1
+                    break
+                left -= 1
+    begin = slot_from[firing]
+    n_slots = slot_from[firing + 1] - begin
+    for i in range(n_slots):
+        slots_left[i] = slots[begin + i]
+    for i in range(n_movers):
+        if targets[i] >= 0:
+            targets[i] = -2
+            for j in range(n_slots):
+                if slots_left[j] >= 0 and slots_left[j] == mover_wants[first + i]:
+                    targets[i] = slots_left[j]
+                    slots_left[j] = -1
+                    break
+    for i in range(n_movers):
+        if targets[i] == -2:
+            for j in range(n_slots):
+                if slots_left[j] >= 0:
+                    targets[i] = slots_left[j]
+                    slots_left[j] = -1
+                    break
+
+
+def move(
+    firing: int,
+    n_movers: int,
+    moves: Moves,
+    robots: Robots,
+    members: Members,
+    calendar: Calendar,
+    movers: Indices,
+    targets: Indices,
+    numbers: Indices,
+) -> int:
+    """Let the movers go to their targets, and new agents appear; returns FULL if there is no room
+    for them, else GOING."""
+    mover_from, mover_target, _, slot_from, slots, surplus = moves
+    at, phase, kind, _, _, _, visit_from = robots
+    active, active_at, free = members
+    pending_robot, pending_what, _, _, _, _, _ = calendar
+    first = mover_from[firing]
+    for i in range(n_movers):
+        robot = movers[i]
+        target = targets[i] if surplus[firing] > 0 else mover_target[first + i]
+        if target >= 0:
+            at[robot] = target
+            pending_robot[numbers[PENDING]] = robot
+            pending_what[numbers[PENDING]] = ENTERS
+            numbers[PENDING] += 1
+        else:
+            phase[robot] = GONE
+            visit_from[robot] = NO_VISIT
+            take_out(robot, active, active_at, numbers)
+            free[numbers[FREE]] = robot
+            numbers[FREE] += 1
+    if surplus[firing] > 0:
+        return GOING
+    for k in range(slot_from[firing], slot_from[firing + 1]):
+        if numbers[FREE] == 0:
+            return FULL
+        numbers[FREE] -= 1
+        robot = free[numbers[FREE]]
+        at[robot] = slots[k]
+        kind[robot] = 0
+        active[numbers[ACTIVE]] = robot
+        active_at[robot] = numbers[ACTIVE]
+        numbers[ACTIVE] += 1
+        pending_robot[numbers[PENDING]] = robot
+        pending_what[numbers[PENDING]] = ENTERS
+        numbers[PENDING] += 1
+    return GOING
+
+
+def take_out(robot: int, active: Indices, active_at: Indices, numbers: Indices) -> None:
+    """Remove a robot from those that take part."""
+    numbers[ACTIVE] -= 1
+    last = active[numbers[ACTIVE]]
+    active[active_at[robot]] = last
+    active_at[last] = active_at[robot]
+
+
+# -- the next event --------------------------------------------------------------------------------
+
+
+def draw_others(
+    loss_rate: Floats, tree: Floats, clocks: Floats, random: Indices, numbers: Indices
+) -> None:
+    """Draw when the environment fires next and when a robot is lost, where it has changed."""
+    if numbers[ENVIRONMENT_DIRTY] > 0:
+        numbers[ENVIRONMENT_DIRTY] = 0
+        clocks[ENVIRONMENT_AT] = time_of_race(clocks[NOW], tree, random)
+    active = numbers[ACTIVE]
+    if loss_rate[0] > 0.0 and numbers[LOST] != active:
+        numbers[LOST] = active  # the time to the next loss is drawn for so many robots
+        clocks[LOSS_AT] = math.inf
+        if active > 0:
+            clocks[LOSS_AT] = clocks[NOW] + exponential(random) / (loss_rate[0] * active)
+
+
+def draw_from_queue(
+    due_tag: Indices, calendar: Calendar, random: Indices, numbers: Indices
+) -> None:
+    """Put one of the actions that take no time, by chance, at the end of their list, where it is
+    the next to end; those that were interrupted are dropped."""
+    _, _, _, queue_tag, queue_robot, _, _ = calendar
+    while numbers[QUEUE] > 0:
+        last = numbers[QUEUE] - 1
+        i = any_of_these(numbers[QUEUE], random)
+        robot = queue_robot[i]
+        tag = queue_tag[i]
+        queue_robot[i] = queue_robot[last]
+        queue_tag[i] = queue_tag[last]
+        queue_robot[last] = robot
+        queue_tag[last] = tag
+        if due_tag[robot] == tag:
+            break
+        numbers[QUEUE] -= 1
+
+
+def find_first(
+    due_tag: Indices,
+    visit_from: Indices,
+    all_events: int,
+    calendar: Calendar,
+    clocks: Floats,
+    numbers: Indices,
+) -> None:
+    """Find the next event: its time is ``clocks[NEXT]``, where it comes from ``numbers[SOURCE]``.
+
+    What comes first but no longer counts is dropped: actions that were interrupted, and events of
+    visits that are over.
+    """
+    _, _, heap, _, _, arrivals, _ = calendar
+    heap_time, heap_tag, heap_robot = heap
+    while numbers[HEAP] > 0 and due_tag[heap_robot[0]] != heap_tag[0]:
+        drop_first(numbers[HEAP], heap)
+        numbers[HEAP] -= 1
+    time = math.inf
+    source = HEAP_OF_ACTIONS
+    if numbers[HEAP] > 0:
+        time = heap_time[0]
+    if numbers[QUEUE] > 0 and time > clocks[NOW]:
+        time = clocks[NOW]
+        source = QUEUE_OF_ACTIONS
+    if clocks[ENVIRONMENT_AT] < time:
+        time = clocks[ENVIRONMENT_AT]
+        source = ENVIRONMENT
+    if clocks[LOSS_AT] < time:
+        time = clocks[LOSS_AT]
+        source = LOSS_OF_ROBOT
+    if numbers[ARRIVALS] > 0:
+        arrival_time, arrival_tag, arrival_who = arrivals
+        while numbers[ARRIVALS] > 0 and (
+            arrival_tag[0] < visit_from[arrival_who[0] // (all_events + 1)]
+        ):
+            drop_first(numbers[ARRIVALS], arrivals)
+            numbers[ARRIVALS] -= 1
+        if numbers[ARRIVALS] > 0 and arrival_time[0] < time:
+            time = arrival_time[0]
+            source = INTERRUPTION
+    clocks[NEXT] = time
+    numbers[SOURCE] = source
+
+
+def advance(stop: float, at_once: int, clocks: Floats, numbers: Indices) -> int:
+    """Put the clock forward to the next event; returns GOING, or why that ends the loop."""
+    time = clocks[NEXT]
+    if time > stop:
+        clocks[NOW] = stop
+        return AT_STOP
+    if time == math.inf:
+        return STUCK
+    numbers[TIMELESS_EVENTS] = numbers[TIMELESS_EVENTS] + 1 if time <= clocks[NOW] else 0
+    if numbers[TIMELESS_EVENTS] > at_once:
+        return TIMELESS
+    clocks[NOW] = time
+    numbers[EVENTS] += 1
+    return GOING
+
+
+def interruption(
+    all_events: int,
+    interrupts: InterruptArrays,
+    at: Indices,
+    visit_from: Indices,
+    arrivals: Heap,
+    held: Held,
+    level: Indices,
+    clocks: Floats,
+    random: Indices,
+    numbers: Indices,
+) -> int:
+    """The transition of the first event that interrupts a robot, which becomes the requester; -1:
+    it cannot fire. Then it is held, if it is such an event."""
+    _, event_transition, _, _, event_hold, event_test_from, event_tests = interrupts
+    _, _, arrival_who = arrivals
+    robot = arrival_who[0] // (all_events + 1)
+    event = arrival_who[0] % (all_events + 1)
+    drop_first(numbers[ARRIVALS], arrivals)
+    numbers[ARRIVALS] -= 1
+    if event == all_events:
+        event = draw_event(
+            robot, at[robot], all_events, interrupts, visit_from, arrivals, clocks, random, numbers
+        )
+    if fits(event, level, event_test_from, event_tests):
+        numbers[REQUESTER] = robot
+        numbers[INTERRUPTS] = 1
+        return event_transition[event]
+    if event_hold[event] > 0:
+        hold(robot, visit_from[robot], event, held, numbers)
+    return -1
+
+
+def take_event(
+    sizes: Indices,
+    interrupts: InterruptArrays,
+    changes: ChangeArrays,
+    robots: Robots,
+    active: Indices,
+    calendar: Calendar,
+    level: Indices,
+    tree: Floats,
+    clocks: Floats,
+    random: Indices,
+    numbers: Indices,
+) -> int:
+    """Let the next event happen; returns the transition that fires by it, -1 if none does."""
+    at, _, _, _, due_tag, due_what, visit_from = robots
+    pending_robot, pending_what, heap, _, queue_robot, arrivals, held = calendar
+    source = numbers[SOURCE]
+    if source in (HEAP_OF_ACTIONS, QUEUE_OF_ACTIONS):
+        if source == HEAP_OF_ACTIONS:
+            _, _, heap_robot = heap
+            robot = heap_robot[0]
+            drop_first(numbers[HEAP], heap)
+            numbers[HEAP] -= 1
+        else:
+            numbers[QUEUE] -= 1
+            robot = queue_robot[numbers[QUEUE]]
+        due_tag[robot] = 0
+        pending_robot[0] = robot
+        pending_what[0] = due_what[robot]
+        numbers[PENDING] = 1
+    elif source == ENVIRONMENT:
+        _, _, _, _, rates = changes
+        transition, _, _ = rates
+        numbers[ENVIRONMENT_DIRTY] = 1
+        return transition[winner(tree, random)]
+    elif source == LOSS_OF_ROBOT:
+        numbers[LOST] = -1
+        numbers[LOST_ROBOT] = active[int(draw_uniform(random) * numbers[ACTIVE])]
+    else:
+        return interruption(
+            sizes[ALL_EVENTS],
+            interrupts,
+            at,
+            visit_from,
+            arrivals,
+            held,
+            level,
+            clocks,
+            random,
+            numbers,
+        )
+    return -1
+
+
+# -- the loops -------------------------------------------------------------------------------------
+
+
+def until_holds(
+    until: Until, level: Indices, label: float, stack: Floats, numbers: Indices
+) -> bool:
+    """Whether the condition that ends the run, if there is one, holds now."""
+    operations, arguments = until
+    numbers[CHECK_UNTIL] = 0
+    return len(operations) > 0 and holds(operations, arguments, level, label, stack)
+
+
+def next_ready(
+    net: NetArrays, chance: Chance, level: Indices, random: Indices, numbers: Indices
+) -> int:
+    """The transition that fires now because chance alone decides on it; -1 if there is none."""
+    ready_ones, changed, is_changed, _ = chance
+    while numbers[CHANGED] > 0:
+        numbers[CHANGED] -= 1
+        t = changed[numbers[CHANGED]]
+        is_changed[t] = 0
+        set_ready(t, net, level, ready_ones, numbers)
+    if numbers[READY] > 0:
+        return choose_ready(net, ready_ones, False, random, numbers)
+    return -1
+
+
+# In one piece: a call costs plain Python as much as many of the steps
 def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     """Play the token game until the clock reaches ``stop`` or this many events have happened;
     returns why.
 
-    :param r: PlanArrays, or the same as a plain tuple; ``b`` is a Book, ``s`` a PlanState.
+    :param r: PlanArrays, or the same as plain tuples; ``b`` is a Book, ``s`` a PlanState.
     """
-    (
-        sizes,
-        test_from,
-        tests,
-        effect_from,
-        effects,
-        rising_from,
-        rising,
-        falling_from,
-        falling,
-        joins_from,
-        joins,
-        arc_from,
-        arc_place,
-        arc_weight,
-        immediate,
-        priority,
-        weight,
-        leaving_from,
-        leaving,
-        mover_from,
-        mover_target,
-        mover_wants,
-        slot_from,
-        slots,
-        surplus,
-        timing_of,
-        timing_kind,
-        timing_mean,
-        timing_from,
-        timing_table,
-        outcome_from,
-        outcome_list,
-        outcome_chance,
-        null_list,
-        failure,
-        timeout,
-        rule,
-        rule_times,
-        rule_delay,
-        rule_list,
-        list_group,
-        spontaneous_from,
-        spontaneous,
-        environment_from,
-        environment,
-        environment_transition,
-        server_rate,
-        servers,
-        until_reads,
-        until_operations,
-        until_arguments,
-        evicted_from,
-        evicted,
-        loss_rate,
-        event_from,
-        event_transition,
-        event_rate,
-        event_after,
-        event_hold,
-        event_test_from,
-        event_tests,
-    ) = r
-    (
-        listed_from,
-        listed,
-        mask_from,
-        mask_cells_from,
-        mask_cells,
-        mask_table,
-        mask_size,
-        tables,
-        entry_row,
-        entry_mixed,
-        choice_from,
-        choice,
-        chance,
-        cell_from,
-        cells,
-        any_of,
-    ) = b
+    sizes, net, visits, arcs, changes, moves, until, losses = r
     (
         numbers,
         clocks,
         random,
-        level,
-        since,
-        area,
-        spent,
-        spent_from,
+        counts,
         firings,
-        at,
-        phase,
-        kind,
-        failures,
-        in_list,
-        following,
-        preceding,
-        due_tag,
-        due_what,
-        draw,
-        draw_stamp,
-        active,
-        active_at,
-        free,
-        head,
-        tail,
-        waits,
-        dirty,
-        is_dirty,
-        volatile,
-        is_volatile,
-        group_version,
-        group_signature,
-        group_stamp,
-        heap_time,
-        heap_tag,
-        heap_robot,
-        queue_tag,
-        queue_robot,
-        pending_robot,
-        pending_what,
+        robots,
+        members,
+        lists,
+        marks,
+        choices,
+        calendar,
+        chance,
         movers,
         targets,
-        candidate,
-        candidate_ok,
-        candidate_weight,
-        may_spontaneous,
-        spontaneous_at,
-        spontaneous_dirty,
-        is_spontaneous_dirty,
-        tree,
         stack,
-        visit_from,
-        arrival_time,
-        arrival_tag,
-        arrival_who,
-        held_robot,
-        held_tag,
-        held_event,
     ) = s
-    places = sizes[0]
-    transitions = sizes[1]
-    arcs = sizes[2]
-    with_environment = sizes[3]
-    most = sizes[4]
-    strict = sizes[5]
-    always = sizes[6]
-    all_events = sizes[9]
-    leaves = len(tree) // 2
-    queue_room = len(queue_robot)
-    with_until = len(until_operations)
-
-    now = clocks[NOW]
-    version = numbers[MARKING_VERSION]
-    sequence = numbers[SEQUENCE]
-    n_dirty = numbers[DIRTY]
-    n_volatile = numbers[VOLATILE]
-    n_heap = numbers[HEAP]
-    n_arrivals = numbers[ARRIVALS]
-    n_held = numbers[HELD]
-    heap_room = len(heap_robot)
-    interrupted = False
-    n_queue = numbers[QUEUE]
-    n_pending = numbers[PENDING]
-    n_active = numbers[ACTIVE]
-    inactives = numbers[INACTIVES]
-    events = numbers[EVENTS]
-    timeless = numbers[TIMELESS_EVENTS]
-    n_spontaneous = numbers[SPONTANEOUS]
-    fired = numbers[FIRED]
-    enough = events + budget
-    at_once = FIRINGS_PER_ENTRY + 100 * most
-    status = MORE
-
-    while True:
-        # -- robots that enter, end, fail or start ---------------------------------------------
-        k = 0
-        while k < n_pending:
-            robot = pending_robot[k]
-            what = pending_what[k]
-            k += 1
-            timing = timing_of[kind[robot] * places + at[robot]]
-            wish = BAD_RESULT
-            delay = 0.0
-            if what == ENTERS:
-                failures[robot] = 0
-                if all_events > 0:
-                    visit_from[robot] = NO_VISIT
-                    begin = event_from[at[robot]]
-                    end = event_from[at[robot] + 1]
-                    if begin < end:
-                        visit_from[robot] = sequence + 1
-                        total = 0.0
-                        for i in range(begin, end):
-                            if event_after[i] > 0.0:
-                                sequence += 1
-                                n_arrivals = put(
-                                    now + event_after[i],
-                                    sequence,
-                                    robot * (all_events + 1) + i,
-                                    n_arrivals,
-                                    arrival_time,
-                                    arrival_tag,
-                                    arrival_who,
-                                    all_events + 1,
-                                    visit_from,
-                                )
-                            else:
-                                total += event_rate[i]
-                        if total > 0.0:
-                            sequence += 1
-                            n_arrivals = put(
-                                now + exponential(random) / total,
-                                sequence,
-                                robot * (all_events + 1) + all_events,
-                                n_arrivals,
-                                arrival_time,
-                                arrival_tag,
-                                arrival_who,
-                                all_events + 1,
-                                visit_from,
-                            )
-                if timing_kind[timing] == NULL_ACTION:
-                    what = IS_DONE
-                    wish = null_list[timing]
-                else:
-                    what = STARTS
-            elif what == ENDS:
-                if failure[timing] > 0.0 and draw_uniform(random) < failure[timing]:
-                    what = FAILS
-                else:
-                    what = IS_DONE
-                    i = outcome_from[timing]
-                    end = outcome_from[timing + 1] - 1
-                    if i < end:
-                        u = draw_uniform(random)
-                        while i < end and u >= outcome_chance[i]:
-                            i += 1
-                    wish = outcome_list[i]
-            if what == IS_DONE:
-                if wish == NOWHERE:
-                    phase[robot] = INACTIVE
-                    inactives += 1
-                elif wish == BAD_RESULT:
-                    what = FAILS
-                else:
-                    what = ASKS
-            if what == FAILS:
-                if rule[timing] == ON_FAILURE_RETRY and failures[robot] < rule_times[timing]:
-                    failures[robot] += 1
-                    delay = rule_delay[timing]
-                    what = STARTS
-                elif rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:
-                    wish = rule_list[timing]
-                    what = ASKS
-                elif rule[timing] == ON_FAILURE_STOP:
-                    status = STOPPED
-                    break
-                else:
-                    phase[robot] = FAILED
-            if what == STARTS:
-                phase[robot] = DOING
-                length = draw_duration(
-                    timing_kind[timing],
-                    timing_mean[timing],
-                    timing_from[timing],
-                    timing_from[timing + 1],
-                    timing_table,
-                    random,
-                )
-                sequence += 1
-                due_tag[robot] = sequence
-                due_what[robot] = ENDS
-                if length > timeout[timing]:
-                    length = timeout[timing]
-                    due_what[robot] = FAILS
-                length += delay
-                if length > 0.0:
-                    if n_heap >= heap_room:
-                        n_heap = only_current(
-                            n_heap, heap_time, heap_tag, heap_robot, 1, due_tag, True
-                        )
-                    push(now + length, sequence, robot, n_heap, heap_time, heap_tag, heap_robot)
-                    n_heap += 1
-                else:
-                    if n_queue >= queue_room:
-                        n_queue = only_due(n_queue, queue_tag, queue_robot, due_tag)
-                    queue_tag[n_queue] = sequence
-                    queue_robot[n_queue] = robot
-                    n_queue += 1
-            elif what == ASKS:
-                failures[robot] = 0
-                phase[robot] = WAITING
-                in_list[robot] = wish
-                draw_stamp[robot] = 0
-                following[robot] = -1
-                last = tail[wish]
-                preceding[robot] = last
-                if last < 0:
-                    head[wish] = robot
-                else:
-                    following[last] = robot
-                tail[wish] = robot
-                level[places + wish] += 1
-                waits[list_group[wish]] += 1
-                n_dirty = mark(
-                    joins_from[wish],
-                    joins_from[wish + 1],
-                    joins,
-                    waits,
-                    dirty,
-                    is_dirty,
-                    n_dirty,
-                )
-        n_pending = 0
-        if status == STOPPED:
+    _, _, _, interrupts = visits
+    loss_rate, _, _ = losses
+    level, _, _, _, _ = counts
+    at, _, _, _, due_tag, _, visit_from = robots
+    active, _, _ = members
+    _, _, _, _, _, _, _, waits = lists
+    (slots_left, _, _), _ = choices
+    _, _, _, _, _, surplus = moves
+    _, _, _, _, _, _, held = calendar
+    _, _, _, tree = chance
+    at_once = FIRINGS_PER_ENTRY + 100 * sizes[ROBOT_ROOM]
+    enough = numbers[EVENTS] + budget
+    status = GOING
+    while status == GOING:
+        status = serve_pending(
+            sizes, visits, arcs, robots, lists, marks, calendar, level, clocks, random, numbers
+        )
+        if status != GOING:
             break
-        if with_until > 0 and numbers[CHECK_UNTIL] > 0:
-            numbers[CHECK_UNTIL] = 0
-            if holds(until_operations, until_arguments, level, 0.0, stack):
-                status = UNTIL
-                break
-
-        # -- what fires next ---------------------------------------------------------------------
+        if numbers[CHECK_UNTIL] > 0 and until_holds(until, level, 0.0, stack, numbers):
+            status = UNTIL
+            break
+        numbers[REQUESTER] = -1
+        numbers[INTERRUPTS] = 0
         firing = -1
-        requester = -1
-        dirty_spontaneous = numbers[SPONTANEOUS_DIRTY]
-        while dirty_spontaneous > 0:
-            dirty_spontaneous -= 1
-            t = spontaneous_dirty[dirty_spontaneous]
-            is_spontaneous_dirty[t] = 0
-            i = spontaneous_at[t]
-            if fits(t, level, test_from, tests):
-                if i < 0:
-                    spontaneous_at[t] = n_spontaneous
-                    may_spontaneous[n_spontaneous] = t
-                    n_spontaneous += 1
-            elif i >= 0:
-                n_spontaneous -= 1
-                last = may_spontaneous[n_spontaneous]
-                may_spontaneous[i] = last
-                spontaneous_at[last] = i
-                spontaneous_at[t] = -1
-        numbers[SPONTANEOUS_DIRTY] = 0
-        if n_spontaneous > 0:
-            top = -1
-            for i in range(n_spontaneous):
-                if priority[may_spontaneous[i]] > top:
-                    top = priority[may_spontaneous[i]]
-            total = 0.0
-            first = transitions
-            for i in range(n_spontaneous):
-                t = may_spontaneous[i]
-                if priority[t] == top:
-                    total += weight[t]
-                    if t < first:
-                        first = t
-            firing = first  # without weights, the first one of the file
-            if total > 0.0:
-                u = draw_uniform(random) * total
-                for i in range(n_spontaneous):
-                    t = may_spontaneous[i]
-                    if priority[t] == top and weight[t] > 0.0:
-                        firing = t
-                        u -= weight[t]
-                        if u < 0.0:
-                            break
-        else:
-            best_urgency = -2
-            rivals = 0  # robots whose requests are as urgent as that
-            i = 0
-            while i < n_dirty:
-                group = dirty[i]
-                asked = False
-                if group < transitions:
-                    if waits[group] > 0 and fits(group, level, test_from, tests):
-                        asked = True
-                        urgency = priority[group] if immediate[group] > 0 else -1
-                        if urgency >= best_urgency:
-                            rivals = waits[group] + (rivals if urgency == best_urgency else 0)
-                            best_urgency = urgency
-                            k = any_of_these(rivals, random)
-                            if k < waits[group]:
-                                firing = group
-                                arc = arc_from[group]
-                                while k >= level[places + arc]:
-                                    k -= level[places + arc]
-                                    arc += 1
-                                requester = waiting_at(k, head[arc], following)
-                elif waits[group] > 0:
-                    place = group - transitions
-                    count = weigh(
-                        place,
-                        version,
-                        strict,
-                        always,
-                        any_of,
-                        level,
-                        test_from,
-                        tests,
-                        priority,
-                        weight,
-                        leaving_from,
-                        leaving,
-                        listed_from,
-                        listed,
-                        mask_from,
-                        mask_cells_from,
-                        mask_cells,
-                        mask_table,
-                        mask_size,
-                        tables,
-                        entry_row,
-                        entry_mixed,
-                        choice_from,
-                        choice,
-                        chance,
-                        cell_from,
-                        cells,
-                        candidate,
-                        candidate_ok,
-                        candidate_weight,
-                        group_version,
-                        group_signature,
-                        group_stamp,
-                        numbers,
-                    )
-                    kinds = numbers[KINDS]
-                    if numbers[ABLE] > 0:
-                        robot = head[arcs + place]
-                        while robot >= 0:
-                            if draw_stamp[robot] != group_stamp[place]:
-                                draw_stamp[robot] = group_stamp[place]
-                                draw[robot] = pick(count, kinds, candidate_weight, random)
-                            k = draw[robot]
-                            if candidate_ok[k] > 0:
-                                asked = True
-                                urgency = priority[candidate[k]]
-                                if urgency >= best_urgency:
-                                    rivals = rivals + 1 if urgency == best_urgency else 1
-                                    best_urgency = urgency
-                                    if any_of_these(rivals, random) == 0:
-                                        firing = candidate[k]
-                                        requester = robot
-                            elif kinds == 1:
-                                break
-                            robot = following[robot]
-                    if not asked and numbers[READY] > 0 and is_volatile[group] == 0:
-                        # another draw, or other candidates, in the next marking may be able to fire
-                        is_volatile[group] = 1
-                        volatile[n_volatile] = group
-                        n_volatile += 1
-                if not asked:
-                    is_dirty[group] = 0
-                    n_dirty -= 1
-                    dirty[i] = dirty[n_dirty]
-                else:
-                    i += 1
-
-        if firing < 0 and n_held > 0 and numbers[HELD_AT] != version:
-            # events that are held: the first robot whose event can fire now
-            i = 0
-            while i < n_held:
-                robot = held_robot[i]
-                if visit_from[robot] != held_tag[i]:
-                    n_held -= 1
-                    for j in range(i, n_held):
-                        held_robot[j] = held_robot[j + 1]
-                        held_tag[j] = held_tag[j + 1]
-                        held_event[j] = held_event[j + 1]
-                    continue
-                if (firing < 0 or robot < requester) and fits(
-                    held_event[i], level, event_test_from, event_tests
-                ):
-                    firing = event_transition[held_event[i]]
-                    requester = robot
-                    interrupted = True
-                i += 1
-            if firing < 0:
-                numbers[HELD_AT] = version
-
-        # -- nothing fires: the next event -------------------------------------------------------
+        if numbers[CHANGED] > 0 or numbers[READY] > 0:
+            firing = next_ready(net, chance, level, random, numbers)
+        if firing < 0 and numbers[DIRTY] > 0:
+            firing = next_request(
+                sizes, net, b, arcs, lists, marks, choices, level, random, numbers
+            )
+        if firing < 0 and numbers[HELD] > 0 and numbers[HELD_AT] != numbers[MARKING_VERSION]:
+            firing = find_held(interrupts, held, visit_from, level, numbers)
         if firing < 0:
-            if n_active > 0 and inactives == n_active:
+            if numbers[ACTIVE] > 0 and numbers[INACTIVES] == numbers[ACTIVE]:
                 status = FINISHED
                 break
             if numbers[GROWN] > 0:
                 status = GROW
                 break
-            if events >= enough:
+            if numbers[EVENTS] >= enough:
+                status = MORE
                 break
-            while n_heap > 0 and due_tag[heap_robot[0]] != heap_tag[0]:
-                drop_first(n_heap, heap_time, heap_tag, heap_robot)
-                n_heap -= 1
-            while n_queue > 0:  # actions that take no time end in any order
-                last = n_queue - 1
-                i = any_of_these(n_queue, random)
-                robot = queue_robot[i]
-                tag = queue_tag[i]
-                queue_robot[i] = queue_robot[last]
-                queue_tag[i] = queue_tag[last]
-                queue_robot[last] = robot
-                queue_tag[last] = tag
-                if due_tag[robot] == tag:
-                    break
-                n_queue -= 1
-            if with_environment > 0 and numbers[ENVIRONMENT_DIRTY] > 0:
-                numbers[ENVIRONMENT_DIRTY] = 0
-                clocks[ENVIRONMENT_AT] = math.inf
-                if tree[1] > 0.0:
-                    clocks[ENVIRONMENT_AT] = now + exponential(random) / tree[1]
-            if loss_rate[0] > 0.0 and numbers[LOST] != n_active:
-                numbers[LOST] = n_active  # the time to the next loss is drawn for so many robots
-                clocks[LOSS_AT] = math.inf
-                if n_active > 0:
-                    clocks[LOSS_AT] = now + exponential(random) / (loss_rate[0] * n_active)
-            time = math.inf
-            source = 0
-            if n_heap > 0:
-                time = heap_time[0]
-            if n_queue > 0 and time > now:
-                time = now
-                source = 1
-            if clocks[ENVIRONMENT_AT] < time:
-                time = clocks[ENVIRONMENT_AT]
-                source = 2
-            if clocks[LOSS_AT] < time:
-                time = clocks[LOSS_AT]
-                source = 3
-            while n_arrivals > 0 and (
-                arrival_tag[0] < visit_from[arrival_who[0] // (all_events + 1)]
-            ):
-                drop_first(n_arrivals, arrival_time, arrival_tag, arrival_who)
-                n_arrivals -= 1
-            if n_arrivals > 0 and arrival_time[0] < time:
-                time = arrival_time[0]
-                source = 4
-            if time > stop:
-                now = stop
-                status = AT_STOP
+            if numbers[QUEUE] > 0:
+                draw_from_queue(due_tag, calendar, random, numbers)
+            if numbers[ENVIRONMENT_DIRTY] > 0 or loss_rate[0] > 0.0:
+                draw_others(loss_rate, tree, clocks, random, numbers)
+            find_first(due_tag, visit_from, sizes[ALL_EVENTS], calendar, clocks, numbers)
+            status = advance(stop, at_once, clocks, numbers)
+            if status != GOING:
                 break
-            if time == math.inf:
-                status = STUCK
-                break
-            timeless = timeless + 1 if time <= now else 0
-            if timeless > at_once:
-                status = TIMELESS
-                break
-            now = time
-            events += 1
-            fired = 0
-            if source < 2:
-                if source == 0:
-                    robot = heap_robot[0]
-                    drop_first(n_heap, heap_time, heap_tag, heap_robot)
-                    n_heap -= 1
-                else:
-                    n_queue -= 1
-                    robot = queue_robot[n_queue]
-                due_tag[robot] = 0
-                pending_robot[0] = robot
-                pending_what[0] = due_what[robot]
-                n_pending = 1
-                continue
-            if source == 3:
-                numbers[LOST] = -1
-                numbers[LOST_ROBOT] = active[int(draw_uniform(random) * n_active)]
-                status = LOSS
-                break
-            if source == 4:
-                robot = arrival_who[0] // (all_events + 1)
-                event = arrival_who[0] % (all_events + 1)
-                drop_first(n_arrivals, arrival_time, arrival_tag, arrival_who)
-                n_arrivals -= 1
-                if event == all_events:
-                    begin = event_from[at[robot]]
-                    end = event_from[at[robot] + 1]
-                    total = 0.0
-                    for i in range(begin, end):
-                        total += event_rate[i]
-                    u = draw_uniform(random) * total
-                    for i in range(begin, end):
-                        if event_rate[i] > 0.0:
-                            event = i
-                            u -= event_rate[i]
-                            if u < 0.0:
-                                break
-                    sequence += 1
-                    n_arrivals = put(
-                        now + exponential(random) / total,
-                        sequence,
-                        robot * (all_events + 1) + all_events,
-                        n_arrivals,
-                        arrival_time,
-                        arrival_tag,
-                        arrival_who,
-                        all_events + 1,
-                        visit_from,
-                    )
-                if not fits(event, level, event_test_from, event_tests):
-                    if event_hold[event] > 0:
-                        i = 0
-                        while i < n_held and not (
-                            held_robot[i] == robot
-                            and held_tag[i] == visit_from[robot]
-                            and held_event[i] == event
-                        ):
-                            i += 1
-                        if i == n_held:
-                            held_robot[i] = robot
-                            held_tag[i] = visit_from[robot]
-                            held_event[i] = event
-                            n_held += 1
-                            numbers[HELD_AT] = -1
-                    continue
-                firing = event_transition[event]
-                requester = robot
-                interrupted = True
-            else:
-                firing = environment_transition[
-                    find_leaf(tree, leaves, draw_uniform(random) * tree[1])
-                ]
-                numbers[ENVIRONMENT_DIRTY] = 1
-
-        # -- fire ----------------------------------------------------------------------------------
-        fired += 1
-        timeless += 1
-        if fired > FIRINGS_PER_ENTRY or timeless > at_once:
-            status = TIMELESS
-            break
-        firings[firing] += 1
-        numbers[FIRINGS] += 1
-        n_movers = 0
-        if not interrupted:
-            for arc in range(arc_from[firing], arc_from[firing + 1]):
-                place = arc_place[arc]
-                wish = arcs + place
-                for i in range(arc_weight[arc]):
-                    if i == 0 and requester >= 0 and at[requester] == place:
-                        robot = requester
-                    else:
-                        named = level[places + arc]
-                        k = any_of_these(
-                            named + (level[places + wish] if immediate[firing] > 0 else 0), random
-                        )
-                        if k < named:
-                            robot = waiting_at(k, head[arc], following)
-                        else:
-                            robot = waiting_at(k - named, head[wish], following)
-                    movers[n_movers] = robot
-                    n_movers += 1
-                    unlink(robot, in_list, following, preceding, head, tail)
-                    level[places + in_list[robot]] -= 1
-                    waits[list_group[in_list[robot]]] -= 1
-        else:
-            # it leaves whatever it is doing: its action, or a list in which it waits
-            interrupted = False
-            movers[0] = requester
-            n_movers = 1
-            visit_from[requester] = NO_VISIT
-            due_tag[requester] = 0
-            if phase[requester] == WAITING:
-                wish = in_list[requester]
-                unlink(requester, in_list, following, preceding, head, tail)
-                level[places + wish] -= 1
-                waits[list_group[wish]] -= 1
-                # without it, others may have other candidates
-                n_dirty = mark(
-                    joins_from[wish], joins_from[wish + 1], joins, waits, dirty, is_dirty, n_dirty
-                )
-            in_list[requester] = -1
-        begin = effect_from[firing]
-        end = effect_from[firing + 1]
-        if begin < end:
-            version += 1
-            while n_volatile > 0:
-                n_volatile -= 1
-                group = volatile[n_volatile]
-                is_volatile[group] = 0
-                if waits[group] > 0 and is_dirty[group] == 0:
-                    is_dirty[group] = 1
-                    dirty[n_dirty] = group
-                    n_dirty += 1
-        for k in range(begin, end, 2):
-            place = effects[k]
-            amount = effects[k + 1]
-            shift(place, amount, now, level, since, area, spent, spent_from, numbers)
-            if amount > 0:
-                n_dirty = mark(
-                    rising_from[place],
-                    rising_from[place + 1],
-                    rising,
-                    waits,
-                    dirty,
-                    is_dirty,
-                    n_dirty,
-                )
-            else:
-                n_dirty = mark(
-                    falling_from[place],
-                    falling_from[place + 1],
-                    falling,
-                    waits,
-                    dirty,
-                    is_dirty,
-                    n_dirty,
-                )
-            touch(
-                place,
+            numbers[FIRED] = 0
+            firing = take_event(
+                sizes,
+                interrupts,
+                changes,
+                robots,
+                active,
+                calendar,
                 level,
-                spontaneous_from,
-                spontaneous,
-                spontaneous_dirty,
-                is_spontaneous_dirty,
-                environment_from,
-                environment,
-                environment_transition,
-                server_rate,
-                servers,
-                test_from,
-                tests,
                 tree,
-                until_reads,
+                clocks,
+                random,
                 numbers,
             )
-        first = mover_from[firing]
-        spare = surplus[firing]
-        for i in range(n_movers):
-            targets[i] = mover_target[first + i]
-        begin = slot_from[firing]
-        end = slot_from[firing + 1]
-        if spare > 0:
-            # some become void; the others take the slots, routes first
-            for k in range(spare):
-                left = int(draw_uniform(random) * (n_movers - k))
-                for i in range(n_movers):
-                    if targets[i] >= 0:
-                        if left == 0:
-                            targets[i] = -1
-                            break
-                        left -= 1
-            n_slots = end - begin
-            for i in range(n_slots):
-                candidate[i] = slots[begin + i]
-            for i in range(n_movers):
-                if targets[i] >= 0:
-                    targets[i] = -2
-                    for j in range(n_slots):
-                        if candidate[j] >= 0 and candidate[j] == mover_wants[first + i]:
-                            targets[i] = candidate[j]
-                            candidate[j] = -1
-                            break
-            for i in range(n_movers):
-                if targets[i] == -2:
-                    for j in range(n_slots):
-                        if candidate[j] >= 0:
-                            targets[i] = candidate[j]
-                            candidate[j] = -1
-                            break
-            begin = end
-        for i in range(n_movers):
-            robot = movers[i]
-            if targets[i] >= 0:
-                at[robot] = targets[i]
-                pending_robot[n_pending] = robot
-                pending_what[n_pending] = ENTERS
-                n_pending += 1
-            else:
-                phase[robot] = GONE
-                visit_from[robot] = NO_VISIT
-                n_active -= 1
-                active[active_at[robot]] = active[n_active]
-                active_at[active[n_active]] = active_at[robot]
-                free[numbers[FREE]] = robot
-                numbers[FREE] += 1
-        for k in range(begin, end):
-            if numbers[FREE] == 0:
-                status = FULL
+            if numbers[SOURCE] == LOSS_OF_ROBOT:
+                status = LOSS
+        if firing >= 0:
+            numbers[FIRED] += 1
+            numbers[TIMELESS_EVENTS] += 1
+            if numbers[FIRED] > FIRINGS_PER_ENTRY or numbers[TIMELESS_EVENTS] > at_once:
+                status = TIMELESS
                 break
-            numbers[FREE] -= 1
-            robot = free[numbers[FREE]]
-            at[robot] = slots[k]
-            kind[robot] = 0
-            active[n_active] = robot
-            active_at[robot] = n_active
-            n_active += 1
-            pending_robot[n_pending] = robot
-            pending_what[n_pending] = ENTERS
-            n_pending += 1
-        if status == FULL:
-            break
-
+            firings[firing] += 1
+            numbers[FIRINGS] += 1
+            if numbers[INTERRUPTS] > 0:
+                count = 1
+                interrupt(sizes[PLACE_COUNT], arcs, robots, lists, marks, movers, level, numbers)
+            else:
+                count = take_movers(
+                    firing, sizes, net, arcs, at, lists, movers, level, random, numbers
+                )
+            change_counts(firing, net, changes, waits, marks, chance, counts, clocks, numbers)
+            if surplus[firing] > 0:
+                choose_targets(firing, count, moves, targets, slots_left, random)
+            status = move(firing, count, moves, robots, members, calendar, movers, targets, numbers)
     if status in (AT_STOP, UNTIL, FINISHED, STOPPED):
-        book_times(now, places, level, since, area, spent, spent_from)
-    clocks[NOW] = now
-    numbers[MARKING_VERSION] = version
-    numbers[SEQUENCE] = sequence
-    numbers[DIRTY] = n_dirty
-    numbers[VOLATILE] = n_volatile
-    numbers[HEAP] = n_heap
-    numbers[ARRIVALS] = n_arrivals
-    numbers[HELD] = n_held
-    numbers[QUEUE] = n_queue
-    numbers[PENDING] = n_pending
-    numbers[ACTIVE] = n_active
-    numbers[INACTIVES] = inactives
-    numbers[EVENTS] = events
-    numbers[TIMELESS_EVENTS] = timeless
-    numbers[SPONTANEOUS] = n_spontaneous
-    numbers[FIRED] = fired
+        book_times(clocks[NOW], sizes[PLACE_COUNT], counts)
     return status
 
 
@@ -1879,183 +2248,89 @@ class RaceArrays(NamedTuple):
 
     sizes: Any
     """Places, whether the condition asks for deadlocks."""
-    test_from: Any
-    tests: Any
+    net: Any
     effect_from: Any
     effects: Any
     touched_from: Any
     touched: Any
-    timed: Any
-    rate: Any
-    servers: Any
-    weight: Any
-    priority: Any
+    rates: Any
     until_reads: Any
-    until_operations: Any
-    until_arguments: Any
+    until: Any
 
 
 class RaceState(NamedTuple):
-    """A run of a net: everything that changes. ``ready`` are the immediate transitions that are
-    enabled, whatever their priority; ``tree`` has the rates of the exponential ones."""
+    """A run of a net: everything that changes. ``tree`` has the rates of the exponential
+    transitions."""
 
     numbers: Any
     clocks: Any
     random: Any
-    level: Any
-    since: Any
-    area: Any
-    spent: Any
-    spent_from: Any
+    counts: Any
     firings: Any
+    ready_ones: Any
     tree: Any
-    ready: Any
-    ready_at: Any
     stack: Any
 
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
 def race(r: Any, s: Any, stop: float, budget: int) -> int:
     """Let the enabled transitions race until the clock reaches ``stop`` or this many have fired;
     returns why.
 
-    :param r: RaceArrays, or the same as a plain tuple; ``s`` is a RaceState.
+    :param r: RaceArrays, or the same as plain tuples; ``s`` is a RaceState.
     """
-    (
-        sizes,
-        test_from,
-        tests,
-        effect_from,
-        effects,
-        touched_from,
-        touched,
-        timed,
-        rate,
-        servers,
-        weight,
-        priority,
-        until_reads,
-        until_operations,
-        until_arguments,
-    ) = r
-    (
-        numbers,
-        clocks,
-        random,
-        level,
-        since,
-        area,
-        spent,
-        spent_from,
-        firings,
-        tree,
-        ready,
-        ready_at,
-        stack,
-    ) = s
-    places = sizes[0]
+    sizes, net, effect_from, effects, touched_from, touched, rates, until_reads, until = r
+    numbers, clocks, random, counts, firings, ready_ones, tree, stack = s
+    _, _, immediate, _, _ = net
+    level, _, _, _, _ = counts
     asks_deadlock = sizes[1]
-    leaves = len(tree) // 2
-    with_until = len(until_operations)
-    now = clocks[NOW]
-    n_ready = numbers[READY]
-    timeless = numbers[TIMELESS_EVENTS]
     enough = numbers[EVENTS] + budget
-    status = MORE
-
-    while True:
-        if with_until > 0 and (numbers[CHECK_UNTIL] > 0 or asks_deadlock > 0):
-            numbers[CHECK_UNTIL] = 0
-            deadlock = 1.0 if n_ready == 0 and tree[1] <= 0.0 else 0.0
-            if holds(until_operations, until_arguments, level, deadlock, stack):
+    status = GOING
+    while status == GOING:
+        if numbers[CHECK_UNTIL] > 0 or asks_deadlock > 0:
+            deadlock = 1.0 if numbers[READY] == 0 and tree[1] <= 0.0 else 0.0
+            if until_holds(until, level, deadlock, stack, numbers):
                 status = UNTIL
                 break
         if numbers[GROWN] > 0:
             status = GROW
             break
         if numbers[EVENTS] >= enough:
+            status = MORE
             break
-        if n_ready > 0:
-            top = -1
-            for i in range(n_ready):
-                if priority[ready[i]] > top:
-                    top = priority[ready[i]]
-            count = 0
-            total = 0.0
-            least = math.inf
-            for i in range(n_ready):
-                t = ready[i]
-                if priority[t] == top:
-                    count += 1
-                    total += weight[t]
-                    least = min(least, weight[t])
-            if count > 1 and least <= 0.0:
+        fired = -1
+        if numbers[READY] > 0:
+            fired = choose_ready(net, ready_ones, True, random, numbers)
+            if fired < 0:
                 status = UNDECIDED
                 break
-            timeless += 1
-            if timeless > FIRINGS_PER_ENTRY:
+            numbers[EVENTS] += 1
+            numbers[TIMELESS_EVENTS] += 1
+            if numbers[TIMELESS_EVENTS] > FIRINGS_PER_ENTRY:
                 status = TIMELESS
                 break
-            u = 0.0
-            if count > 1:
-                u = draw_uniform(random) * total
-            fired = ready[0]
-            for i in range(n_ready):
-                t = ready[i]
-                if priority[t] == top:
-                    fired = t
-                    u -= weight[t]
-                    if u < 0.0:
-                        break
         else:
-            time = math.inf
-            if tree[1] > 0.0:
-                time = now + exponential(random) / tree[1]
-            if time > stop:
-                now = stop
-                status = AT_STOP
+            clocks[NEXT] = time_of_race(clocks[NOW], tree, random)
+            status = advance(stop, FIRINGS_PER_ENTRY, clocks, numbers)
+            if status != GOING:
                 break
-            if time == math.inf:
-                status = STUCK
-                break
-            now = time
-            timeless = 0
-            fired = find_leaf(tree, leaves, draw_uniform(random) * tree[1])
-        numbers[EVENTS] += 1
-        numbers[FIRINGS] += 1
+            fired = winner(tree, random)
         firings[fired] += 1
+        numbers[FIRINGS] += 1
         begin = effect_from[fired]
         end = effect_from[fired + 1]
         for k in range(begin, end, 2):
             place = effects[k]
-            shift(place, effects[k + 1], now, level, since, area, spent, spent_from, numbers)
+            shift(place, effects[k + 1], clocks[NOW], counts, numbers)
             if until_reads[place] > 0:
                 numbers[CHECK_UNTIL] = 1
         for k in range(begin, end, 2):
             place = effects[k]
             for j in range(touched_from[place], touched_from[place + 1]):
                 t = touched[j]
-                if timed[t] > 0:
-                    degree = busy(t, servers[t], level, test_from, tests)
-                    if tree[leaves + t] != rate[t] * degree:
-                        set_leaf(tree, leaves, t, rate[t] * degree)
+                if immediate[t] > 0:
+                    set_ready(t, net, level, ready_ones, numbers)
                 else:
-                    i = ready_at[t]
-                    if fits(t, level, test_from, tests):
-                        if i < 0:
-                            ready_at[t] = n_ready
-                            ready[n_ready] = t
-                            n_ready += 1
-                    elif i >= 0:
-                        n_ready -= 1
-                        last = ready[n_ready]
-                        ready[i] = last
-                        ready_at[last] = i
-                        ready_at[t] = -1
-
+                    set_rate(t, net, rates, level, tree)
     if status in (AT_STOP, UNTIL):
-        book_times(now, places, level, since, area, spent, spent_from)
-    clocks[NOW] = now
-    numbers[READY] = n_ready
-    numbers[TIMELESS_EVENTS] = timeless
+        book_times(clocks[NOW], sizes[0], counts)
     return status

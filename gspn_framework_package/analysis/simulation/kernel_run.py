@@ -24,6 +24,7 @@ class KernelRun:
     :param arrays: named tuples of arrays that do not change.
     :param state: a named tuple of arrays that do, as they are at the start.
     :ivar compiled: whether the kernel is the compiled one.
+    :ivar arguments: the arrays and the state, as the kernel takes them.
     :ivar state: the state, as arrays if compiled, else as lists.
     """
 
@@ -36,6 +37,16 @@ class KernelRun:
         self.arrays: Tuple[Any, ...] = tuple(machine.as_lists(part) for part in arrays)
         self.state: Any = machine.as_lists(state)
         self._fresh: Any = machine.as_lists(state)
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Prepare what every run needs: the arguments of the kernel, and all arrays in one row.
+
+        The arguments are plain tuples: numba's cache on the disk could not be read where a class of
+        its types has been renamed since.
+        """
+        self.arguments: Tuple[Any, ...] = machine.plain_tuple((*self.arrays, self.state))
+        self._to_reset = list(zip(machine.all_in(self.state), machine.all_in(self._fresh)))
 
     def compile(self) -> None:
         """Switch to the compiled kernel, continuing the run."""
@@ -44,12 +55,18 @@ class KernelRun:
         self.arrays = self._arrays
         self.state = machine.as_arrays(self.state, self._like)
         self._fresh = machine.as_arrays(self._fresh, self._like)
+        self._hand_over()
 
     def begin(self, words: List[int]) -> None:
         """Put everything back to the start; ``words`` are the four words of the random numbers."""
-        for now, before in zip(self.state, self._fresh):
+        for now, before in self._to_reset:
             now[:] = before
         self.state.random[:] = words
+
+    def continue_from(self, state: Any) -> None:
+        """Continue from another state."""
+        self.state = state
+        self._hand_over()
 
     def go(self, stop: float, budget: int) -> int:
         """Continue until the clock reaches ``stop`` (s), the run ends, or ``budget`` events have
@@ -87,7 +104,7 @@ class KernelRun:
     def forget(self) -> None:
         """Reset the counts; the run continues."""
         state = self.state
-        for array in (state.area, state.spent, state.firings):
+        for array in (state.counts.area, state.counts.spent, state.firings):
             array[:] = [0] * len(array) if isinstance(array, list) else 0
 
     @property
@@ -103,9 +120,9 @@ class KernelRun:
     def _grow(self) -> None:
         """Make room for the counts that have outgrown their rows of booked times."""
         state = self.state
-        old_from = np.array(state.spent_from)
-        old = np.array(state.spent)
-        counts = np.array(state.level[: len(self.net.places)])
+        old_from = np.array(state.counts.spent_from)
+        old = np.array(state.counts.spent)
+        counts = np.array(state.counts.level[: len(self.net.places)])
         rows = np.diff(old_from)
         grown = np.where(
             counts >= rows, np.minimum(np.maximum(2 * rows, counts + 1), LONGEST_ROW), rows
@@ -114,14 +131,13 @@ class KernelRun:
         spent = np.zeros(int(spent_from[-1]))
         within = np.arange(len(old)) - np.repeat(old_from[:-1], rows)
         spent[np.repeat(spent_from[:-1], rows) + within] = old
-        fresh = np.zeros(len(spent))
-        if self.compiled:
-            self.state = state._replace(spent=spent, spent_from=spent_from)
-            self._fresh = self._fresh._replace(spent=fresh, spent_from=spent_from.copy())
-        else:
-            self.state = state._replace(spent=spent.tolist(), spent_from=spent_from.tolist())
-            self._fresh = self._fresh._replace(spent=fresh.tolist(), spent_from=spent_from.tolist())
+        self._fresh = self._with_rows(self._fresh, np.zeros(len(spent)), spent_from.copy())
+        self.continue_from(self._with_rows(state, spent, spent_from))
         self.state.numbers[kernel.GROWN] = 0
+
+    def _with_rows(self, state: Any, spent: Any, spent_from: Any) -> Any:
+        rows = (spent, spent_from) if self.compiled else (spent.tolist(), spent_from.tolist())
+        return state._replace(counts=state.counts._replace(spent=rows[0], spent_from=rows[1]))
 
 
 def first_rows(marking: Sequence[int]) -> Any:

@@ -7,8 +7,9 @@ import glob
 import importlib.util
 import inspect
 import os
+from collections import Counter
 from functools import lru_cache
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from gspn_framework_package.analysis.simulation import kernel
 WORTH_COMPILING = 20_000
 """After this many firings in plain Python (a second or two), the compiled form takes over, if numba
 is installed."""
+
+
+_LOOPS = ("play", "race")
 
 
 class _Unsigned(ast.NodeTransformer):
@@ -31,6 +35,8 @@ class _Unsigned(ast.NodeTransformer):
         wrapped: Any = node.slice
         old = type(wrapped).__name__ == "Index"  # Python 3.8
         index = wrapped.value if old else wrapped
+        if isinstance(index, ast.Constant) or isinstance(index, ast.Name) and index.id.isupper():
+            return node  # numba sees that a constant is not negative
         call: Any = ast.Call(ast.Name("_unsigned", ast.Load()), [index], [])
         if old:
             wrapped.value = call
@@ -41,22 +47,27 @@ class _Unsigned(ast.NodeTransformer):
 
 @lru_cache(maxsize=None)
 def compiled_kernel() -> Dict[str, Callable[..., Any]]:
-    """All functions of the kernel, compiled on their first call.
+    """The loops of the kernel, compiled on their first call, with the functions that they call.
 
     :raises ImportError: numba is not installed.
     """
-    from gspn_framework_package.analysis.compiling import compiled
+    from gspn_framework_package.analysis.compiling import compiled, compiled_part
 
     tree = ast.parse(inspect.getsource(kernel))
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef):
-            node.body = [_Unsigned().visit(statement) for statement in node.body]
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    used = Counter(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
+    for node in functions:
+        node.body = [_Unsigned().visit(statement) for statement in node.body]
     names: Dict[str, Any] = {"__name__": kernel.__name__, "_unsigned": np.uint64}
     exec(compile(ast.fix_missing_locations(tree), kernel.__file__, "exec"), names)
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef):
-            names[node.name] = compiled(names[node.name], allocates=False)
-    return names
+    for node in functions:
+        function = names[node.name]
+        names[node.name] = (
+            compiled(function, allocates=False)
+            if node.name in _LOOPS
+            else compiled_part(function, inserted=used[node.name] <= 2)
+        )
+    return {name: names[name] for name in _LOOPS}
 
 
 def may_compile() -> bool:
@@ -82,16 +93,33 @@ def is_cached() -> bool:
     return found
 
 
-def as_lists(arrays: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    """Convert a named tuple of arrays to one of lists."""
-    return type(arrays)(*(a.tolist() if isinstance(a, np.ndarray) else a for a in arrays))
+def as_lists(arrays: Any) -> Any:
+    """Convert a named tuple of arrays, and of such tuples, to one of lists."""
+    if isinstance(arrays, tuple):
+        return type(arrays)(*map(as_lists, arrays))
+    return arrays.tolist()
 
 
-def as_arrays(lists: Tuple[Any, ...], like: Tuple[Any, ...]) -> Tuple[Any, ...]:
-    """Convert a named tuple of lists to one of arrays of the types of ``like``."""
-    return type(lists)(
-        *(np.array(a, dtype=b.dtype) if isinstance(a, list) else a for a, b in zip(lists, like))
-    )
+def as_arrays(lists: Any, like: Any) -> Any:
+    """Convert a named tuple of lists, and of such tuples, to one of arrays of the types of
+    ``like``."""
+    if isinstance(lists, tuple):
+        return type(lists)(*map(as_arrays, lists, like))
+    return np.array(lists, dtype=like.dtype)
+
+
+def plain_tuple(arrays: Any) -> Any:
+    """A named tuple, and those in it, as plain tuples."""
+    return tuple(map(plain_tuple, arrays)) if isinstance(arrays, tuple) else arrays
+
+
+def all_in(arrays: Any) -> Iterator[Any]:
+    """The arrays or lists in a named tuple, and in those in it."""
+    if isinstance(arrays, tuple):
+        for part in arrays:
+            yield from all_in(part)
+    else:
+        yield arrays
 
 
 def ragged(parts: List[List[Any]], dtype: Any = np.int64) -> Tuple[Any, Any]:

@@ -4,7 +4,7 @@ Python: the start, and the loss of a robot."""
 from __future__ import annotations
 
 import math
-from typing import Dict, List
+from typing import Any, Dict, List
 
 import numpy as np
 
@@ -31,12 +31,7 @@ class PlanRun(KernelRun):
 
     def step(self, stop: float, budget: int) -> int:
         """Play the token game; see :meth:`KernelRun.step`."""
-        rules, book = self.arrays
-        # plain tuples: numba's cache on the disk could not be read where a class of its types has
-        # been renamed since
-        return int(
-            self.functions["play"](tuple(rules), tuple(book), tuple(self.state), stop, budget)
-        )
+        return int(self.functions["play"](*self.arguments, stop, budget))
 
     def after(self, status: int) -> int:
         """Evict a robot that was lost; see :meth:`KernelRun.after`."""
@@ -56,65 +51,56 @@ class PlanRun(KernelRun):
 
     def _lose(self, robot: int) -> bool:
         """Evict a robot by the rules of a run; returns whether that stops the team."""
-        tables, s, rules = self.tables, self.state, self.arrays[0]
-        numbers = s.numbers
-        place = int(s.at[robot])
-        drawn = self._drawn() if rules.sizes[7] else {}
-        if s.phase[robot] == kernel.WAITING:
-            wish = s.in_list[robot]
-            kernel.unlink(robot, s.in_list, s.following, s.preceding, s.head, s.tail)
-            s.level[len(self.net.places) + wish] -= 1
-            s.waits[rules.list_group[wish]] -= 1
+        s, rules = self.state, self.arrays[0]
+        numbers, robots = s.numbers, s.robots
+        lost_rule = rules.sizes[kernel.LOST_RULE]
+        place = int(robots.at[robot])
+        drawn = self._drawn() if lost_rule else {}
+        if robots.phase[robot] == kernel.WAITING:
+            self._leave(robot)
             drawn.pop(robot, None)
-        elif s.phase[robot] == kernel.INACTIVE:
+        elif robots.phase[robot] == kernel.INACTIVE:
             numbers[kernel.INACTIVES] -= 1
-        s.due_tag[robot] = 0
-        s.visit_from[robot] = kernel.NO_VISIT
-        s.phase[robot] = kernel.GONE
-        numbers[kernel.ACTIVE] -= 1
-        last = s.active[numbers[kernel.ACTIVE]]
-        s.active[s.active_at[robot]] = last
-        s.active_at[last] = s.active_at[robot]
-        changes = [(place, -1)]
-        begin, end = rules.evicted_from[place], rules.evicted_from[place + 1]
-        changes += [(rules.evicted[k], rules.evicted[k + 1]) for k in range(begin, end, 2)]
-        for p, amount in changes:
-            kernel.shift(
-                p, amount, self.now, s.level, s.since, s.area, s.spent, s.spent_from, numbers
-            )
-            kernel.touch(
-                p,
-                s.level,
-                rules.spontaneous_from,
-                rules.spontaneous,
-                s.spontaneous_dirty,
-                s.is_spontaneous_dirty,
-                rules.environment_from,
-                rules.environment,
-                rules.environment_transition,
-                rules.server_rate,
-                rules.servers,
-                rules.test_from,
-                rules.tests,
-                s.tree,
-                rules.until_reads,
-                numbers,
-            )
-        numbers[kernel.MARKING_VERSION] += 1
-        if rules.sizes[7]:
+        robots.due_tag[robot] = 0
+        robots.visit_from[robot] = kernel.NO_VISIT
+        robots.phase[robot] = kernel.GONE
+        kernel.take_out(robot, s.members.active, s.members.active_at, numbers)
+        self._free_resources(place)
+        if lost_rule:
             stuck = [other for other, t in drawn.items() if self._lacks(t, place)]
-            if stuck and rules.sizes[7] == 1:
+            if stuck and lost_rule == 1:
                 return True
             for other in stuck:
-                wish = tables.arc_of.get((int(rules.sizes[8]), int(s.at[other])))
+                asked = int(rules.sizes[kernel.LOST_TRANSITION]), int(robots.at[other])
+                wish = self.tables.arc_of.get(asked)
                 if wish is not None:
                     self._ask_instead(other, wish)
-        for group in range(len(s.waits)):  # losses are rare: look at everything again
-            if s.waits[group] > 0 and s.is_dirty[group] == 0:
-                s.is_dirty[group] = 1
-                s.dirty[numbers[kernel.DIRTY]] = group
-                numbers[kernel.DIRTY] += 1
+        self.look_at_all()  # losses are rare
         return False
+
+    def look_at_all(self) -> None:
+        """Look again at the requests of all robots that wait."""
+        s = self.state
+        groups: Any = range(len(s.lists.waits))
+        kernel.mark(0, len(groups), groups, s.lists.waits, s.marks, s.numbers)
+
+    def _free_resources(self, place: int) -> None:
+        """Change the counts as the eviction of a robot in ``place`` does."""
+        s, rules = self.state, self.arrays[0]
+        losses, changes = rules.losses, rules.changes
+        begin, end = losses.evicted_from[place], losses.evicted_from[place + 1]
+        freed = [(losses.evicted[k], losses.evicted[k + 1]) for k in range(begin, end, 2)]
+        for p, amount in [(place, -1), *freed]:
+            kernel.shift(p, amount, self.now, s.counts, s.numbers)
+            kernel.touch(
+                p, rules.net, changes.watchers, changes.rates, s.chance, s.counts.level, s.numbers
+            )
+        s.numbers[kernel.MARKING_VERSION] += 1
+
+    def _leave(self, robot: int) -> None:
+        s = self.state
+        groups = self.arrays[0].arcs.list_group
+        kernel.leave_list(robot, len(self.net.places), groups, s.lists, s.counts.level)
 
     def _drawn(self) -> Dict[int, int]:
         """What each waiting robot requests in this marking: a transition; robots to which the
@@ -130,58 +116,36 @@ class PlanRun(KernelRun):
             robots = self._listed(arcs + p)
             if not robots:
                 continue
+            candidates, stamps = s.choices
             count = kernel.weigh(
                 p,
-                s.numbers[kernel.MARKING_VERSION],
-                rules.sizes[5],
-                rules.sizes[6],
-                book.any_of,
-                s.level,
-                rules.test_from,
-                rules.tests,
-                rules.priority,
-                rules.weight,
-                rules.leaving_from,
-                rules.leaving,
-                book.listed_from,
-                book.listed,
-                book.mask_from,
-                book.mask_cells_from,
-                book.mask_cells,
-                book.mask_table,
-                book.mask_size,
-                book.tables,
-                book.entry_row,
-                book.entry_mixed,
-                book.choice_from,
-                book.choice,
-                book.chance,
-                book.cell_from,
-                book.cells,
-                s.candidate,
-                s.candidate_ok,
-                s.candidate_weight,
-                s.group_version,
-                s.group_signature,
-                s.group_stamp,
+                rules.sizes,
+                rules.net,
+                book,
+                rules.arcs.leaving_from,
+                rules.arcs.leaving,
+                s.counts.level,
+                candidates,
+                stamps,
                 s.numbers,
             )
             kinds = s.numbers[kernel.KINDS]
             if kinds == 0:
                 continue
+            draw, draw_stamp = s.lists.draw, s.lists.draw_stamp
             for robot in robots:
-                if s.draw_stamp[robot] != s.group_stamp[p]:
-                    s.draw_stamp[robot] = s.group_stamp[p]
-                    s.draw[robot] = kernel.pick(count, kinds, s.candidate_weight, s.random)
-                found[robot] = int(s.candidate[s.draw[robot]])
+                if draw_stamp[robot] != stamps.stamp[p]:
+                    draw_stamp[robot] = stamps.stamp[p]
+                    draw[robot] = kernel.pick(count, kinds, candidates.weight, s.random)
+                found[robot] = int(candidates.transition[draw[robot]])
         return found
 
     def _listed(self, wish: int) -> List[int]:
         found = []
-        robot = int(self.state.head[wish])
+        robot = int(self.state.lists.head[wish])
         while robot >= 0:
             found.append(robot)
-            robot = int(self.state.following[robot])
+            robot = int(self.state.lists.following[robot])
         return found
 
     def _lacks(self, t: int, place: int) -> bool:
@@ -190,35 +154,20 @@ class PlanRun(KernelRun):
         arc = self.tables.arc_of.get((t, place))
         if arc is None:
             return False
-        there = s.level[places + arc]
+        there = s.counts.level[places + arc]
         if not self.net.transitions[t].timed:
-            there += s.level[places + arcs + place]
+            there += s.counts.level[places + arcs + place]
         return bool(there < self.tables.arcs[arc][2])
 
     def _ask_instead(self, robot: int, wish: int) -> None:
         """Let a waiting robot request something else."""
-        s, places = self.state, len(self.net.places)
-        old = s.in_list[robot]
-        kernel.unlink(robot, s.in_list, s.following, s.preceding, s.head, s.tail)
-        s.level[places + old] -= 1
-        s.waits[self.arrays[0].list_group[old]] -= 1
-        last = int(s.tail[wish])
-        s.in_list[robot] = wish
-        s.preceding[robot] = last
-        s.following[robot] = -1
-        if last < 0:
-            s.head[wish] = robot
-        else:
-            s.following[last] = robot
-        s.tail[wish] = robot
-        s.level[places + wish] += 1
-        s.waits[self.arrays[0].list_group[wish]] += 1
+        s = self.state
+        self._leave(robot)
+        groups = self.arrays[0].arcs.list_group
+        kernel.join_list(robot, wish, len(self.net.places), groups, s.lists, s.counts.level)
 
     def _book_times(self) -> None:
-        s = self.state
-        kernel.book_times(
-            self.now, len(self.net.places), s.level, s.since, s.area, s.spent, s.spent_from
-        )
+        kernel.book_times(self.now, len(self.net.places), self.state.counts)
 
 
 # In one piece: a net with clocks, compiled from the plan, is to replace it
@@ -243,10 +192,10 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     numbers[kernel.LOST] = -1
     numbers[kernel.FREE] = room - count
     spontaneous = tables.spontaneous
-    numbers[kernel.SPONTANEOUS_DIRTY] = len(spontaneous)
-    spontaneous_dirty, is_spontaneous_dirty = whole_numbers(transitions), whole_numbers(transitions)
-    spontaneous_dirty[: len(spontaneous)] = spontaneous
-    is_spontaneous_dirty[spontaneous] = 1
+    numbers[kernel.CHANGED] = len(spontaneous)
+    changed, is_changed = whole_numbers(transitions), whole_numbers(transitions)
+    changed[: len(spontaneous)] = spontaneous
+    is_changed[spontaneous] = 1
     clocks = real(kernel.CLOCKS)
     clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
     robots_at, kind, active, active_at = (
@@ -283,59 +232,65 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
         numbers=numbers,
         clocks=clocks,
         random=whole_numbers(4),
-        level=level,
-        since=real(places),
-        area=real(places),
-        spent=real(int(spent_from[-1])),
-        spent_from=spent_from,
+        counts=kernel.CountArrays(
+            level=level,
+            since=real(places),
+            area=real(places),
+            spent=real(int(spent_from[-1])),
+            spent_from=spent_from,
+        ),
         firings=whole_numbers(transitions),
-        at=robots_at,
-        phase=whole_numbers(room),
-        kind=kind,
-        failures=whole_numbers(room),
-        in_list=whole_numbers(room),
-        following=whole_numbers(room),
-        preceding=whole_numbers(room),
-        due_tag=whole_numbers(room),
-        due_what=whole_numbers(room),
-        draw=whole_numbers(room),
-        draw_stamp=whole_numbers(room),
-        active=active,
-        active_at=active_at,
-        free=free,
-        head=whole_numbers(lists, -1),
-        tail=whole_numbers(lists, -1),
-        waits=whole_numbers(groups),
-        dirty=whole_numbers(groups),
-        is_dirty=whole_numbers(groups),
-        volatile=whole_numbers(groups),
-        is_volatile=whole_numbers(groups),
-        group_version=whole_numbers(places, -1),
-        group_signature=whole_numbers(places),
-        group_stamp=whole_numbers(places),
-        heap_time=real(2 * room + 1),
-        heap_tag=whole_numbers(2 * room + 1),
-        heap_robot=whole_numbers(2 * room + 1),
-        queue_tag=whole_numbers(2 * room + 1),
-        queue_robot=whole_numbers(2 * room + 1),
-        pending_robot=pending_robot,
-        pending_what=pending_what,
+        robots=kernel.Robots(
+            at=robots_at,
+            phase=whole_numbers(room),
+            kind=kind,
+            failures=whole_numbers(room),
+            due_tag=whole_numbers(room),
+            due_what=whole_numbers(room),
+            visit_from=whole_numbers(room, kernel.NO_VISIT),
+        ),
+        members=kernel.Members(active, active_at, free),
+        lists=kernel.Lists(
+            in_list=whole_numbers(room),
+            following=whole_numbers(room),
+            preceding=whole_numbers(room),
+            draw=whole_numbers(room),
+            draw_stamp=whole_numbers(room),
+            head=whole_numbers(lists, -1),
+            tail=whole_numbers(lists, -1),
+            waits=whole_numbers(groups),
+        ),
+        marks=kernel.Marks(
+            dirty=whole_numbers(groups),
+            is_dirty=whole_numbers(groups),
+            volatile=whole_numbers(groups),
+            is_volatile=whole_numbers(groups),
+        ),
+        choices=kernel.ChoiceArrays(
+            kernel.Candidates(whole_numbers(choices), whole_numbers(choices), real(choices)),
+            kernel.Stamps(whole_numbers(places, -1), whole_numbers(places), whole_numbers(places)),
+        ),
+        calendar=kernel.Calendar(
+            pending_robot=pending_robot,
+            pending_what=pending_what,
+            heap=new_heap(2 * room + 1),
+            queue_tag=whole_numbers(2 * room + 1),
+            queue_robot=whole_numbers(2 * room + 1),
+            arrivals=new_heap(arrivals),
+            held=kernel.Held(whole_numbers(held), whole_numbers(held), whole_numbers(held)),
+        ),
+        chance=kernel.Chance(
+            ready_ones=kernel.Ready(whole_numbers(transitions), whole_numbers(transitions, -1)),
+            changed=changed,
+            is_changed=is_changed,
+            tree=tree,
+        ),
         movers=whole_numbers(max(tables.most_movers, 1)),
         targets=whole_numbers(max(tables.most_movers, 1)),
-        candidate=whole_numbers(choices),
-        candidate_ok=whole_numbers(choices),
-        candidate_weight=real(choices),
-        may_spontaneous=whole_numbers(transitions),
-        spontaneous_at=whole_numbers(transitions, -1),
-        spontaneous_dirty=spontaneous_dirty,
-        is_spontaneous_dirty=is_spontaneous_dirty,
-        tree=tree,
-        stack=real(len(tables.rules.until_operations) + 1),
-        visit_from=whole_numbers(room, kernel.NO_VISIT),
-        arrival_time=real(arrivals),
-        arrival_tag=whole_numbers(arrivals),
-        arrival_who=whole_numbers(arrivals),
-        held_robot=whole_numbers(held),
-        held_tag=whole_numbers(held),
-        held_event=whole_numbers(held),
+        stack=real(len(tables.rules.until.operations) + 1),
     )
+
+
+def new_heap(size: int) -> kernel.Heap:
+    """An empty heap with room for so many events."""
+    return kernel.Heap(real(size), whole_numbers(size), whole_numbers(size))

@@ -184,7 +184,6 @@ class PlanTables:
                     places,
                     transitions,
                     arcs,
-                    int(bool(environment)),
                     self.room,
                     int(plan.strict),
                     int(always),
@@ -194,46 +193,49 @@ class PlanTables:
                 ],
                 dtype=np.int64,
             ),
-            test_from=test_from,
-            tests=flat_tests,
-            effect_from=effect_from,
-            effects=effects,
-            rising_from=rising_from,
-            rising=flat_rising,
-            falling_from=falling_from,
-            falling=flat_falling,
-            joins_from=joins_from,
-            joins=joins,
-            arc_from=np.cumsum([0, *map(len, by_transition)]).astype(np.int64),
-            arc_place=_whole([p for _, p, _ in self.arcs]),
-            arc_weight=_whole([weight for _, _, weight in self.arcs]),
-            immediate=_whole([int(i) for i in immediate]),
-            priority=_whole(self.priority),
-            weight=_real([0.0 if t.timed else t.number for t in net.transitions]),
-            leaving_from=leaving_from,
-            leaving=leaving,
-            **self._movers(),
-            **self._timings(timing),
-            list_group=_whole(
-                [t for t, _, _ in self.arcs] + [transitions + p for p in range(places)]
+            net=kernel.NetArrays(
+                test_from=test_from,
+                tests=flat_tests,
+                immediate=_whole([int(i) for i in immediate]),
+                priority=_whole(self.priority),
+                weight=_real([0.0 if t.timed else t.number for t in net.transitions]),
             ),
-            spontaneous_from=spontaneous_from,
-            spontaneous=reads_spontaneous,
-            environment_from=environment_from,
-            environment=reads_environment,
-            environment_transition=_whole(environment),
-            server_rate=_real([net.transitions[t].number for t in environment]),
-            servers=_whole([net.transitions[t].servers or 0 for t in environment]),
-            until_reads=until_reads,
-            until_operations=operations,
-            until_arguments=arguments,
-            evicted_from=evicted_from,
-            evicted=evicted,
-            loss_rate=_real([self.losses]),
-            **self._interrupts(zero),
+            visits=kernel.Visits(*self._timings(timing), self._interrupts(zero)),
+            arcs=kernel.ArcArrays(
+                arc_from=np.cumsum([0, *map(len, by_transition)]).astype(np.int64),
+                arc_place=_whole([p for _, p, _ in self.arcs]),
+                arc_weight=_whole([weight for _, _, weight in self.arcs]),
+                leaving_from=leaving_from,
+                leaving=leaving,
+                list_group=_whole(
+                    [t for t, _, _ in self.arcs] + [transitions + p for p in range(places)]
+                ),
+                joins_from=joins_from,
+                joins=joins,
+            ),
+            changes=kernel.ChangeArrays(
+                effect_from=effect_from,
+                effects=effects,
+                readers=kernel.Readers(rising_from, flat_rising, falling_from, flat_falling),
+                watchers=kernel.Watchers(
+                    spontaneous_from=spontaneous_from,
+                    spontaneous=reads_spontaneous,
+                    environment_from=environment_from,
+                    environment=reads_environment,
+                    until_reads=until_reads,
+                ),
+                rates=kernel.Rates(
+                    transition=_whole(environment),
+                    rate=_real([net.transitions[t].number for t in environment]),
+                    servers=_whole([net.transitions[t].servers or 0 for t in environment]),
+                ),
+            ),
+            moves=self._movers(),
+            until=kernel.Until(operations, arguments),
+            losses=kernel.Losses(_real([self.losses]), evicted_from, evicted),
         )
 
-    def _interrupts(self, zero: int) -> Dict[str, Any]:
+    def _interrupts(self, zero: int) -> kernel.InterruptArrays:
         """The events that interrupt robots. Their transitions are tested in the marking alone,
         whatever the robots are doing."""
         net = self.net
@@ -251,20 +253,20 @@ class PlanTables:
             tests.append(found)
         sources = [self.plan.events[net.transitions[t].name] for t in self.events]
         test_from, flat_tests = ragged(tests)
-        return {
-            "event_from": np.cumsum([0, *map(len, self.events_at)]).astype(np.int64),
-            "event_transition": _whole(self.events),
-            "event_rate": _real(
+        return kernel.InterruptArrays(
+            event_from=np.cumsum([0, *map(len, self.events_at)]).astype(np.int64),
+            event_transition=_whole(self.events),
+            event_rate=_real(
                 [
                     net.transitions[t].number if source.after is None else 0.0
                     for t, source in zip(self.events, sources)
                 ]
             ),
-            "event_after": _real([source.after or 0.0 for source in sources]),
-            "event_hold": _whole([int(source.hold) for source in sources]),
-            "event_test_from": test_from,
-            "event_tests": flat_tests,
-        }
+            event_after=_real([source.after or 0.0 for source in sources]),
+            event_hold=_whole([int(source.hold) for source in sources]),
+            event_test_from=test_from,
+            event_tests=flat_tests,
+        )
 
     def _joins(self) -> List[List[int]]:
         """For each list, the groups to look at again when a robot joins it."""
@@ -300,7 +302,7 @@ class PlanTables:
                 readers[p].append(number)
         return readers
 
-    def _movers(self) -> Dict[str, Any]:
+    def _movers(self) -> kernel.Moves:
         """Where the robots of each transition go: fixed, unless some become void."""
         net = self.net
         routing = {
@@ -335,18 +337,15 @@ class PlanTables:
         slot_from, slots_left = ragged(left)
         self.most_movers = max((len(goes) for goes in targets), default=0)
         self.most_slots = max((len(slots) for slots in left), default=0)
-        return {
-            "mover_from": mover_from,
-            "mover_target": mover_target,
-            "mover_wants": mover_wants,
-            "slot_from": slot_from,
-            "slots": slots_left,
-            "surplus": _whole(surplus),
-        }
+        return kernel.Moves(
+            mover_from, mover_target, mover_wants, slot_from, slots_left, _whole(surplus)
+        )
 
     # -- durations and outcomes --------------------------------------------------------------------
 
-    def _timings(self, timing: PlanTiming) -> Dict[str, Any]:
+    def _timings(
+        self, timing: PlanTiming
+    ) -> Tuple[kernel.Durations, kernel.OutcomeArrays, kernel.Failures]:
         plan, net = self.plan, self.net
         places = len(net.places)
         timing_of = np.zeros(len(self.classes) * places, dtype=np.int64)
@@ -387,23 +386,19 @@ class PlanTables:
         timing_from, table = ragged(numbers, np.float64)
         outcome_from, outcome_list = ragged(lists)
         _, outcome_chance = ragged(chances, np.float64)
-        return {
-            "timing_of": timing_of,
-            "timing_kind": _whole(kinds),
-            "timing_mean": _real(means),
-            "timing_from": timing_from,
-            "timing_table": table,
-            "outcome_from": outcome_from,
-            "outcome_list": outcome_list,
-            "outcome_chance": outcome_chance,
-            "null_list": _whole(nulls),
-            "failure": _real(failures),
-            "timeout": _real(limits),
-            "rule": _whole(rules),
-            "rule_times": _whole(times),
-            "rule_delay": _real(delays),
-            "rule_list": _whole(fires),
-        }
+        return (
+            kernel.Durations(
+                timing_of, _whole(kinds), _real(means), timing_from, table, timeout=_real(limits)
+            ),
+            kernel.OutcomeArrays(outcome_from, outcome_list, outcome_chance, _whole(nulls)),
+            kernel.Failures(
+                failure=_real(failures),
+                rule=_whole(rules),
+                rule_times=_whole(times),
+                rule_delay=_real(delays),
+                rule_list=_whole(fires),
+            ),
+        )
 
     def _wish(self, p: int, outcome: int) -> int:
         """The list that a robot in place ``p`` joins with this outcome, by the rules of a run."""
@@ -529,22 +524,24 @@ def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
     mixed = [int(len({tables.net.transitions[t].priority for t in mine}) > 1) for mine in choices]
     return (
         kernel.Book(
-            listed_from=listed_from,
-            listed=flat_listed,
-            mask_from=mask_from,
-            mask_cells_from=mask_cells_from,
-            mask_cells=mask_cells,
-            mask_table=starts,
-            mask_size=_whole(sizes),
-            tables=hashed,
-            entry_row=_whole(entry_row),
+            rows=kernel.RowArrays(
+                listed_from=listed_from,
+                listed=flat_listed,
+                mask_from=mask_from,
+                mask_cells_from=mask_cells_from,
+                mask_cells=mask_cells,
+                mask_table=starts,
+                mask_size=_whole(sizes),
+                tables=hashed,
+                entry_row=_whole(entry_row),
+                cell_from=cell_from,
+                cells=flat_cells,
+            ),
+            any_of=places + scope_of,
             entry_mixed=_whole(mixed),
             choice_from=choice_from,
             choice=choice,
             chance=chance,
-            cell_from=cell_from,
-            cells=flat_cells,
-            any_of=places + scope_of,
         ),
         reads,
         always_all,

@@ -47,10 +47,10 @@ class RaceRun(KernelRun):
         """
         race = self.functions["race"]
         if not self.net.functions:
-            return int(race(tuple(self.arrays[0]), tuple(self.state), stop, budget))
+            return int(race(*self.arguments, stop, budget))
         for _ in range(budget):
             self._set_values()
-            status = int(race(tuple(self.arrays[0]), tuple(self.state), stop, 1))
+            status = int(race(*self.arguments, stop, 1))
             if status != kernel.MORE:
                 return status
         return kernel.MORE
@@ -58,7 +58,7 @@ class RaceRun(KernelRun):
     def _set_values(self) -> None:
         """Set the rates and weights that depend on the marking."""
         net, state, arrays = self.net, self.state, self.arrays[0]
-        marking = state.level[: len(net.places)]
+        marking = state.counts.level[: len(net.places)]
         leaves = len(state.tree) // 2
         for t, function in net.functions.items():
             if not net.is_enabled(marking, t):
@@ -68,9 +68,9 @@ class RaceRun(KernelRun):
             if value is None:
                 value = self._known[key] = net.value(marking, t)
             if not net.transitions[t].timed:
-                arrays.weight[t] = value
+                arrays.net.weight[t] = value
                 continue
-            arrays.rate[t] = value
+            arrays.rates.rate[t] = value
             degree = net.enabling_degree(marking, t)
             servers = net.transitions[t].servers
             rate = value * (degree if servers is None else min(degree, servers))
@@ -83,7 +83,7 @@ class RaceRun(KernelRun):
         :raises RefusedError: always.
         """
         if status == kernel.UNDECIDED:
-            marking = [int(n) for n in self.state.level[: len(self.net.places)]]
+            marking = [int(n) for n in self.state.counts.level[: len(self.net.places)]]
             names = [self.net.transitions[t].name for t in self.net.enabled(marking)]
             raise RefusedError(
                 "no weights decide between %s" % ", ".join(names),
@@ -126,26 +126,30 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
     transitions = net.transitions
     return kernel.RaceArrays(
         sizes=np.array([places, int(until is not None and bool(until.labels))], dtype=np.int64),
-        test_from=test_from,
-        tests=flat_tests,
+        net=kernel.NetArrays(
+            test_from=test_from,
+            tests=flat_tests,
+            immediate=np.array([int(not t.timed) for t in transitions], dtype=np.int64),
+            priority=np.array([t.priority for t in transitions], dtype=np.int64),
+            weight=np.array(
+                [1.0 if t.timed or t.function is not None else t.number for t in transitions],
+                dtype=np.float64,
+            ),
+        ),
         effect_from=effect_from,
         effects=effects,
         touched_from=touched_from,
         touched=flat_touched,
-        timed=np.array([int(t.timed) for t in transitions], dtype=np.int64),
-        rate=np.array(
-            [t.number if t.timed and t.function is None else 1.0 for t in transitions],
-            dtype=np.float64,
+        rates=kernel.Rates(
+            transition=np.arange(len(transitions)),
+            rate=np.array(
+                [t.number if t.timed and t.function is None else 1.0 for t in transitions],
+                dtype=np.float64,
+            ),
+            servers=np.array([t.servers or 0 for t in transitions], dtype=np.int64),
         ),
-        servers=np.array([t.servers or 0 for t in transitions], dtype=np.int64),
-        weight=np.array(
-            [1.0 if t.timed or t.function is not None else t.number for t in transitions],
-            dtype=np.float64,
-        ),
-        priority=np.array([t.priority for t in transitions], dtype=np.int64),
         until_reads=reads,
-        until_operations=operations,
-        until_arguments=arguments,
+        until=kernel.Until(operations, arguments),
     )
 
 
@@ -179,14 +183,15 @@ def _new_state(net: Net, arrays: kernel.RaceArrays) -> kernel.RaceState:
         numbers=numbers,
         clocks=clocks,
         random=whole_numbers(4),
-        level=level,
-        since=real(len(marking)),
-        area=real(len(marking)),
-        spent=real(int(spent_from[-1])),
-        spent_from=spent_from,
+        counts=kernel.CountArrays(
+            level=level,
+            since=real(len(marking)),
+            area=real(len(marking)),
+            spent=real(int(spent_from[-1])),
+            spent_from=spent_from,
+        ),
         firings=whole_numbers(transitions),
+        ready_ones=kernel.Ready(ready, ready_at),
         tree=tree,
-        ready=ready,
-        ready_at=ready_at,
-        stack=real(len(arrays.until_operations) + 1),
+        stack=real(len(arrays.until.operations) + 1),
     )

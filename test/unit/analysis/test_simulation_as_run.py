@@ -172,7 +172,7 @@ def test_a_run_may_change_its_form_at_any_time():
             if k == switch:
                 run.compile()
             assert run.go(1e9, 50) == kernel.MORE
-        results.append([list(part) for part in run.state])
+        results.append([list(part) for part in machine.all_in(run.state)])
     assert results[0] == results[1]
 
 
@@ -274,24 +274,10 @@ def test_rows_of_a_large_policy_are_found(data):
             (0, table.distribution(marking, 0)),
             (len(net.places), table.matches(marking, 0) or None),
         ):
-            entry = kernel.find_entry(
-                place,
-                marking,
-                b.listed_from,
-                b.listed,
-                b.mask_from,
-                b.mask_cells_from,
-                b.mask_cells,
-                b.mask_table,
-                b.mask_size,
-                b.tables,
-                b.entry_row,
-                b.cell_from,
-                b.cells,
-            )
+            entry = kernel.find_entry(place, marking, b.rows)
             assert (entry < 0) == (expected is None)
             if place == 0 and entry >= 0:
-                assert b.entry_row[entry] == expected.row
+                assert b.rows.entry_row[entry] == expected.row
 
 
 # -- statistics --------------------------------------------------------------------------------------

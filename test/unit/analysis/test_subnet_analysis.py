@@ -138,24 +138,10 @@ def test_the_simulation_finds_the_rows_of_a_scope(data):
         ]
         assert table.matches(marking, 0) == bool(matching)
         for place, wanted in ((0, expected), (book.any_of[0], matching or None)):
-            entry = kernel.find_entry(
-                place,
-                marking,
-                book.listed_from,
-                book.listed,
-                book.mask_from,
-                book.mask_cells_from,
-                book.mask_cells,
-                book.mask_table,
-                book.mask_size,
-                book.tables,
-                book.entry_row,
-                book.cell_from,
-                book.cells,
-            )
+            entry = kernel.find_entry(place, marking, book.rows)
             assert (entry < 0) == (wanted is None)
             if place == 0 and entry >= 0:
-                assert book.entry_row[entry] == expected.row
+                assert book.rows.entry_row[entry] == expected.row
                 assert policy.rows[expected.row] in rows
 
 
