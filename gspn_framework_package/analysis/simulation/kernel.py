@@ -53,6 +53,9 @@ FULL = 8
 UNDECIDED = 9
 """No weight decides between immediate transitions; their numbers are in ``choice``."""
 
+LONGEST_ROW = 4096
+"""Number of counts of a place for which time is booked separately."""
+
 FIRINGS_PER_ENTRY = 10_000
 """This many firings after one event are a timeless cycle, as in a run."""
 
@@ -798,7 +801,8 @@ def shift(place: int, amount: int, now: float, counts: CountArrays, numbers: Ind
         since[place] = now
     count += amount
     level[place] = count
-    if spent_from[place] + count >= spent_from[place + 1]:
+    row = spent_from[place + 1] - spent_from[place]
+    if row <= count and row < LONGEST_ROW:
         numbers[GROWN] = 1
 
 

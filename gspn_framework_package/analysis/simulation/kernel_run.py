@@ -14,9 +14,6 @@ FIRST_ROW = 8
 """Initial number of counts of a place for which time is recorded; more are added when they
 occur."""
 
-LONGEST_ROW = 4096
-"""Largest counts for which time is booked separately."""
-
 
 class KernelRun:
     """Runs of one subject, one after the other.
@@ -125,7 +122,7 @@ class KernelRun:
         counts = np.array(state.counts.level[: len(self.net.places)])
         rows = np.diff(old_from)
         grown = np.where(
-            counts >= rows, np.minimum(np.maximum(2 * rows, counts + 1), LONGEST_ROW), rows
+            counts >= rows, np.minimum(np.maximum(2 * rows, counts + 1), kernel.LONGEST_ROW), rows
         )
         spent_from = np.cumsum([0, *grown.tolist()]).astype(np.int64)
         spent = np.zeros(int(spent_from[-1]))
@@ -142,7 +139,7 @@ class KernelRun:
 
 def first_rows(marking: Sequence[int]) -> Any:
     """The initial start of each place's row of recorded times."""
-    rows = [min(max(FIRST_ROW, n + 2), LONGEST_ROW) for n in marking]
+    rows = [min(max(FIRST_ROW, n + 2), kernel.LONGEST_ROW) for n in marking]
     return np.cumsum([0, *rows]).astype(np.int64)
 
 

@@ -16,7 +16,8 @@ from scipy import stats
 
 from benchmarks.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.simulation import machine, simulate, state_cache
+from gspn_framework_package.analysis.simulation import kernel, machine, simulate, state_cache
+from gspn_framework_package.analysis.simulation.kernel_run import KernelRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
@@ -101,6 +102,16 @@ def test_long_runs_agree_with_the_steady_state(subject, timing):
             assert result.token_distribution[name].get(count, 0.0) == pytest.approx(
                 probability, abs=0.05
             )
+
+
+def test_a_count_beyond_the_longest_row_does_not_stop_the_loop_at_each_firing(monkeypatch):
+    grown = []
+    grow = KernelRun._grow
+    monkeypatch.setattr(KernelRun, "_grow", lambda run: (grown.append(run), grow(run)))
+    net = NetBuilder().place("heap").exponential("comes", rate=1.0, outputs="heap").build()
+    found = simulate(net, time=2.0 * kernel.LONGEST_ROW, replications=2, seed=1)
+    assert found.mean_tokens["heap"].mean > 0.9 * kernel.LONGEST_ROW
+    assert len(grown) < 30
 
 
 def test_first_passage_of_a_counter():
