@@ -152,12 +152,10 @@ def test_a_net_is_drawn_by_pointer(edit, picture):
     assert names(page, "places") == ["Home", "Bed <b>1</b>"]
     # text on the clipboard that is no net, or half of one, changes nothing
     before = net(page)
+    paste = """(text) => { const data = new DataTransfer(); data.setData("text/plain", text);
+        document.dispatchEvent(new ClipboardEvent("paste", { clipboardData: data })); }"""
     for text in ("no net", '{"gspn-part": 1, "places": [{"name": "A"}]}'):
-        page.evaluate(
-            """(text) => { const data = new DataTransfer(); data.setData("text/plain", text);
-            document.dispatchEvent(new ClipboardEvent("paste", { clipboardData: data })); }""",
-            text,
-        )
+        page.evaluate(paste, text)
         status(page, "The clipboard does not contain a part of a net.")
     assert net(page) == before
     while page.is_enabled("#ed-undo"):
@@ -166,6 +164,16 @@ def test_a_net_is_drawn_by_pointer(edit, picture):
     while page.is_enabled("#ed-redo"):
         page.click("#ed-redo")
     assert net(page) == before
+    pasted = [
+        {"name": "chosen", "timed": False, "weight": 0, "position": [0, 0]},
+        {"name": "waits", "timed": True, "rate": "2 * #Home", "position": [0, 60]},
+    ]
+    part = {"gspn-part": 1, "places": [], "transitions": pasted, "arcs": []}
+    page.evaluate(paste, json.dumps(part))
+    assert [(t.get("weight"), t.get("rate")) for t in net(page)["transitions"][1:]] == [
+        (0, None),
+        (None, "2 * #Home"),
+    ]
 
 
 def _inside(page, name):

@@ -6,8 +6,8 @@ const MARK = "gspn-part";
 const PLACE = { tokens: isCount, capacity: isCount };
 const TRANSITION = {
   timed: (value) => typeof value === "boolean",
-  rate: isPositive,
-  weight: isPositive,
+  rate: isValue,
+  weight: (value) => value === 0 || isValue(value),
   priority: isCount,
   servers: (value) => isCount(value) || typeof value === "string",
 };
@@ -16,8 +16,9 @@ function isCount(value) {
   return Number.isSafeInteger(value) && value >= 0;
 }
 
-function isPositive(value) {
-  return Number.isFinite(value) && value > 0;
+/** Whether it may be a rate: a number above 0, or an expression, which the check reads. */
+function isValue(value) {
+  return (Number.isFinite(value) && value > 0) || isName(value);
 }
 
 const isName = (value) => typeof value === "string" && value.trim() !== "";
