@@ -167,6 +167,15 @@ def test_a_source_distribution_holds_what_setup_py_reads(monkeypatch):
     assert files == ["package.xml"]
 
 
+def test_pip_shows_what_the_package_is_and_installs_its_plans(monkeypatch):
+    given = setup_py(monkeypatch)
+    assert given["long_description"] == (ROOT / "README.md").read_text("utf-8")
+    assert given["long_description_content_type"] == "text/markdown"
+    assert {line.split(" :: ")[0] for line in given["classifiers"]} >= {"License", "Topic"}
+    plans = given["package_data"]["gspn_framework_package.plans"]
+    assert {"patrol/plan.json", "warehouse/plan.json"} <= set(plans)
+
+
 @pytest.mark.parametrize("name", ["__main__", "catkin"])
 def test_neither_experiments_nor_tests_are_installed(monkeypatch, name):
     """Here what setup.py and CMake are asked to install; scripts/check_install.sh looks into the
