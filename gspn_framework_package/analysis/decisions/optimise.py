@@ -184,8 +184,12 @@ class _Exactly:
             )
         report.add("the cost of the rule", lambda: self._add_price_of_never(report, solution))
         report.add("the value of the present policy", lambda: self._add_present(report, own))
-        if own.grouped.kept or self._is_worse(report):
-            self._keep_present(report)
+        worse = self._is_worse(report)
+        if own.grouped.kept or worse:
+            report.plan, report.teams = self._plan, report.teams[:1]
+            report.rows, report.silent = len(self._plan.policy.rows), 0
+        if worse:
+            self._certify_nothing(report)
             return report
         for what, compute in (
             ("where the policies differ", lambda: self._add_choices(report, own)),
@@ -290,12 +294,8 @@ class _Exactly:
         bound = request.never or request.at_least or request.uncertain
         return not bound and gain is not None and gain < -2 * request.width
 
-    def _keep_present(self, report: Report) -> None:
-        """Let the present policy stay."""
-        report.plan, report.teams = self._plan, report.teams[:1]
-        report.rows, report.silent = len(self._plan.policy.rows), 0
-        if not self._is_worse(report):
-            return  # a remark says so, and how far from the optimum that is
+    def _certify_nothing(self, report: Report) -> None:
+        """Report the present policy as the best that is known."""
         report.teams[0] = report.teams[0]._replace(value=report.present, lower=None, upper=None)
         report.undecided.append(
             "whether another policy is better: the present one stays, since it is worth more than "

@@ -124,6 +124,7 @@ def test_the_present_policy_stays_where_no_decisions_are_found_that_are_better(m
     assert report.plan.policy == plan.policy
     assert report.teams[0].value == pytest.approx(0.8)
     assert any("the present policy stays" in sentence for sentence in report.undecided)
+    assert {found.transition for found in report.sensitivities} >= {"walked", "driven"}
 
 
 def test_a_present_policy_that_is_worth_more_stays():
