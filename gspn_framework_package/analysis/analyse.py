@@ -350,13 +350,14 @@ class Analysis:
         return (
             not self.net.consumers[p]
             and self.net.places[p].capacity is None
-            and p not in self._inhibiting
-            and name not in self.net.named_by_functions()
+            and p not in self._read
         )
 
     @cached_property
-    def _inhibiting(self) -> FrozenSet[int]:
-        return frozenset(p for arcs in self.net.inhibitors for p, _ in arcs)
+    def _read(self) -> FrozenSet[int]:
+        """The places on which inhibitor arcs, rates or weights depend."""
+        named = map(self.net.place_number, self.net.named_by_functions())
+        return frozenset(p for arcs in self.net.inhibitors for p, _ in arcs).union(named)
 
     @cached_property
     def boundedness(self) -> Boundedness:

@@ -147,7 +147,7 @@ class _Writer:
         """The rate of one server, or the weight."""
         function = self.net.functions.get(t)
         if function is None:
-            return self.net.value((), t)
+            return self.net.transitions[t].number
         names = {name: self.names[self.net.place_index[name]] for name in function.places}
         element = "transition '%s'" % self.net.transitions[t].name
         return function.write(names, _OPERATIONS, element)

@@ -45,7 +45,6 @@ from gspn_framework_package.formats.xml_tree import (
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.marking_function import number_or_refuse
 from gspn_framework_package.model.net import Net, Point
 
 _NET_TYPE = "P/T net"
@@ -295,7 +294,9 @@ def to_bytes(net: Net) -> bytes:
     """Return the net as a document that PIPE 2.5 to 5 and readers of the thesis's xml understand.
 
     :raises NetError: the net has something that the format cannot express.
+    :raises RefusedError: a rate or weight depends on the marking.
     """
+    net.require_numbers("a PIPE file")
     root = etree.Element("pnml")
     element = etree.SubElement(root, "net", type=_NET_TYPE)
     etree.SubElement(
@@ -310,17 +311,7 @@ def to_bytes(net: Net) -> bytes:
         for transition in net.transitions:
             node = _write_node(element, "transition", transition.name, transition.position)
             _write_value(node, "orientation", "0")
-            _write_value(
-                node,
-                "rate",
-                number_text(
-                    number_or_refuse(
-                        transition.rate if transition.timed else transition.weight,
-                        "transition '%s'" % transition.name,
-                        "a PIPE file",
-                    )
-                ),
-            )
+            _write_value(node, "rate", number_text(transition.number))
             _write_value(node, "timed", _boolean(transition.timed))
             if transition.timed and transition.servers not in (None, 1):
                 raise NetError(

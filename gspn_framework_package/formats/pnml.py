@@ -46,7 +46,7 @@ from gspn_framework_package.formats.xml_tree import (
     writing_names,
 )
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.marking_function import MarkingFunction, Value
+from gspn_framework_package.model.marking_function import Value
 from gspn_framework_package.model.net import Net, Point
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
@@ -439,12 +439,11 @@ def to_bytes(net: Net) -> bytes:
                 page, "transition", ids[transition.name], transition.name, transition.position
             )
             own: Data = {}
-            value = transition.rate if transition.timed else transition.weight
-            text = ""
-            if isinstance(value, MarkingFunction):  # other tools could not read it
-                own["rate" if transition.timed else "weight"] = value.text
-            else:
-                text = number_text(value)
+            text, function = "", transition.function
+            if function is None:
+                text = number_text(transition.number)
+            else:  # other tools could not read it
+                own["rate" if transition.timed else "weight"] = function.text
             if transition.timed:
                 timing = {
                     "distributionType": "EXPONENTIAL",

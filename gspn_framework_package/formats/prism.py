@@ -84,7 +84,7 @@ def _rate(net: Net, t: int, names: Sequence[str]) -> str:
     transition = net.transitions[t]
     function = net.functions.get(t)
     if function is None:
-        rate = repr(float(net.value((), t)))
+        rate = repr(float(transition.number))
     else:
         shown = {name: names[net.place_index[name]] for name in function.places}
         rate = str(function.write(shown, _OPERATIONS, "transition '%s'" % transition.name))

@@ -152,20 +152,6 @@ def written(value: Value) -> Union[float, str]:
     return value.text if isinstance(value, MarkingFunction) else value
 
 
-def number_or_refuse(value: Value, element: str, what: str) -> float:
-    """Return a rate or weight that must be a number.
-
-    :param what: what needs it, for the message.
-    :raises RefusedError: it depends on the marking.
-    """
-    if isinstance(value, MarkingFunction):
-        raise RefusedError(
-            "'%s' depends on the marking, which %s cannot express" % (shorten(value.text), what),
-            element=element,
-        )
-    return value
-
-
 def is_valid(value: float) -> bool:
     """Whether a function may have this value where its transition is enabled."""
     return math.isfinite(value) and value > 0

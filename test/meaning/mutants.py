@@ -77,9 +77,9 @@ _TABLE: Sequence[Any] = (
         "each class of robots is equally likely",
         ["unequal_classes", "draw_again"],
         (
-            K.ask_named,
-            "numbers[RIVALS] += waits[t]",
-            "numbers[RIVALS] = waits[t] * (2 if numbers[RIVALS] else 1)",
+            K.draw_rival,
+            "numbers[RIVALS] += count",
+            "numbers[RIVALS] = count * (2 if numbers[RIVALS] else 1)",
         ),
     ),
     (
@@ -89,8 +89,8 @@ _TABLE: Sequence[Any] = (
         ["unequal_classes", "draw_again"],
         (
             K.ask_policy,
-            "any_of_these(numbers[RIVALS], random) == 0",
-            "numbers[RIVALS] == 1",
+            "random, numbers) == 0:",
+            "random, numbers) == 0 and numbers[RIVALS] == 1:",
         ),
     ),
     (
@@ -140,18 +140,8 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "the lowest priority goes first",
         ["unequal_classes"],
-        (
-            K.ask_named,
-            "urgency >= numbers[URGENCY]",
-            "numbers[URGENCY] < -1 or urgency <= numbers[URGENCY]",
-        ),
-        (K.ask_named, "urgency > numbers[URGENCY]", "urgency != numbers[URGENCY]"),
-        (
-            K.ask_policy,
-            "urgency >= numbers[URGENCY]",
-            "numbers[URGENCY] < -1 or urgency <= numbers[URGENCY]",
-        ),
-        (K.ask_policy, "urgency > numbers[URGENCY]", "urgency != numbers[URGENCY]"),
+        (K.draw_rival, "if urgency < numbers[URGENCY]", "if -1 <= numbers[URGENCY] < urgency"),
+        (K.draw_rival, "urgency > numbers[URGENCY]", "urgency != numbers[URGENCY]"),
     ),
     (
         "urgency",

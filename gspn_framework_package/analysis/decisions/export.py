@@ -24,6 +24,7 @@ from typing import Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequenc
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices
+from gspn_framework_package.analysis.state_space.rated_graph import enabled_in
 from gspn_framework_package.analysis.watch import Cancel, Watch
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
@@ -107,7 +108,8 @@ class _Asked:
             dtype=np.int64,
         )
         self.kinds = [_choice(net, written) for written in numbers]
-        self.enabled = {t: enabled_in(net, t, self.markings) for t in immediate}
+        column = self.markings.T.__getitem__
+        self.enabled = {t: enabled_in(net, t, column, len(self.markings)) for t in immediate}
         self.groups = [_Group(places, net, immediate) for places in _joint(net, acts, immediate)]
 
     def __len__(self) -> int:
@@ -154,20 +156,6 @@ def _restricted(choice: Sequence[Tuple[int, float]], inside: set[int]) -> Probab
     kept = [(t, v) for t, v in choice if t in inside]
     total = math.fsum(v for _, v in kept)
     return tuple((t, v / total) for t, v in kept)
-
-
-def enabled_in(net: Net, t: int, markings: Indices) -> Booleans:
-    """Boolean array: which of the markings enable transition number ``t``."""
-    found = np.ones(len(markings), dtype=bool)
-    for p, weight in net.inputs[t]:
-        found &= markings[:, p] >= weight
-    for p, weight in net.inhibitors[t]:
-        found &= markings[:, p] < weight
-    for p, change in net.effect(t):
-        capacity = net.places[p].capacity
-        if capacity is not None and change > 0:
-            found &= markings[:, p].astype(np.int64) + change <= capacity
-    return found
 
 
 def _joint(net: Net, acts: Sequence[int], immediate: Sequence[int]) -> List[List[int]]:

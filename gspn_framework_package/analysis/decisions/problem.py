@@ -28,7 +28,6 @@ from gspn_framework_package.analysis.decisions.building import (
     part_of,
 )
 from gspn_framework_package.analysis.decisions.decision_net import DecisionNet, Stage
-from gspn_framework_package.analysis.decisions.export import enabled_in
 from gspn_framework_package.analysis.decisions.playing import (
     ROUNDING,
     Answers,
@@ -43,6 +42,7 @@ from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.plan.markings import distinct_rows, with_end
 from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes, of_events
 from gspn_framework_package.analysis.plan.structure import robot_flows
+from gspn_framework_package.analysis.state_space.rated_graph import enabled_in
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.condition import parse_condition
@@ -269,18 +269,8 @@ class DecisionProblem:
 
     def _enabled(self, t: int) -> Booleans:
         """The states whose marking enables transition number ``t`` of the plan's net."""
-        net, space = self.plan.net, self.space
         number = self._net.place_of
-        enabled = np.ones(len(space), dtype=bool)
-        for p, w in net.inputs[t]:
-            enabled &= space.column(number[p]) >= w
-        for p, w in net.inhibitors[t]:
-            enabled &= space.column(number[p]) < w
-        for p, change in net.effect(t):
-            capacity = net.places[p].capacity
-            if change > 0 and capacity is not None:
-                enabled &= space.column(number[p]) + change <= capacity
-        return enabled
+        return enabled_in(self.plan.net, t, lambda p: self.space.column(number[p]), len(self.space))
 
     @cached_property
     def _doing_places(self) -> Set[int]:
@@ -394,7 +384,7 @@ class DecisionProblem:
     def enabled(self, team: Team, t: int) -> Booleans:
         """Boolean array: which of the team's distinct markings enable transition number ``t`` of
         the plan's net."""
-        return enabled_in(self.plan.net, t, team.distinct)
+        return enabled_in(self.plan.net, t, team.distinct.T.__getitem__, len(team.distinct))
 
     def rewards(self, team: Team, objective: Objective) -> Rewards:
         """The rewards of a run in a team's automaton.

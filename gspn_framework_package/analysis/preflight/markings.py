@@ -23,9 +23,8 @@ from gspn_framework_package.analysis.preflight.report import (
 )
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
-from gspn_framework_package.analysis.state_space.rated_graph import rate_or_weight
+from gspn_framework_package.analysis.state_space.rated_graph import enabled_in, rate_or_weight
 from gspn_framework_package.analysis.watch import Cancel, Progress
-from gspn_framework_package.formats.symbolic import concession
 from gspn_framework_package.model.errors import LimitError, NetError
 
 PROOF_SECONDS = 5.0
@@ -242,11 +241,12 @@ class MarkingChecks:
         """Compute the rates and weights that depend on the marking wherever they may be used."""
         space = markings.space
         for t, function in self.net.functions.items():
-            able = np.ones(len(space), dtype=bool)
-            for p, operator, bound in concession(self.net, t):
-                counts = space.column(space.net.place_number(self.net.places[p].name))
-                compare: Any = {">=": np.greater_equal, "<": np.less, "<=": np.less_equal}[operator]
-                able &= compare(counts, bound)
+            able = enabled_in(
+                self.net,
+                t,
+                lambda p: space.column(space.net.place_number(self.net.places[p].name)),
+                len(space),
+            )
             name = self.net.transitions[t].name
             try:
                 rate_or_weight(

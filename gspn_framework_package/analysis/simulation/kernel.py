@@ -733,14 +733,20 @@ def pick(count: int, kinds: int, weights: Floats, random: Indices) -> int:
         for k in range(count):
             total += weights[k]
         u = draw_uniform(random) * total
-    drawn = 0
-    for k in range(count):
+    return at_weight(0, count, weights, u)
+
+
+def at_weight(begin: int, end: int, weights: Floats, target: float) -> int:
+    """The first of the weights from ``begin`` on whose sum exceeds ``target``; the last one above 0
+    if rounding leaves none."""
+    found = begin
+    for k in range(begin, end):
         if weights[k] > 0.0:
-            drawn = k
-            u -= weights[k]
-            if u < 0.0:
+            found = k
+            target -= weights[k]
+            if target < 0.0:
                 break
-    return drawn
+    return found
 
 
 # -- what plans and nets have in common ------------------------------------------------------------
@@ -1413,14 +1419,7 @@ def draw_event(
     total = 0.0
     for i in range(begin, end):
         total += event_rate[i]
-    event = all_events
-    u = draw_uniform(random) * total
-    for i in range(begin, end):
-        if event_rate[i] > 0.0:
-            event = i
-            u -= event_rate[i]
-            if u < 0.0:
-                break
+    event = at_weight(begin, end, event_rate, draw_uniform(random) * total)
     time = clocks[NOW] + exponential(random) / total
     what = robot * (all_events + 1) + all_events
     expect(time, what, all_events + 1, visit_from, arrivals, numbers)
@@ -1590,6 +1589,18 @@ def next_request(
     return numbers[FIRING]
 
 
+def draw_rival(urgency: int, count: int, random: Indices, numbers: Indices) -> int:
+    """Let ``count`` more requests of this urgency compete with those before: the number of the one
+    that is first now, at least ``count`` if none of these is."""
+    if urgency < numbers[URGENCY]:
+        return count
+    if urgency > numbers[URGENCY]:
+        numbers[RIVALS] = 0
+        numbers[URGENCY] = urgency
+    numbers[RIVALS] += count
+    return any_of_these(numbers[RIVALS], random)
+
+
 def ask_named(
     t: int,
     places: int,
@@ -1605,21 +1616,15 @@ def ask_named(
     if not fits(t, level, test_from, tests):
         return False
     _, following, _, _, _, head, _, waits = lists
-    urgency = priority[t] if immediate[t] > 0 else -1
-    if urgency >= numbers[URGENCY]:
-        if urgency > numbers[URGENCY]:
-            numbers[RIVALS] = 0
-            numbers[URGENCY] = urgency
-        numbers[RIVALS] += waits[t]
-        k = any_of_these(numbers[RIVALS], random)
-        if k < waits[t]:
-            arc_from, _, _, _, _, _, _, _ = arcs
-            arc = arc_from[t]
-            while k >= level[places + arc]:
-                k -= level[places + arc]
-                arc += 1
-            numbers[FIRING] = t
-            numbers[REQUESTER] = waiting_at(k, head[arc], following)
+    k = draw_rival(priority[t] if immediate[t] > 0 else -1, waits[t], random, numbers)
+    if k < waits[t]:
+        arc_from, _, _, _, _, _, _, _ = arcs
+        arc = arc_from[t]
+        while k >= level[places + arc]:
+            k -= level[places + arc]
+            arc += 1
+        numbers[FIRING] = t
+        numbers[REQUESTER] = waiting_at(k, head[arc], following)
     return True
 
 
@@ -1657,15 +1662,9 @@ def ask_policy(
             k = draw[robot]
             if able[k] > 0:
                 can = True
-                urgency = priority[transitions[k]]
-                if urgency >= numbers[URGENCY]:
-                    if urgency > numbers[URGENCY]:
-                        numbers[RIVALS] = 0
-                        numbers[URGENCY] = urgency
-                    numbers[RIVALS] += 1
-                    if any_of_these(numbers[RIVALS], random) == 0:
-                        numbers[FIRING] = transitions[k]
-                        numbers[REQUESTER] = robot
+                if draw_rival(priority[transitions[k]], 1, random, numbers) == 0:
+                    numbers[FIRING] = transitions[k]
+                    numbers[REQUESTER] = robot
             elif kinds == 1:
                 break
             robot = following[robot]

@@ -59,7 +59,6 @@ class RaceRun(KernelRun):
         """Set the rates and weights that depend on the marking."""
         net, state, arrays = self.net, self.state, self.arrays[0]
         marking = state.counts.level[: len(net.places)]
-        leaves = len(state.tree) // 2
         for t, function in net.functions.items():
             if not net.is_enabled(marking, t):
                 continue
@@ -67,15 +66,11 @@ class RaceRun(KernelRun):
             value = self._known.get(key)
             if value is None:
                 value = self._known[key] = net.value(marking, t)
-            if not net.transitions[t].timed:
+            if net.transitions[t].timed:
+                arrays.rates.rate[t] = value
+                kernel.set_rate(t, arrays.net, arrays.rates, state.counts.level, state.tree)
+            else:
                 arrays.net.weight[t] = value
-                continue
-            arrays.rates.rate[t] = value
-            degree = net.enabling_degree(marking, t)
-            servers = net.transitions[t].servers
-            rate = value * (degree if servers is None else min(degree, servers))
-            if state.tree[leaves + t] != rate:
-                kernel.set_leaf(state.tree, leaves, t, rate)
 
     def after(self, status: int) -> int:
         """Refuse a choice without weights; see :meth:`KernelRun.after`.

@@ -8,7 +8,7 @@ the same.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, Iterator, NamedTuple, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Callable, Dict, Iterator, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
@@ -149,7 +149,7 @@ def rate_or_weight(
     """
     function = net.functions.get(t)
     if function is None:
-        return net.value((), t)
+        return net.transitions[t].number
     columns = {n: store.column(net.place_index[n], states) for n in function.places}
     values = function.values({n: c.astype(np.float64) for n, c in columns.items()})
     wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
@@ -157,6 +157,23 @@ def rate_or_weight(
         marking = store.rows(np.asarray(states)[wrong[:1]])[0].tolist()
         net.valid_value(marking, t, float(values[wrong[0]]))
     found: Floats = values
+    return found
+
+
+def enabled_in(net: Net, t: int, column: Callable[[int], Indices], count: int) -> Booleans:
+    """Boolean array: which of ``count`` markings enable transition number ``t``.
+
+    :param column: place number -> its token counts in these markings.
+    """
+    found = np.ones(count, dtype=bool)
+    for p, weight in net.inputs[t]:
+        found &= column(p) >= weight
+    for p, weight in net.inhibitors[t]:
+        found &= column(p) < weight
+    for p, change in net.effect(t):
+        capacity = net.places[p].capacity
+        if capacity is not None and change > 0:
+            found &= column(p).astype(np.int64) + change <= capacity
     return found
 
 
