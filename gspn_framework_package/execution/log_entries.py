@@ -404,9 +404,9 @@ def _check_bounds(fields: Dict[str, Any]) -> None:
     if "by" in fields:
         by = fields["by"]
         if not isinstance(by, list) or [type(text) for text in by] != [str, str]:
-            raise ValueError("its giver is not a name and a proof")
+            raise ValueError("its field 'by' is not a name and a proof")
         if max(map(len, by)) > GIVER_LIMIT or not any(by):
-            raise ValueError("its giver has no name of at most %d characters" % GIVER_LIMIT)
+            raise ValueError("its field 'by' has no name of at most %d characters" % GIVER_LIMIT)
         fields["by"] = Giver(*by)
     if "digest" in fields and not isinstance(fields["plan"], dict):
         raise ValueError("its plan is not an object")

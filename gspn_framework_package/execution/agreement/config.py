@@ -96,7 +96,7 @@ class Config:
     witness: bool
     """Whether we are a witness: vote, but have no token."""
     newcomer: bool
-    """Whether we are not in the first team of the plan."""
+    """Whether this robot joined the team after the plan had started."""
     is_small: bool
     """Whether the team is small enough for all robots to inform each other about each slot."""
     first: str

@@ -129,7 +129,8 @@ class _Reader:
 
     def _unwatch(self, number: int, watched: _Watched) -> None:
         with self._lock:
-            if self._watched.get(number) is watched:  # not closed, with a new one of that number
+            # if it was closed, a new connection may have been given the same descriptor
+            if self._watched.get(number) is watched:
                 del self._watched[number]
                 with contextlib.suppress(OSError):
                     self._poll.unregister(number)
