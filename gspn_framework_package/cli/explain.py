@@ -7,7 +7,7 @@ import argparse
 import json
 from typing import Any, Dict, List, Sequence
 
-from gspn_framework_package.analysis.plan.markings import with_losses
+from gspn_framework_package.analysis.plan.edited_nets import with_losses
 from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, List, Sequence
 
 from gspn_framework_package.analysis.decisions import building, decision_net, playing
-from gspn_framework_package.analysis.plan import markings
+from gspn_framework_package.analysis.plan import edited_nets, markings, structure
 from gspn_framework_package.analysis.simulation import kernel, plan_run, plan_tables, state_cache
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
@@ -1085,7 +1085,7 @@ _TABLE: Sequence[Any] = (
         "never",
         ["ends"],
         (M._until, "if not self.plan.until:", "if True:"),
-        (markings.counts_that_end, "if not plan.until:", "if True:"),
+        (edited_nets.counts_that_end, "if not plan.until:", "if True:"),
     ),
     (
         "until",
@@ -1239,7 +1239,7 @@ _TABLE: Sequence[Any] = (
         "check",
         "no one goes another way",
         ["failures"],
-        (M._may_be_named, "rule.kind is FailureKind.FIRE and", "False and"),
+        (structure.may_be_named, "rule.kind is FailureKind.FIRE and", "False and"),
     ),
     # -- losses
     (
@@ -1282,14 +1282,14 @@ _TABLE: Sequence[Any] = (
         "check",
         "nothing comes back",
         ["losses"],
-        (markings.with_losses, "if resource not in left_out and count > 0:", "if False:"),
+        (edited_nets.with_losses, "if resource not in left_out and count > 0:", "if False:"),
     ),
     (
         "losses",
         "check",
         "none",
         ["losses"],
-        (markings.with_losses, "for place in plan.action_places:", "for place in ():"),
+        (edited_nets.with_losses, "for place in plan.action_places:", "for place in ():"),
     ),
     (
         "losses",

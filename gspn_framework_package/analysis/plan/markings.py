@@ -21,17 +21,16 @@ from gspn_framework_package.analysis.graph import (
     components,
     reachable_from,
 )
+from gspn_framework_package.analysis.plan.edited_nets import with_end, with_losses
 from gspn_framework_package.analysis.plan.structure import (
     idle_places,
+    may_be_named,
     requested,
     terminal_places,
 )
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
-from gspn_framework_package.model.action import outcomes_of
-from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.net import Arc, Net, Place, Transition
-from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
+from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.policy import Distribution, PolicyTable
 
 
@@ -131,26 +130,8 @@ class PlanMarkings:
             for p in asking:
                 wanted |= self._answers.chosen(p, t, self._sources[arcs])
             self.allowed[arcs[~wanted]] = False
-            if not self._may_be_named(transitions[t].name, asking):
+            if not may_be_named(self.plan, t, [self._number[p] for p in asking]):
                 self.possible[arcs[~wanted]] = False
-
-    def _may_be_named(self, name: str, asking: List[int]) -> bool:
-        """Whether the plan says that an action in one of these places may name a transition, or
-        that a robot asks for it when its action fails or another robot is lost."""
-        plan = self.plan
-        if plan.on_lost.kind is LostKind.FIRE and plan.on_lost.transition == name:
-            return True
-        places = {self.net.places[p].name for p in asking}
-        for place in places:
-            rule = plan.failure_rule(place)
-            if plan.outcomes.get(place, {}).get(name, 0.0) > 0 or (
-                rule.kind is FailureKind.FIRE and rule.transition == name
-            ):
-                return True
-        return any(
-            place in places and name in outcomes_of(action).values()
-            for place, action in plan.bindings()
-        )
 
     def policy_gaps(self) -> Iterator[Finding]:
         """Markings that need a decision but match no row of the policy. A strict plan needs one
@@ -535,42 +516,3 @@ def distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
     else:
         _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     return first, of.reshape(-1)
-
-
-def with_end(net: Net, plan: Plan) -> Net:
-    """The net without the firings after ``until``, so that the counts of a finished run are not
-    explored.
-
-    For each count that alone satisfies ``until``, every transition gets an inhibitor arc.
-    """
-    ends = counts_that_end(net, plan)
-    if not ends:
-        return net
-    arcs = [Arc(place, t.name, count, True) for place, count in ends for t in net.transitions]
-    return Net(net.places, net.transitions, net.arcs + tuple(arcs), net.name)
-
-
-def counts_that_end(net: Net, plan: Plan) -> List[Tuple[str, int]]:
-    """The places of ``net``, each with a count from which on it alone satisfies ``until``."""
-    if not plan.until:
-        return []
-    enough = parse_condition(plan.until, [p.name for p in plan.net.places]).enough()
-    return [(place, count) for place, count in enough if place in net.place_index and count >= 1]
-
-
-def with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
-    """The net with one more transition for every action place in which a robot can be lost."""
-    places: List[Place] = list(net.places)
-    transitions: List[Transition] = list(net.transitions)
-    arcs: List[Arc] = list(net.arcs)
-    taken = set(net.place_index) | set(net.transition_index)
-    for place in plan.action_places:
-        name = "(robot lost in %s)" % place
-        while name in taken:
-            name += "'"
-        transitions.append(Transition(name))
-        arcs.append(Arc(place, name))
-        for resource, count in plan.on_evict.get(place, {}).items():
-            if resource not in left_out and count > 0:
-                arcs.append(Arc(name, resource, count))
-    return Net(places, transitions, arcs, net.name)

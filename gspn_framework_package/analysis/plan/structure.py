@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
+from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FailureKind, Plan
+from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
 
@@ -93,6 +94,26 @@ def requested(plan: Plan, place: int) -> Set[int]:
         return found if decides else set(leaving)
     named = {t for t in leaving if outcomes.get(net.transitions[t].name, 0.0) > 0}
     return found | named | (only if outcomes.get("", 0.0) > 0 else set())
+
+
+def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
+    """Whether the plan says that an action in one of the places numbered ``asking`` may name
+    transition number ``t``, or that a robot asks for it when its action fails or another robot is
+    lost."""
+    name = plan.net.transitions[t].name
+    if plan.on_lost.kind is LostKind.FIRE and plan.on_lost.transition == name:
+        return True
+    places = {plan.net.places[p].name for p in asking}
+    for place in places:
+        rule = plan.failure_rule(place)
+        if plan.outcomes.get(place, {}).get(name, 0.0) > 0 or (
+            rule.kind is FailureKind.FIRE and rule.transition == name
+        ):
+            return True
+    return any(
+        place in places and name in outcomes_of(action).values()
+        for place, action in plan.bindings()
+    )
 
 
 def timeless_transitions(plan: Plan) -> List[int]:

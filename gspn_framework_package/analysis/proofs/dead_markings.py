@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from typing import Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.analysis.plan.markings import counts_that_end, with_losses
+from gspn_framework_package.analysis.plan.edited_nets import counts_that_end, with_losses
 from gspn_framework_package.analysis.plan.structure import terminal_places
 from gspn_framework_package.analysis.proofs.program import MarkingProgram
 from gspn_framework_package.analysis.structure.invariants import place_invariants

@@ -23,7 +23,7 @@ from typing import (
     Tuple,
 )
 
-from gspn_framework_package.analysis.plan.markings import with_losses
+from gspn_framework_package.analysis.plan.edited_nets import with_losses
 from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight.report import (
     CheckItem,
