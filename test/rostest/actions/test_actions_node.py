@@ -504,7 +504,8 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual(robot.ended.get(timeout=20).result, "T1")
 
     def test_a_server_that_dies_with_the_goal_is_noticed(self):
-        for how, signal in (("killed", "KILL"), ("stopped", "STOP")):
+        # of a killed server the closed connections must be noticed, long before its silence is
+        for how, signal, status in (("killed", "KILL", 300), ("stopped", "STOP", 1)):
             name = "%s/%s" % (self.namespace, how)
             code = (
                 "import rospy, actionlib\n"
@@ -519,7 +520,7 @@ class ActionsTest(unittest.TestCase):
             self._closing.append(process.kill)
             robot = self.robot(
                 plan_of({"P1": ServerAction(EXEC, how)}),
-                patience=PATIENT._replace(status=1, result=0.3),
+                patience=PATIENT._replace(status=status, result=0.3),
             )
             robot.send("P1")
             wait_for(robot.is_under_way, 20, "the server to take the goal")
@@ -579,9 +580,10 @@ class ActionsTest(unittest.TestCase):
         answer(goal)
         wait_for(lambda: faults, what="the report of the late result")
         self.assertIn("/late reports 'succeeded' for an abandoned goal", faults[0])
-        robot.send("P1")
+        patient = self.robot(plan_of({"P1": ServerAction(EXEC, "late")}))
+        patient.send("P1")
         answer(goals.get(timeout=20))  # before any status: it counts
-        self.assertEqual(robot.ended.get(timeout=20).result, "T_late")
+        self.assertEqual(patient.ended.get(timeout=20).result, "T_late")
 
     def test_a_server_of_another_type_is_named_with_both_types(self):
         name = self.namespace + "/other"
