@@ -703,7 +703,7 @@ _TABLE: Sequence[Any] = (
         "partners",
         "simulation",
         "robots that ask do not come along",
-        ["mixed_partners"],
+        ["mixed_partners", "who_stays"],
         (
             K.take_movers,
             "level[places + wish] if immediate[firing] > 0 else 0",

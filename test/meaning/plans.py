@@ -389,39 +389,60 @@ def asked_exponential(source: random.Random) -> Plan:
 
 def who_asked(source: random.Random) -> Plan:
     """The one who asks for a move of two robots comes along, whoever else is free and was done
-    before: some drew what is not enabled."""
-    b = NetBuilder("who asked").place("p", 3).place("r", 1)
-    b.place("tool", source.choice([0, 1])).place("used", 1)
-    b.immediate("join", inputs={"p": 2, "tool": 1}, outputs={"r": 2, "used": 1})
-    b.immediate("other", inputs="p", outputs="r", inhibitors={"r": 1})
-    b.exponential("back", rate=_rate(source), inputs="r", outputs="p")
-    b.exponential("reset", rate=0.6, inputs="used", outputs="tool", inhibitors="tool")
-    rows = [PolicyRow((), tuple(_split(source, ["join", "other"]).items()))]
+    before: most drew what is not enabled. Whoever stays behind can leave at once, unless it named
+    the move."""
+    b = _leaving_one_behind("who asked", source).place("p", 3)
+    b.immediate(
+        "join",
+        inputs={"p": 2, "tool": 1},
+        outputs={"r": 2, "used": 1, "exit": 1},
+        inhibitors="exit",
+    )
+    rows = [PolicyRow((), (("join", 0.15), ("other", 0.85)))]
     return _plan(
         b.build(),
-        resources=["tool", "used"],
+        resources=["tool", "used", "exit"],
         policy=Policy([], rows),
-        durations={"p": _mean(source)},
-        outcomes={"p": _split(source, ["", "join"])},
+        durations={"p": Duration.exponential(round(source.uniform(0.2, 0.5), 3))},
+        outcomes={"p": _seldom(source, "join")},
     )
 
 
 def who_stays(source: random.Random) -> Plan:
     """A robot elsewhere asks for two of three robots, some of which named the move and some of
-    which ask the policy: each two are equally likely."""
-    b = NetBuilder("who stays").place("q", 1).place("p", 3).place("r")
-    b.place("tool", source.choice([0, 1])).place("used", 1)
-    b.immediate("join", inputs={"p": 2, "q": 1, "tool": 1}, outputs={"r": 2, "q": 1, "used": 1})
-    b.immediate("other", inputs="p", outputs="r", weight=0.4, inhibitors={"used": 1})
-    b.exponential("back", rate=_rate(source), inputs="r", outputs="p")
-    b.exponential("reset", rate=0.4, inputs="used", outputs="tool", inhibitors="tool")
+    which ask the policy: each two are equally likely. Whoever stays behind can leave at once,
+    unless it named the move."""
+    b = _leaving_one_behind("who stays", source).place("q", 1).place("p", 3)
+    b.immediate(
+        "join",
+        inputs={"p": 2, "q": 1, "tool": 1},
+        outputs={"r": 2, "q": 1, "used": 1, "exit": 1},
+        inhibitors="exit",
+    )
     return _plan(
         b.build(),
         null=["q"],
-        resources=["tool", "used"],
-        durations={"p": _mean(source)},
-        outcomes={"p": _split(source, ["", "join"])},
+        resources=["tool", "used", "exit"],
+        durations={"p": Duration.exponential(round(source.uniform(0.2, 0.5), 3))},
+        outcomes={"p": _seldom(source, "join")},
     )
+
+
+def _leaving_one_behind(name: str, source: random.Random) -> NetBuilder:
+    """A net in which a move of robots in p, yet to be added, opens an exit for those that stay."""
+    b = NetBuilder(name).place("r").place("tool", source.choice([0, 1])).place("used", 1)
+    b.place("exit")
+    b.immediate("other", inputs=["p", "exit"], outputs="r", weight=0.4)
+    b.exponential("close", rate=round(source.uniform(4.0, 8.0), 3), inputs="exit")
+    b.exponential("back", rate=round(source.uniform(2.0, 4.0), 3), inputs="r", outputs="p")
+    b.exponential("reset", rate=1.2, inputs="used", outputs="tool", inhibitors="tool")
+    return b
+
+
+def _seldom(source: random.Random, name: str) -> Dict[str, float]:
+    """Outcomes of robots of which about a third names a transition."""
+    chance = round(source.uniform(0.25, 0.4), 3)
+    return {"": 1.0 - chance, name: chance}
 
 
 # -- the marking -----------------------------------------------------------------------------------
