@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, WAIT, Automaton
 from gspn_framework_package.analysis.decisions.decision_net import DecisionNet, Group, Stage
 from gspn_framework_package.analysis.graph import flat_ranges
+from gspn_framework_package.analysis.state_space.rated_graph import firing_rate, rate_or_weight
 from gspn_framework_package.analysis.state_space.space import StateSpace
 
 OVER = 7
@@ -79,28 +80,22 @@ class Stages:
             if step is not Stage.TIMED:
                 continue
             arcs = self.arcs_of(t)
-            transition = net.transitions[t]
-            rates[arcs] = transition.rate
-            if transition.servers == 1 or not net.inputs[t]:
-                continue
-            states = self.sources[arcs]
-            degree = np.full(len(arcs), np.iinfo(np.int64).max, dtype=np.int64)
-            for p, weight in net.inputs[t]:
-                np.minimum(degree, self.space.column(p, states) // weight, out=degree)
-            if transition.servers is not None:
-                np.minimum(degree, transition.servers, out=degree)
-            rates[arcs] *= degree
+            rates[arcs] = firing_rate(net, t, self.space.store, self.sources[arcs])
         return rates
 
     def spontaneous(self) -> Floats:
         """The probability of each arc in the spontaneous stage: top priority, by weight."""
+        net = self.net.net
         chances = np.zeros(len(self.labels), dtype=np.float64)
         arcs = np.flatnonzero(self.kinds == Stage.SPONTANEOUS)
         if not len(arcs):
             return chances
         levels = self.priorities[self.labels[arcs]]
         arcs = arcs[levels == self.highest(arcs, levels)[self.sources[arcs]]]
-        weights = np.array([t.weight for t in self.net.net.transitions])[self.labels[arcs]]
+        weights = np.zeros(len(arcs))
+        for t in np.unique(self.labels[arcs]).tolist():
+            mine = self.labels[arcs] == t
+            weights[mine] = rate_or_weight(net, t, self.space.store, self.sources[arcs[mine]])
         total = np.bincount(self.sources[arcs], weights=weights, minlength=len(self))
         # without weights the first in file order fires
         states, first = np.unique(self.sources[arcs], return_index=True)

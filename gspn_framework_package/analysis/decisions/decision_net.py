@@ -121,8 +121,15 @@ class DecisionNet:
         self._plan = plan = run_net.plan
         self._deciders = deciders
         self._source = run_net.net
-        self._source.require_numbers("the computation of a policy")
         self._acts = run_net.acts
+        self._source.require_numbers(
+            "the computation of a policy",
+            [
+                t
+                for t, transition in enumerate(self._source.transitions)
+                if not transition.timed and t not in run_net.spontaneous
+            ],
+        )
         self._events = run_net.interrupted
         self._races = {race.transition for race in run_net.races}
         self._racing = {racing.column: dict(racing.rates) for racing in run_net.racing}
@@ -412,6 +419,7 @@ class DecisionNet:
             rated=t
             if transition.timed
             and step is Stage.TIMED
+            and transition.function is None
             and (self._by_net(t) or (t in self._events and rate is None))
             else -1,
         )

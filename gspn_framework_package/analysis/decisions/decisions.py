@@ -324,13 +324,13 @@ class _Solver:
         factors = {}
         for name, (low, high) in request.uncertain.items():
             t = net.transition_number(name)
+            rate = net.transitions[t].number
             if not (labels == t).any():
                 raise UsageError(
                     "its rate has no effect: the plan gives the duration, or it never fires",
                     element=name,
                     hint="take it out of the uncertain rates, or take the nominal rates",
                 )
-            rate = net.transitions[t].rate
             factors[t] = (low / rate, high / rate)
 
         def worst(

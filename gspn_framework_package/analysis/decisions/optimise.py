@@ -354,7 +354,9 @@ class _Exactly:
                 objective.aim,
                 own.rewards,
                 own.grouped.evaluated,
-                np.array([t.number if t.timed else 0.0 for t in transitions]),
+                np.array(
+                    [t.number if t.timed and t.function is None else 0.0 for t in transitions]
+                ),
                 labels=self._problem.rate_labels(own.team),
             )
         except LimitError:
