@@ -11,6 +11,7 @@ Behind it, each folder builds on those before it:
   read off the graph (deadlocks, liveness, home states);
 - ``plan``: the same for a plan under its policy;
 - ``proofs``: what holds in all markings, by the state equation, where they are too many to visit;
+- ``symbolic``: how many markings there are, where they are too many to visit, by decision diagrams;
 - ``chain``: the Markov chain of a state space, vanishing markings eliminated;
 - ``solution``: steady state, transient, first passage, and the measures derived from them;
 - ``simulation``: many runs of a net or a plan, with confidence intervals;

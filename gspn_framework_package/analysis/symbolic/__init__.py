@@ -1,0 +1,6 @@
+"""The reachable markings of a bounded net as a decision diagram: exact counts of more of them than
+could be visited.
+
+``markings`` counts; ``ordering`` finds promising orders of the places; ``steps`` turns the net into
+steps of diagrams, which ``kernel`` takes, in one of the forms of ``machine``.
+"""

@@ -1,0 +1,192 @@
+"""Counting markings with decision diagrams: the firing rule on generated nets, published counts,
+limits."""
+
+import re
+
+import pytest
+from generated_nets import bounded_nets, reference_space
+from hypothesis import HealthCheck, given, settings
+
+from benchmarks.nets import courier, flexible_manufacturing, kanban
+from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
+from gspn_framework_package.analysis.symbolic import machine, markings
+from gspn_framework_package.analysis.symbolic.markings import count_markings
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import CancelledError, LimitError
+
+FORMS = [
+    "plain",
+    pytest.param(
+        "compiled", marks=pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
+    ),
+]
+
+
+def form_of(name):
+    return machine.PLAIN if name == "plain" else machine.compiled_form()
+
+
+def counts_by_definition(net):
+    graph = reference_space(net)
+    enabled = [set(successors) for successors in graph.values()]
+    timed = {t for t, transition in enumerate(net.transitions) if transition.timed}
+    return graph, {
+        "total": len(graph),
+        "tangible": sum(found <= timed for found in enabled),
+        "arcs": sum(map(len, enabled)),
+        "bounds": {p.name: max(m[i] for m in graph) for i, p in enumerate(net.places)},
+        "most_tokens": max(map(sum, graph)),
+        "dead": sum(not found for found in enabled),
+        "dead_transitions": [
+            transition.name
+            for t, transition in enumerate(net.transitions)
+            if not any(t in found for found in enabled)
+        ],
+    }
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_counts_by_definition(form, monkeypatch):
+    # room for a few nodes only, and many pauses: the work goes on where it was
+    monkeypatch.setattr(machine, "_ROOM", 8)
+    monkeypatch.setattr(markings, "_FIRST_TURNS", 30)
+    monkeypatch.setattr(markings, "_SLICE", {False: 10, True: 10})
+
+    @settings(deadline=None, max_examples=300, suppress_health_check=list(HealthCheck))
+    @given(bounded_nets(max_places=5, max_transitions=8, max_tokens=5))
+    def check(net):
+        graph, expected = counts_by_definition(net)
+        found = count_markings(net, form=form_of(form))
+        assert {key: getattr(found, key) for key in expected} == expected
+        if found.dead:
+            assert graph[net.marking(found.dead_marking)] == {}
+        else:
+            assert found.dead_marking is None
+
+    check()
+
+
+def test_priorities_that_make_many_cases_are_taken_one_by_one(monkeypatch):
+    net = NetBuilder("many").place("left", tokens=4).place("right")
+    for i in range(4):
+        net.place("p%d" % i, tokens=1).place("q%d" % i)
+        net.exponential("e%d" % i, inputs=["p%d" % i, "left"], outputs=["q%d" % i, "right"])
+    built = net.build()
+    expected = count_markings(built, form=machine.PLAIN)
+    assert expected.dead == 1 and expected.total == 16
+
+    one_step = markings.StepTable.step
+
+    def step(table, rule, above=(), closing=False):
+        if len(above) > 1:
+            raise LimitError("too many")
+        return one_step(table, rule, above, closing)
+
+    monkeypatch.setattr(markings.StepTable, "step", step)
+    assert count_markings(built, form=machine.PLAIN)._replace(memory=0) == expected._replace(
+        memory=0
+    )
+
+
+def two_handed(number):
+    """Dining philosophers who take both forks in any order (SMART's example)."""
+    net = NetBuilder("philosophers")
+    for i in range(number):
+        net.place("thinks%d" % i, tokens=1).place("fork%d" % i, tokens=1)
+        for hand in ("left", "right"):
+            net.place("wants_%s%d" % (hand, i)).place("has_%s%d" % (hand, i))
+    for i in range(number):
+        forks = {"left": "fork%d" % i, "right": "fork%d" % ((i + 1) % number)}
+        wants = ["wants_%s%d" % (hand, i) for hand in forks]
+        has = ["has_%s%d" % (hand, i) for hand in forks]
+        net.exponential("hunger%d" % i, inputs="thinks%d" % i, outputs=wants)
+        for hand, fork in forks.items():
+            net.exponential(
+                "take_%s%d" % (hand, i),
+                inputs=["wants_%s%d" % (hand, i), fork],
+                outputs="has_%s%d" % (hand, i),
+            )
+        net.exponential("stop%d" % i, inputs=has, outputs=["thinks%d" % i, *forks.values()])
+    return net.build()
+
+
+MANUFACTURING = """raw1 > wait1, wait1 M1 > in1, in1 > made1 M1, made1 > out1, out1 > raw1
+raw2 > wait2, wait2 M2 > in2, in2 > made2 M2, made2 > out2, out2 > raw2
+raw3 > wait3, wait3 M2 > out3 M2, out3 > raw3
+made1 > join1, made2 > join2, join1 join2 > raw12, raw12 > wait12
+wait12 M3 > in12, in12 > out12 M3, out12 > raw1 raw2"""
+
+
+def untimed_manufacturing(pallets):
+    """The system of Ciardo and Trivedi in the form whose markings tools count: no transition takes
+    precedence."""
+    net = NetBuilder("manufacturing")
+    tokens = {"raw1": pallets, "raw2": pallets, "raw3": pallets, "M1": 3, "M2": 1, "M3": 2}
+    for place in sorted(set(re.findall(r"\w+", MANUFACTURING))):
+        net.place(place, tokens=tokens.get(place, 0))
+    for i, step in enumerate(re.split("[,\n]", MANUFACTURING)):
+        inputs, outputs = step.split(">")
+        net.exponential("t%d" % i, inputs=inputs.split(), outputs=outputs.split())
+    return net.build()
+
+
+@pytest.mark.parametrize(
+    "net, total, tangible, dead",
+    [
+        (kanban(10), 1_005_927_208, 1_005_927_208, 0),
+        (kanban(50), 10_425_941_194_901_336, 10_425_941_194_901_336, 0),
+        (untimed_manufacturing(10), 2_501_413_200, 2_501_413_200, 0),
+        (flexible_manufacturing(5), None, 152_712, 0),
+        (courier(1), 29_010, 11_700, 0),
+        (
+            two_handed(100),
+            *[496926405783746676393791436882468230898067489522034699520200002] * 2,
+            2,
+        ),
+    ],
+    ids=["kanban 10", "kanban 50", "untimed", "manufacturing", "courier", "philosophers"],
+)
+def test_published_counts(net, total, tangible, dead):
+    found = count_markings(net)
+    assert (total or found.total, tangible, dead) == (found.total, found.tangible, found.dead)
+    assert found.dead_transitions == []
+
+
+def test_published_numbers_of_arcs():
+    assert count_markings(kanban(5)).arcs == 24_460_016
+    assert count_markings(kanban(50)).arcs == 156_123_354_932_013_560
+
+
+def test_the_counts_are_those_of_exploration():
+    for net in (flexible_manufacturing(2), two_handed(4), courier(1)):
+        space, found = explore(net), count_markings(net)
+        assert (found.total, found.arcs) == (len(space), space.whole_arcs)
+        assert found.total - found.tangible == space.is_vanishing.sum()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_unbounded_net_ends_at_the_limit(form):
+    net = NetBuilder("grows").place("p").exponential("t", outputs="p").build()
+    with pytest.raises(LimitError, match="not decided within 0.004 GB"):
+        count_markings(net, memory=4e6, form=form_of(form))
+    with pytest.raises(LimitError, match="not decided within 0 s"):
+        count_markings(net, watch=Watch(seconds=0), form=form_of(form))
+
+
+def test_it_can_be_cancelled_and_reports_its_nodes():
+    seen = []
+    watch = Watch(lambda *news: seen.append(news), lambda: len(seen) > 2, interval=0)
+    with pytest.raises(CancelledError, match="nodes"):
+        count_markings(two_handed(30), watch=watch)
+    assert [what for what, _, _ in seen] == ["nodes"] * 3
+
+
+def test_nets_without_places_or_transitions_and_with_many_tokens():
+    assert count_markings(NetBuilder("empty").build()).total == 1
+    lonely = count_markings(NetBuilder("lonely").place("p", tokens=2**53).build())
+    assert (lonely.total, lonely.dead, lonely.bounds) == (1, 1, {"p": 2**53})
+    net = NetBuilder("rich").place("p", tokens=2**53, capacity=2**53).place("q", capacity=3)
+    net.exponential("t", inputs="p", outputs="q").exponential("u", inputs="q", outputs="p")
+    rich = count_markings(net.build())
+    assert (rich.total, rich.bounds) == (4, {"p": 2**53, "q": 3})
