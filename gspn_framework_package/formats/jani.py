@@ -208,11 +208,19 @@ _OPERATIONS: Mapping[str, Callable[..., _Term]] = {
 
 
 def _all(terms: Sequence[_Term]) -> _Term:
-    return reduce(lambda a, b: _operation("∧", a, b), terms) if terms else True
+    return _joined("∧", terms) if terms else True
 
 
 def _any(terms: Sequence[_Term]) -> _Term:
-    return reduce(lambda a, b: _operation("∨", a, b), terms)
+    return _joined("∨", terms)
+
+
+def _joined(operator: str, terms: Sequence[_Term]) -> _Term:
+    """Join many terms in a balanced tree, since every level is indented further."""
+    if len(terms) < 3:
+        return reduce(lambda a, b: _operation(operator, a, b), terms)
+    half = (len(terms) + 1) // 2
+    return _operation(operator, _joined(operator, terms[:half]), _joined(operator, terms[half:]))
 
 
 def _none(terms: Sequence[_Term]) -> List[_Term]:

@@ -16,6 +16,7 @@ from typing import (
     Callable,
     Dict,
     Iterable,
+    Iterator,
     List,
     Mapping,
     NamedTuple,
@@ -290,6 +291,23 @@ class PolicyTable:
             return range(len(self.policy.rows))
         scope = self._scope.get(place, 0)
         return [number for number, of in enumerate(self._row_scope) if of == scope]
+
+    def in_order(
+        self, place: int, strict: bool
+    ) -> Iterator[Tuple[Tuple[Optional[int], ...], Tuple[Tuple[int, float], ...]]]:
+        """The rows that decide for a robot in ``place``, by precedence: their counts and choices,
+        as in :meth:`distribution`. Then, unless ``strict``, the other rows of its scope, where it
+        waits."""
+        rows = self.policy.rows
+        found = {n: self._restrict(n, place).choices for n in self.rows_of(place)}
+        decide = [n for n in found if found[n] or not rows[n].choices]
+        decide.sort(key=lambda n: rows[n].counts.count(None))
+        others = [] if strict else [n for n in found if not found[n] and rows[n].choices]
+        seen: Set[Tuple[Optional[int], ...]] = set()
+        for n in (*decide, *others):
+            if rows[n].counts not in seen:
+                seen.add(rows[n].counts)
+                yield rows[n].counts, found[n]
 
     def _goes_first(self, number: int, other: int) -> bool:
         """Whether the row ``number`` takes precedence over the row ``other``."""

@@ -6,5 +6,7 @@
 * ``steps``: what happens in a state of a run net under the plan's policy, with rates and
   probabilities;
 * ``requests``: what a robot draws from, and which of several requests fires first;
+* ``literal``: a run net as an ordinary net, for other tools and for people, with ``staged_net``,
+  a net as it is being built, and ``ending``, when a condition holds, as bounds on tokens;
 * ``phases``: durations as exponential phases, and ``size``: how many states these make.
 """

@@ -95,10 +95,13 @@ class PlaceColumns(NamedTuple):
         return (self.asking, self.idle, *self.holding.values())
 
     def named_for_people(self, net: Net, p: int) -> Iterator[Tuple[int, str]]:
-        """The columns, each with what its robots are up to in place ``p``, in words. Nothing if
-        all robots are done, and alike."""
-        if not (self.attempts or self.named or self.holding):
-            return
+        """The columns in which time passes, each with what its robots are up to in place ``p``, in
+        words. Nothing if all robots are done, and alike."""
+        if self.attempts or self.named or self.holding:
+            yield from ((c, words) for c, words in self.words(net, p) if c not in self.arriving)
+
+    def words(self, net: Net, p: int) -> Iterator[Tuple[int, str]]:
+        """All columns, each with what its robots are up to in place ``p``, in words."""
         place = net.places[p].name
         for number, attempt in enumerate(self.attempts, 1):
             count = len(attempt.columns)
@@ -110,6 +113,7 @@ class PlaceColumns(NamedTuple):
             for t, column in table.items():
                 yield column, "%s (done, %s %s)" % (place, does, net.transitions[t].name)
         for column, what in (
+            *((column, "arrives") for column in self.arriving),
             (self.asking, "done, asks the policy"),
             (self.idle, "done, waits"),
             (self.stuck, "stuck"),

@@ -157,6 +157,11 @@ def chain_and_run(case: Case) -> List[str]:
     return differences(case.numbers(old.chain(case.plan)), case.run)
 
 
+def literal_and_run(case: Case) -> List[str]:
+    """The run net as an ordinary net against the run."""
+    return differences(case.numbers(old.LiteralSteps(case.plan)), case.run)
+
+
 def net_and_run(case: Case) -> List[str]:
     """``--timing net`` against the choices of the run in the race of the net."""
     return differences(case.numbers(old.net_chain(case.plan)), case.net_run)
@@ -343,6 +348,7 @@ COMPARISONS: Dict[str, Comparison] = {
     function.__name__: Comparison(function, families)
     for function, families in (
         (chain_and_run, _STATED_BY_CHAIN),
+        (literal_and_run, _STATED_BY_CHAIN),
         (net_and_run, _STATED_BY_CHAIN),
         (optimiser_and_run, _STATED_BY_CHAIN),
         (optimiser_and_net, _STATED_BY_CHAIN),

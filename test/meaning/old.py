@@ -13,6 +13,7 @@ from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.literal import literal_net
 from gspn_framework_package.run_net.steps import Steps
 from meaning.numbers import MOST_STATES, Marking, TooManyStatesError
 
@@ -97,6 +98,55 @@ class ClosedSteps:
         full = np.array(self._markings[state])
         full[self._counters] = 0
         return tuple(full.tolist())
+
+
+class LiteralSteps:
+    """The run net as an ordinary net, by the firing rule of nets. States in which one step is
+    certain, and nothing fires in the plan, are passed over.
+
+    :raises RefusedError: an ordinary net cannot express the plan.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        literal = literal_net(compile_plan(plan, PlanTiming(plan)))
+        self._net = net = literal.net
+        self._fired = [
+            plan.net.transition_number(meaning.of) if meaning.fires else -1
+            for meaning in (literal.transitions[t.name] for t in net.transitions)
+        ]
+        self._places = len(plan.net.places)
+        self._columns = [
+            (plan.net.place_number(place), net.place_number(name))
+            for place, name in literal.counts.items()
+        ]
+        self.start: Hashable = self._settled(net.initial_marking)
+
+    def expand(self, state: Any) -> Tuple[bool, List[Tuple[Hashable, int, float]]]:
+        """See :class:`~meaning.numbers.Steps`."""
+        net, enabled = self._net, self._net.enabled(state)
+        at_once = bool(enabled) and not net.transitions[enabled[0]].timed
+        values = [net.value(state, t) if at_once else net.effective_rate(state, t) for t in enabled]
+        whole = sum(values) if at_once else 1.0
+        return at_once, [
+            (self._settled(net.fire(state, t)), self._fired[t], value / whole)
+            for t, value in zip(enabled, values)
+        ]
+
+    def _settled(self, state: Any) -> Any:
+        while True:
+            enabled = self._net.enabled(state)
+            if len(enabled) != 1 or self._fired[enabled[0]] >= 0:
+                return state
+            if self._net.transitions[enabled[0]].timed:
+                return state
+            state = self._net.fire(state, enabled[0])
+
+    def marking(self, state: Any) -> Marking:
+        """See :class:`~meaning.numbers.Steps`."""
+        full = [0] * self._places
+        for p, column in self._columns:
+            full[p] = state[column]
+        return tuple(full)
 
 
 def untimed(plan: Plan, limit: int, losses: bool) -> FrozenSet[Marking]:
