@@ -45,12 +45,13 @@ from gspn_framework_package.analysis.state_space.properties import Liveness, Pro
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep, explore
 from gspn_framework_package.analysis.structure.invariants import bounds_of
 from gspn_framework_package.analysis.structure.net_structure import Structure
+from gspn_framework_package.analysis.symbolic.markings import MarkingCounts, count_markings
 from gspn_framework_package.analysis.symmetry.lumped_properties import LumpedProperties
 from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace, explore_lumped
 from gspn_framework_package.analysis.symmetry.symmetry import Symmetry
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import Condition, either, parse_condition
-from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
@@ -150,6 +151,7 @@ class Analysis:
         self._progress, self._cancel = progress, cancel
         self._counters: Tuple[str, ...] = ()  # the places left out of the state space
         self._known_tree: Optional[CoverabilityTree] = None
+        self._counts: Optional[MarkingCounts] = None
         self._growth_reason = ""  # why the first tree does not show which places grow without bound
 
     # -- structure and state space -----------------------------------------------------------------
@@ -164,6 +166,50 @@ class Analysis:
         """The visited markings, without the places ``left_out``; for a plan, those its policy
         allows. It is incomplete if the limit was reached."""
         return self._explore()
+
+    def counts(self, seconds: Optional[float] = None) -> MarkingCounts:
+        """The numbers of the markings of a net, without visiting them and without the places
+        ``uncounted``.
+
+        :param seconds: longest time (s); None: that of the limits.
+        :raises RefusedError: it is a plan.
+        :raises LimitError: they were not counted within the limits, or are infinitely many.
+        """
+        if self.plan is not None:
+            raise RefusedError("the markings of a plan are not counted, only those of its net")
+        if self._counts is None:
+            if not set(self.growing_places) <= set(self.uncounted):
+                raise LimitError(
+                    "not decided, since the net is unbounded",
+                    hint="%s can grow without bound" % ", ".join(self.growing_places),
+                )
+            try:
+                found = self.structure.place_invariants
+            except LimitError:
+                found = []
+            self._counts = count_markings(
+                self.net.without_places(self.uncounted),
+                together=[list(invariant.weights) for invariant in found],
+                memory=self.limits.memory,
+                watch=self._watch(seconds),
+            )
+        return self._counts
+
+    @cached_property
+    def growing_places(self) -> List[str]:
+        """The places of a net that a small coverability tree shows to grow without bound."""
+        return (None in self._proved_bounds.values() and self._unbounded_places()) or []
+
+    @cached_property
+    def uncounted(self) -> Tuple[str, ...]:
+        """The places that nothing reads and that may grow without bound, which counting leaves
+        out."""
+        bounds = self._proved_bounds
+        if None not in bounds.values() or self._unbounded_places() == []:
+            return ()
+        return tuple(
+            name for name, bound in bounds.items() if bound is None and self._is_counter(name)
+        )
 
     @property
     def left_out(self) -> Tuple[str, ...]:
@@ -196,8 +242,9 @@ class Analysis:
             **self._while_working,
         )
 
-    def _watch(self) -> Watch:
-        return Watch(self._progress, self._cancel, seconds=self.limits.seconds)
+    def _watch(self, seconds: Optional[float] = None) -> Watch:
+        within = self.limits.seconds if seconds is None else min(seconds, self.limits.seconds)
+        return Watch(self._progress, self._cancel, seconds=within)
 
     @cached_property
     def properties(self) -> Properties:
@@ -318,6 +365,8 @@ class Analysis:
 
     def _unbounded_places(self) -> Optional[List[str]]:
         """The places that grow without bound, from a small coverability tree; None: not decided."""
+        if self._growth_reason:
+            return None
         try:
             tree = self._tree(
                 min(_FIRST_TREE, self.limits.tree), self.limits.memory // _FIRST_TREE_SHARE

@@ -34,6 +34,11 @@ from gspn_framework_package.analysis.report_measures import (
 )
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.transient import check_tolerance
+from gspn_framework_package.analysis.symbolic.answers import (
+    NOT_COUNTED,
+    answer_by_counting,
+    count_instead,
+)
 from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
@@ -72,6 +77,8 @@ class Questions(NamedTuple):
     :ivar settling: tolerance of the time to steady state; None: do not report it.
     :ivar structure: whether to report invariants, siphons and traps.
     :ivar timing: whether to report the steady state.
+    :ivar symbolic: whether to count the markings of a net, without visiting them, and to answer
+      only what that answers.
     """
 
     at: Tuple[float, ...] = ()
@@ -82,6 +89,7 @@ class Questions(NamedTuple):
     settling: Optional[float] = None
     structure: bool = True
     timing: bool = True
+    symbolic: bool = False
 
     def check(self, net: Net) -> None:
         """Check the questions before anything is computed.
@@ -112,6 +120,10 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
     work.basics()
     if questions.structure:
         work.structure()
+    if questions.symbolic:
+        answer_by_counting(analysis, work.data, work.undecided)
+        work.finish()
+        return work.data
     work.behaviour()
     for condition in questions.reach:
         work.reach(condition)
@@ -241,6 +253,7 @@ class ReportWork:
         self._deadlocks()
         self.measures(Part.BEHAVIOUR)
         self._by_tree()
+        count_instead(self.analysis, self.data, self.undecided)
 
     def _deadlocks(self) -> None:
         space = self.analysis.space
@@ -482,11 +495,15 @@ def uncounted(left_out: Iterable[str]) -> Dict[str, str]:
 
 def open_questions(data: Mapping[str, Any]) -> List[str]:
     """The keys of a report that were not decided, except for omitted counters and for answers that
-    are never available on disk, unless they were requested."""
+    are never available on disk or by counting, unless they were requested."""
     passed = set(uncounted(data["left_out"]))
     if data["engine"] == ON_DISK:
         passed.update(measure.key for measure in MEASURES if measure.part is Part.BEHAVIOUR)
-    return [key for key in data["undecided"] if key not in passed]
+    return [
+        key
+        for key, reason in data["undecided"].items()
+        if key not in passed and reason != NOT_COUNTED
+    ]
 
 
 def plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ import math
 import sys
 from itertools import islice
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Tuple, Union
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
@@ -42,6 +42,7 @@ from gspn_framework_package.cli.memory import (
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 _PARTS = 1_000
@@ -80,6 +81,10 @@ _EFFORT: Arguments = {
     **LIMIT_OPTIONS,
     **MEMORY_OPTIONS,
     choice("--engine", ENGINES, "auto"): "the engine that explores (default: auto)",
+    "--symbolic": (
+        "count the markings of a net without visiting them: their number, largest counts, dead "
+        "markings, transitions that never fire"
+    ),
     "--lump": (
         "exploit symmetry: visit only one of the markings that differ by an exchange of equal "
         "parts of the net"
@@ -110,19 +115,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _run(args: argparse.Namespace) -> int:
     subject, notes = read_subject(args)
-    questions = Questions(
-        at=tuple(t for group in args.at for t in group),
-        reach=tuple(args.reach),
-        cover=tuple(_marking(text) for text in args.cover),
-        mean_time_to=tuple(args.mean_time_to),
-        rewards=dict(_pair(text, "--reward") for text in args.reward),
-        settling=args.time_to_steady_state,
-        structure=not args.no_structure,
-        timing=not args.no_time,
-    )
-    if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
-        raise UsageError("--at: a time must be a number of seconds, at least 0")
-    questions.check(subject.net if isinstance(subject, Plan) else subject)
+    questions = _questions(args, subject)
     limits, memory = limits_of(args), memory_of(args)
     if memory is not None and isinstance(subject, Plan):
         raise UsageError(
@@ -188,6 +181,46 @@ def _run(args: argparse.Namespace) -> int:
     finally:  # the answers are printed, even if they cannot be written
         _print(data, left_out, args.json)
     return 0 if decided else 1
+
+
+def _questions(args: argparse.Namespace, subject: Union[Net, Plan]) -> Questions:
+    questions = Questions(
+        at=tuple(t for group in args.at for t in group),
+        reach=tuple(args.reach),
+        cover=tuple(_marking(text) for text in args.cover),
+        mean_time_to=tuple(args.mean_time_to),
+        rewards=dict(_pair(text, "--reward") for text in args.reward),
+        settling=args.time_to_steady_state,
+        structure=not args.no_structure,
+        timing=not args.no_time,
+        symbolic=args.symbolic,
+    )
+    if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
+        raise UsageError("--at: a time must be a number of seconds, at least 0")
+    questions.check(subject.net if isinstance(subject, Plan) else subject)
+    if args.symbolic:
+        _check_symbolic(args, subject, questions)
+    return questions
+
+
+def _check_symbolic(
+    args: argparse.Namespace, subject: Union[Net, Plan], questions: Questions
+) -> None:
+    if isinstance(subject, Plan):
+        raise UsageError(
+            "--symbolic requires a net", hint="use --only-net to count the markings of its net"
+        )
+    for option in ("lump", "memory"):
+        if getattr(args, option):
+            raise UsageError("--symbolic and --%s exclude each other" % option)
+    if args.engine != "auto":
+        raise UsageError("--symbolic uses its own engine", hint="leave out --engine")
+    asked = questions._replace(structure=True, timing=True, symbolic=False)
+    if asked != Questions(rewards={}):
+        raise UsageError(
+            "--symbolic counts markings, and answers no other questions",
+            hint="leave out --symbolic, or the questions",
+        )
 
 
 def _print(data: Dict[str, Any], left_out: List[str], as_json: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.report import titled
 from gspn_framework_package.analysis.report_measures import Part
+from gspn_framework_package.analysis.symbolic.answers import SYMBOLIC
 from gspn_framework_package.cli.memory import scratch_text
 
 _SHOWN = 12
@@ -141,6 +142,8 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
             _map(dead["marking"]),
             ", ".join(dead["witness"]) or "nothing: at the start",
         )
+    elif dead and dead["marking"] is not None:
+        yield "deadlocks: %s, e.g. (%s)" % (format(dead["count"], ","), _map(dead["marking"]))
     elif dead:
         yield "deadlocks: none"
     home, left_out = data["home_states"], _some(data["left_out"])
@@ -152,6 +155,8 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         if data["reversible"] is False and left_out and home["count"] == states["total"]
         else "",
     )
+    if data["engine"] == SYMBOLIC and data["states"]:
+        yield "transitions that never fire: %s" % (_some(data["dead_transitions"]) or "none")
     if data["liveness"] and not data["live"]:
         yield "liveness: %s" % _map(data["liveness"])
     if home:

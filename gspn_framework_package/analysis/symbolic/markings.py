@@ -7,7 +7,7 @@ wins, since no rule tells beforehand which of them keeps the diagram small.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.symbolic.kernel import IDENTITY, NO_MARKING, UNIT
@@ -18,6 +18,7 @@ from gspn_framework_package.analysis.symbolic.steps import (
     NO_STEP,
     FiringRule,
     StepTable,
+    TooManyCasesError,
     rule_of,
 )
 from gspn_framework_package.analysis.watch import Watch
@@ -68,15 +69,15 @@ class MarkingCounts(NamedTuple):
 def count_markings(
     net: Net,
     *,
-    invariants: Sequence[Sequence[int]] = (),
+    together: Iterable[Iterable[str]] = (),
     memory: float = DEFAULT_MEMORY,
     watch: Optional[Watch] = None,
     form: Optional[KernelForm] = None,
 ) -> MarkingCounts:
     """Count the reachable markings of a net.
 
-    :param invariants: the places of each place invariant known, by number; they only help to find
-        a good order.
+    :param together: names of places that belong together, such as those of a place invariant; they
+        only help to find a good order.
     :param memory: most bytes for the diagrams.
     :param watch: reports the number of nodes, and may stop the work.
     :param form: the form of the kernel; None: plain at first, then compiled if numba is installed.
@@ -84,7 +85,9 @@ def count_markings(
         net always ends so.
     :raises CancelledError: the watch was cancelled.
     """
-    orders = promising_orders(net, invariants)[:_ORDERS]
+    number = net.place_index
+    groups = [[number[name] for name in names if name in number] for names in together]
+    orders = promising_orders(net, [group for group in groups if group])[:_ORDERS]
     watch = watch or Watch()
     found = None
     if form is None:
@@ -113,15 +116,19 @@ class _Diagram:
         self.done = self.levels == 0
         self._level = 0
 
-    def prepare(self) -> None:
-        """Make the steps; nothing else may be called before."""
+    def prepare(self, watch: Watch) -> None:
+        """Make the steps; nothing else may be called before.
+
+        :raises LimitError: there are too many cases, or it took too long.
+        """
         net = self.net
         self.rules = [rule_of(net, t, self.level_of) for t in range(len(net.transitions))]
         self.table = StepTable(self.levels)
         above: List[FiringRule] = []
         for numbers in _by_precedence(net):
             rules = [rule for rule in (self.rules[t] for t in numbers) if rule is not None]
-            for rule in rules:
+            for done, rule in enumerate(rules):
+                watch.step("transitions", done)
                 if rule.change:
                     step = self.table.step(rule, above, closing=True)
                     if step != NO_STEP:
@@ -162,29 +169,37 @@ def _race(
 ) -> Optional[_Diagram]:
     """The diagram that is complete first; None if none is after ``most`` operations in all."""
     turns = _FIRST_TURNS
+    left = list(diagrams)
     running: List[_Diagram] = []
     spent = 0
     while True:
-        for diagram in list(diagrams):
+        for diagram in list(left):
+            if diagram not in left:
+                continue
             if diagram not in running:
-                diagram.prepare()
+                try:
+                    diagram.prepare(watch)
+                except TooManyCasesError:
+                    left.remove(diagram)
+                    if not left:
+                        raise
+                    continue
                 running.append(diagram)
-            begun = diagram.machine.work
+            until = diagram.machine.work + turns
             piece = _SLICE[diagram.form.compiled]
-            while diagram.machine.work < begun + turns:
-                diagram.go_on(min(begun + turns - diagram.machine.work, piece))
+            while diagram in left and diagram.machine.work < until:
+                # whatever grows needs the old and the new at the same time
+                if sum(each.machine.memory for each in running) > memory / 2:
+                    largest = max(running, key=lambda each: each.machine.memory)
+                    if len(left) == 1:
+                        raise _no_room(memory, largest.machine.nodes)
+                    left.remove(largest)
+                    running.remove(largest)
+                    continue
+                diagram.go_on(min(until - diagram.machine.work, piece))
                 if diagram.done:
                     return diagram
-                nodes = sum(d.machine.nodes for d in running)
-                watch.step("nodes", nodes)
-                used = sum(d.machine.memory for d in running)
-                # whatever grows needs the old and the new at the same time
-                if used > memory / 2:
-                    if len(diagrams) == 1:
-                        raise _no_room(memory, nodes)
-                    diagrams.remove(diagram)  # the others may be smaller
-                    running.remove(diagram)
-                    break
+                watch.step("nodes", sum(each.machine.nodes for each in running))
             spent += turns
             if most is not None and spent > most:
                 return None
@@ -298,7 +313,7 @@ class _Counting:
         rules = [rule for rule in (diagram.rules[t] for t in transitions) if rule is not None]
         try:
             steps = [diagram.table.step(NO_CONDITION, rules)]
-        except LimitError:  # one by one, which is slower
+        except TooManyCasesError:  # one by one, which is slower
             steps = [diagram.table.step(NO_CONDITION, [rule]) for rule in rules]
         diagram.machine.use(diagram.table.lists())
         for step in steps:

@@ -19,13 +19,13 @@ _ROUNDS = 60
 """Rounds of each improvement; most orders settle in fewer."""
 
 
-def promising_orders(net: Net, invariants: Sequence[Sequence[int]]) -> List[PlaceOrder]:
+def promising_orders(net: Net, together: Sequence[Sequence[int]]) -> List[PlaceOrder]:
     """Some orders of the places, the most promising first.
 
-    :param invariants: the places of each place invariant, by number.
+    :param together: numbers of places that belong together, besides those of a transition.
     """
     groups = [sorted(group) for group in _touched(net)]
-    tied = groups + [list(places) for places in invariants]
+    tied = groups + [list(places) for places in together]
     starts = [tuple(range(len(net.places))), _walk(net, tied)]
     found: Dict[PlaceOrder, int] = {}
     for start in starts:

@@ -20,12 +20,16 @@ MANY = 2**60
 NO_STEP = -1
 """The step that is possible in no marking."""
 
-_MOST_ROWS = 2_000_000
+_MOST_ROWS = 1_000_000
 """Largest number of rows of all steps together."""
 
 _Gone = FrozenSet[int]
 Range = Tuple[int, int]
 StepRows = Tuple[Tuple[int, int, int], ...]
+
+
+class TooManyCasesError(LimitError):
+    """The precedence of transitions makes too many cases under an order of the places."""
 
 
 class FiringRule(NamedTuple):
@@ -108,7 +112,7 @@ class StepTable:
 
         :param above: the rules of the transitions that must not be enabled.
         :param closing: whether the result is closed under the transitions.
-        :raises LimitError: it has too many rows.
+        :raises TooManyCasesError: all steps together have too many rows.
         """
         levels = set(rule.guard) | set(rule.change)
         for other in above:
@@ -150,7 +154,9 @@ class StepTable:
                 self._rows += len(ranges)
             if self._rows > _MOST_ROWS:
                 self._rows = before
-                raise LimitError("not decided: the priorities make too many cases")
+                raise TooManyCasesError(
+                    "not decided: the priorities make more than %s cases" % format(_MOST_ROWS, ",")
+                )
             plans.append(plan)
             here = below
 

@@ -70,7 +70,7 @@ def test_what_is_small_enough_is_visited_before_anything_else_is_asked(monkeypat
         (Limits(structure=50), "place_invariants", "--limit-structure"),
         (Limits(structure=50), "siphons", "--limit-structure"),
         (Limits(structure=50), "siphons_hold_marked_traps", "--limit-structure"),
-        (Limits(states=50), "states", "--limit"),
+        (Limits(states=50), "liveness", "--limit"),
         (Limits(states=50), "steady_state", "--limit"),
         (Limits(memory=20_000), "states", "--limit-memory"),
         (Limits(seconds=1e-9), "states", "--limit-time"),

@@ -341,7 +341,7 @@ def test_the_command_stays_in_memory_if_that_is_enough(kanban, capsys):
     assert data["engine"] != "disk"
     assert data["live"]
     _, out, _ = analysed(capsys, kanban, "--json", "--memory", "100KB", "--limit", "50")
-    assert json.loads(out)["states"] is None
+    assert json.loads(out)["live"] is None
 
 
 @pytest.mark.parametrize(

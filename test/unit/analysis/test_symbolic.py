@@ -1,6 +1,7 @@
 """Counting markings with decision diagrams: the firing rule on generated nets, published counts,
 limits."""
 
+import json
 import re
 
 import pytest
@@ -11,7 +12,10 @@ from benchmarks.nets import courier, flexible_manufacturing, kanban
 from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
 from gspn_framework_package.analysis.symbolic import machine, markings
 from gspn_framework_package.analysis.symbolic.markings import count_markings
+from gspn_framework_package.analysis.symbolic.steps import TooManyCasesError
 from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, LimitError
 
@@ -80,7 +84,7 @@ def test_priorities_that_make_many_cases_are_taken_one_by_one(monkeypatch):
 
     def step(table, rule, above=(), closing=False):
         if len(above) > 1:
-            raise LimitError("too many")
+            raise TooManyCasesError("too many")
         return one_step(table, rule, above, closing)
 
     monkeypatch.setattr(markings.StepTable, "step", step)
@@ -176,10 +180,95 @@ def test_an_unbounded_net_ends_at_the_limit(form):
 
 def test_it_can_be_cancelled_and_reports_its_nodes():
     seen = []
-    watch = Watch(lambda *news: seen.append(news), lambda: len(seen) > 2, interval=0)
-    with pytest.raises(CancelledError, match="nodes"):
+    watch = Watch(
+        lambda what, count, seconds: seen.append(what), lambda: seen.count("nodes") > 2, interval=0
+    )
+    with pytest.raises(CancelledError):
         count_markings(two_handed(30), watch=watch)
-    assert [what for what, _, _ in seen] == ["nodes"] * 3
+    assert seen.count("nodes") == 3
+
+
+def analysed(capsys, tmp_path, net, *words):
+    write_net(net, tmp_path / "net.pnml")
+    code = main(["analyse", str(tmp_path / "net.pnml"), *words])
+    return code, capsys.readouterr()
+
+
+def test_the_command_counts_where_asked(capsys, tmp_path):
+    net = two_handed(20)
+    code, printed = analysed(capsys, tmp_path, net, "--symbolic", "--json", "--no-structure")
+    data, counts = json.loads(printed.out), count_markings(net)
+    assert code == 0
+    assert data["engine"] == "symbolic"
+    assert data["states"] == {
+        "total": counts.total,
+        "tangible": counts.total,
+        "vanishing": 0,
+        "arcs": counts.arcs,
+    }
+    assert data["deadlocks"]["count"] == 2
+    assert set(net.enabled(net.marking(data["deadlocks"]["marking"]))) == set()
+    assert (data["bounded"], data["k_safe"], data["live"]) == (True, 1, False)
+    assert data["home_states"] is None and data["steady_state"] is None
+
+    code, printed = analysed(capsys, tmp_path, net, "--symbolic")
+    assert code == 0
+    assert "{:,} tangible".format(counts.total) in printed.out
+    assert "deadlocks: 2, e.g. (" in printed.out
+    assert "transitions that never fire: none" in printed.out
+
+
+def test_the_command_counts_where_the_visit_does_not_end(capsys, tmp_path):
+    code, printed = analysed(capsys, tmp_path, two_handed(20), "--json", "--limit", "1000")
+    data = json.loads(printed.out)
+    assert code == 1  # the steady state is still open
+    assert data["states"]["total"] == count_markings(two_handed(20)).total
+    assert (data["engine"], data["deadlocks"]["count"], data["bounded"]) == ("symbolic", 2, True)
+    assert data["live"] is False
+    assert {"states", "deadlocks", "bounds", "live"}.isdisjoint(data["undecided"])
+    assert "--limit" in data["undecided"]["steady_state"]
+
+
+def test_what_is_visited_stays_what_it_was(capsys, tmp_path):
+    _, printed = analysed(capsys, tmp_path, two_handed(3), "--json")
+    assert json.loads(printed.out)["engine"] != "symbolic"
+
+
+def test_an_unbounded_net_is_not_counted(capsys, tmp_path):
+    net = NetBuilder("grows").place("p").exponential("t", outputs="p").exponential("u", inputs="p")
+    code, printed = analysed(capsys, tmp_path, net.build(), "--symbolic", "--json")
+    data = json.loads(printed.out)
+    assert code == 1
+    assert (data["states"], data["bounded"], data["bounds"]) == (None, False, {"p": "infinite"})
+    assert "p can grow without bound" in data["undecided"]["states"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--reach", "deadlock"], ["--lump"], ["--memory", "1GB"], ["--engine", "numpy"]],
+    ids=lambda words: words[0],
+)
+def test_what_counting_does_not_answer_is_refused(capsys, tmp_path, words):
+    code, printed = analysed(capsys, tmp_path, two_handed(3), "--symbolic", *words)
+    assert code == 2 and "--symbolic" in printed.err
+
+
+def test_a_plan_is_not_counted(capsys):
+    assert main(["analyse", "plans/warehouse", "--symbolic"]) == 2
+    assert "--only-net" in capsys.readouterr().err
+
+
+def test_places_that_only_count_are_left_out(capsys):
+    words = ["analyse", "plans/warehouse", "--only-net", "--no-structure", "--json"]
+    main(words)
+    visited = json.loads(capsys.readouterr().out)
+    assert main([*words, "--symbolic"]) == 1  # whether Delivered is bounded
+    counted = json.loads(capsys.readouterr().out)
+    for key in ("states", "left_out", "dead_transitions"):
+        assert counted[key] == visited[key]
+    assert visited["left_out"] == ["Delivered"] and visited["bounds"]["Delivered"] == "infinite"
+    assert counted["bounds"] == {**visited["bounds"], "Delivered": None}
+    assert "Delivered" in counted["undecided"]["bounds"]
 
 
 def test_nets_without_places_or_transitions_and_with_many_tokens():

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.report_measures import Part, keys_of
 from gspn_framework_package.cli import analyse
 from gspn_framework_package.cli.main import main
@@ -181,13 +182,11 @@ def test_a_timeless_trap_is_no_answer(run, saved):
     assert run("analyse", saved(net), "--no-time")[0] == 0
 
 
-def test_invariants_prove_a_net_bounded_that_is_too_large_also_without_structure(run, saved):
-    code, out, _ = run(
-        "analyse", saved(kanban(2)), "--limit", 100, "--limit-tree", 10, "--no-structure", "--json"
-    )
-    data = json.loads(out)
-    assert code == 1 and data["states"] is None
-    assert data["bounded"] is True and set(data["bounds"].values()) == {2}
+def test_invariants_prove_a_net_bounded_that_is_too_large_also_without_structure():
+    analysis = Analysis(kanban(2), limits=Limits(states=100, tree=10), structure=False)
+    assert not analysis.space.complete
+    assert analysis.boundedness.bounded is True
+    assert set(analysis.boundedness.bounds.values()) == {2}
 
 
 def test_text_and_csv(run, saved, tmp_path):
