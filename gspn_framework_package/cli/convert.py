@@ -7,11 +7,12 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.limits import STATE_LIMIT
+from gspn_framework_package.analysis.plan.run_net_export import run_net_of
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import (
@@ -39,6 +40,7 @@ from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.composition import expand_place
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """Format of a computed Markov chain -> extension of its files: PRISM's explicit files, and Storm's
@@ -63,6 +65,10 @@ _OPTIONS: Arguments = {
             ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
             ", ".join("%s (%s)" % item for item in CHAINS.items()),
         )
+    ),
+    "--run-net": (
+        "of a plan: its run net, which has the numbers of the plan as it runs under its policy; "
+        "'gspn explain --run-net' says what is what in it"
     ),
     repeated("--expand", ("PLACE", "NET", "ENTRY", "EXIT"), nargs=4): (
         "replace PLACE by the net of a file: tokens enter at its place ENTRY and leave from EXIT "
@@ -90,12 +96,16 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--to is required when writing to standard output")
     if args.output == "-" and args.json:
         raise UsageError("--json and the net cannot both go to standard output")
+    if args.run_net and args.expand:
+        raise UsageError("--expand is for nets, and --run-net for plans")
     suffix = Path(args.output).suffix.lower()
     if (
         args.to == PLAN_FORMAT
         or args.to is None
         and (suffix == ".json" or os.path.isdir(args.output))
     ):
+        if args.run_net:
+            raise UsageError("a run net is a net, and %s a plan" % args.output)
         return _write_plan(args)
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
@@ -103,11 +113,13 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(
                 "--expand is for nets", hint="write the expanded net first, then its chain"
             )
+        if args.run_net:
+            raise UsageError("--run-net is for nets", hint="a plan has a chain without it")
         return _write_chain(args, chain)
     if args.label:
         raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
     target = format_named(args.to) if args.to else format_of_name(args.output)
-    net, notes = read_net_argument(args)
+    net, notes = _read_run_net(args) if args.run_net else read_net_argument(args)
     for place, path, entry, leaving in args.expand:
         subnet, subnet_notes = read_net_with_notes(path)
         net = expand_place(net, place, subnet, entry, leaving)
@@ -124,6 +136,15 @@ def run(args: argparse.Namespace) -> int:
         "arcs": len(net.arcs),
     }
     return _tell(args, {**done, **sizes}, notes + losses)
+
+
+def _read_run_net(args: argparse.Namespace) -> Tuple[Net, List[str]]:
+    """Return the run net of a plan, with notes."""
+    plan, notes = read_net_or_plan_argument(args)
+    if not isinstance(plan, Plan):
+        raise UsageError("--run-net is for plans, and this is a net", file=args.net_file)
+    literal, assumed = run_net_of(plan)
+    return literal.net, notes + assumed
 
 
 def _tell(args: argparse.Namespace, done: Dict[str, Any], notes: List[str]) -> int:

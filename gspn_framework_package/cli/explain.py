@@ -1,5 +1,5 @@
 """``gspn explain``: plays a firing sequence step by step, such as the one that a finding of ``gspn
-check`` refers to."""
+check`` refers to; or says what the places and transitions of a run net stand for."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import json
 from typing import Any, Dict, List, Sequence
 
 from gspn_framework_package.analysis.plan.edited_nets import with_losses
+from gspn_framework_package.analysis.plan.run_net_export import run_net_of
 from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 
@@ -22,6 +25,10 @@ OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("transitions", "TRANSITION", nargs="*"): (
         "the transitions to fire, in order; by default the firing sequences found by 'gspn check'"
+    ),
+    "--run-net": (
+        "say instead what each place and transition of the run net stands for, which 'gspn convert "
+        "--run-net' writes"
     ),
     Argument("--robots", "N", numbers.robots): "for a team of N robots",
     Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
@@ -42,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
+    if args.run_net:
+        return _explain_run_net(plan, args)
     told = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
     net = with_losses(plan.net, plan, set())  # as in the check, robots may be lost
     for each in told:
@@ -54,6 +63,29 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("no finding of the check has a firing sequence")
     return int(any(each["stopped_by"] for each in told))
+
+
+def _explain_run_net(plan: Plan, args: argparse.Namespace) -> int:
+    """Print what the places and transitions of the run net stand for."""
+    if args.transitions:
+        raise UsageError("--run-net plays no transitions")
+    literal, notes = run_net_of(plan)
+    if args.json:
+        told = {
+            "plan": plan.name,
+            "places": {name: {"of": m.of, "text": m.text} for name, m in literal.places.items()},
+            "transitions": {name: m._asdict() for name, m in literal.transitions.items()},
+            "notes": notes,
+        }
+        print(json.dumps(told, indent=2, ensure_ascii=False))
+        return 0
+    print_notes(notes)
+    for what, explained in (("places", literal.places), ("transitions", literal.transitions)):
+        print("%d %s:" % (len(explained), what))
+        width = max(map(len, explained), default=0)
+        for name, meaning in explained.items():
+            print("  %-*s  %s" % (width, name, meaning.text))
+    return 0
 
 
 def _found(plan: Plan, args: argparse.Namespace) -> List[Dict[str, Any]]:

@@ -102,7 +102,7 @@ class _Writer(StagedNet):
         self._entries: List[str] = []
         self._deciding: Dict[int, _Deciding] = {}
         self._of = [
-            self.place(p.name, p.name, ("all robots in %s" if acts else "%s") % p.name)
+            self.place(p.name, p.name, ("all robots in %s" if acts else "tokens of %s") % p.name)
             for p, acts in zip(self._net.places, run_net.acts)
         ]
         self._changed = ""
@@ -184,7 +184,7 @@ class _Writer(StagedNet):
         ready: Needed = NOTHING_NEEDED,
     ) -> None:
         """A token moves, and nothing fires in the plan; in time, each at the rate ``value``."""
-        wanted = " to ".join([source, *targets])
+        wanted = " to ".join([source, *targets]) if targets else "end of " + source
         meaning = Meaning("", "%s: %s" % (text, wanted))
         self.add(wanted, meaning, stage, value, {source: 1}, dict.fromkeys(targets, 1), ready)
 

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats import read_net
 
 PLANS = Path(__file__).parents[2] / "plans"
 
@@ -42,3 +43,26 @@ def test_the_text_has_a_line_for_each_firing(capsys):
     assert lines[-1].startswith("then enabled: ")
     assert main(["explain", str(PLANS / "tokens")]) == 0
     assert "no finding of the check has a firing sequence" in capsys.readouterr().out
+
+
+def test_what_the_places_and_transitions_of_a_run_net_stand_for(capsys):
+    assert main(["explain", str(PLANS / "rendezvous"), "--run-net", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["places"]["Docked_done_wants_Hand_Over"] == {
+        "of": "Docked",
+        "text": "robots: Docked (done, wants Hand_Over)",
+    }
+    fires = {name: t["of"] for name, t in told["transitions"].items() if t["fires"]}
+    plan = json.loads((PLANS / "rendezvous" / "plan.json").read_text())
+    net = read_net(PLANS / "rendezvous" / plan["net"])
+    assert set(fires.values()) == {t.name for t in net.transitions}
+    assert main(["explain", str(PLANS / "rendezvous"), "--run-net"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "%d places:" % len(told["places"])
+    assert "%d transitions:" % len(told["transitions"]) in lines
+    assert len(lines) == 2 + len(told["places"]) + len(told["transitions"])
+
+
+def test_a_run_net_plays_no_transitions(capsys):
+    assert main(["explain", str(PLANS / "tokens"), "t1", "--run-net"]) == 2
+    assert "--run-net plays no transitions" in capsys.readouterr().err

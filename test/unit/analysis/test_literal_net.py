@@ -1,15 +1,19 @@
 """The run net of a plan as an ordinary net: the same numbers as those of the plan, by the package's
 own chain, by Storm, and by the run itself."""
 
+import json
 import re
 from dataclasses import replace
 
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.plan.run_net_export import run_net_of
+from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import read_net, write_net
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
@@ -202,3 +206,36 @@ def test_what_other_tools_read_is_the_same_net(ending, tmp_path):
     found, expected = Analysis(read).measures, Analysis(net).measures
     assert found.mean_tokens == pytest.approx(expected.mean_tokens, abs=1e-12)
     assert found.throughput == pytest.approx(expected.throughput, abs=1e-12)
+
+
+@pytest.mark.parametrize("ending", ["pnpro", "pnml", "jani"])
+def test_the_command_writes_it(ending, tmp_path, capsys):
+    path = tmp_path / ("run." + ending)
+    assert main(["convert", "plans/rendezvous", "--run-net", str(path)]) == 0
+    assert "take exponential times" in capsys.readouterr().err
+    if ending == "jani":
+        names = [each["name"] for each in json.loads(path.read_text())["variables"]]
+    else:
+        names = [place.name for place in read_net(path).places]
+    assert names == list(literal_of(read_plan("plans/rendezvous")).places)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["plans/patrol/net.xml", "x.jani"], "--run-net is for plans"),
+        (["plans/patrol", "x.json"], "a run net is a net, and x.json a plan"),
+        (["plans/patrol", "x.tra"], "a plan has a chain without it"),
+        (["plans/patrol", "x.jani", "--expand", "a", "b", "c", "d"], "--run-net for plans"),
+    ],
+)
+def test_what_has_no_run_net(words, text, capsys):
+    assert main(["convert", *words, "--run-net"]) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_a_duration_that_never_varies_is_refused():
+    plan = read_plan("plans/rendezvous")
+    plan = replace(plan, durations={"Docked": Duration.deterministic(2.0)}).validate()
+    with pytest.raises(RefusedError, match="durations that never vary have no exponential phases"):
+        run_net_of(plan)
